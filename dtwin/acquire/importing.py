@@ -206,10 +206,15 @@ def write_folder(found: Understood, folder: Path, home: Home) -> Path:
     source = f"# dtwin import {json.dumps(found.path.name)}, sha256 {digest}\n"
     kept = {name: found.told[name] for name in _REMEMBERED if name in found.told}
     recipe = {"header": list(found.header), "columns": dict(found.answers), "told": kept}
-    place = _recipe_path(home.made(), found.header)
-    make_folder(place.parent)
+    place = _recipe_path(home, found.header)
+    try:
+        make_folder(home.made().root / place.parent.name)
+        make_folder(folder)
+    except OSError as error:
+        raise InputError(
+            "a folder cannot be made", code="import.folder", where=str(error.filename), got=str(error.strerror)
+        ) from error
     write_toml(place, recipe, "the recipe")
-    make_folder(folder)
     write_text(folder / lone.name, found.text, "the table")
     document = {
         "campaign": {"name": campaign.name, "machine": campaign.machine, "kind": found.kind},
@@ -233,6 +238,7 @@ def _header(rows: Sequence[Sequence[str]], path: Path) -> int:
         where=str(path),
         got=f"{len(rows)} lines",
         allowed=f"a row of heads above rows of numbers, within {_MOST_PREAMBLE} lines and {_MOST_COLUMNS} columns",
+        hint="dtwin check FILE reads the forms of instruments",
     )
 
 
@@ -269,8 +275,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
 
 
 def _ending(name: str) -> str:
-    """Return the unit that a column's name ends with, as it stands there; empty without one."""
-    return next((ending for ending in UNITS if name.endswith(f"_{ending}")), "")
+    """Return the unit that a column's name ends with, as it stands there; empty without one: a number counts columns."""
+    return next((ending for ending in UNITS if ending != "1" and name.endswith(f"_{ending}")), "")
 
 
 def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: float) -> Column:

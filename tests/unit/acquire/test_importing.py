@@ -103,6 +103,16 @@ def test_the_command_shows_first_and_writes_when_told(tmp_path: Path, monkeypatc
         assert isinstance(run(*wrong).exception, InputError)
 
 
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "k.csv"
+    path.write_text(circle(), encoding="utf-8")
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for folder, home in ((tmp_path / "c", tmp_path / "file" / "home"), (tmp_path / "file" / "c", tmp_path / "home")):
+        with pytest.raises(InputError, match="cannot be made"):
+            write_folder(understand(path, Home(home), CIRCLE, {}), folder, Home(home))
+    assert not (tmp_path / "c").exists()
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(min_size=1, max_size=400), st.text(min_size=1, max_size=400).map(lambda t: t.encode())))
 def test_hostile_files_are_refused_as_mistakes(tmp_path: Path, data: bytes) -> None:
