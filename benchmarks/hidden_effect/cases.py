@@ -11,7 +11,7 @@ import numpy as np
 from along import line_case
 from causes import BASE, LIBRARY, Cause, foreign, thermal_drift, thermal_growth
 from designs import DESIGNS
-from published import published_case
+from published import drawn_case, published_case
 from robot import GEOMETRY, JOINTS, joint_cause
 from rows import NOISE_UM, ROWS, Row
 from second_faults import LIBRARY as SECOND
@@ -58,8 +58,11 @@ def make_case(row: Row, number: int) -> Case:
     if row.kind != "circular":
         made_of = line_case(row, number, rng)
         return Case(row, number, made_of.runs, made_of.campaign, (), made_of.hidden, made_of.sizes)
-    if row.machine == "published":
-        campaign, runs, sizes, also = published_case(number, row.noise_um, rng)
+    if row.machine in ("published", "drawn"):
+        if row.machine == "drawn":
+            campaign, runs, sizes, also = drawn_case(number, row.everyday, row.noise_um, rng)
+        else:
+            campaign, runs, sizes, also = published_case(number, row.noise_um, rng)
         found = tuple(Cause(label, 1.0) for label in sizes)
         return Case(row, number, runs, campaign, (), found, tuple(sizes.values()), also=also)
     if row.machine == "second":

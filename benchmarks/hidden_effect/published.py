@@ -13,7 +13,8 @@ from dtwin.config import published_table
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
 from studies.machines.ballbar_simulator import Convention, radial_error_um
 
-_SLOWEST, _FASTEST = 300.0, 6000.0
+_SLOWEST, _USUAL, _FASTEST = 300.0, 1000.0, 6000.0
+_PITCHES_MM = (10.0, 12.0, 18.0, 20.0, 38.1, 44.45, 50.0)
 # The width of a spike is not published.
 _SPIKE_MS, _SPIKE_DEG = 60.0, 3.0
 _REPEATS, _SAMPLES = 3, 1080
@@ -36,7 +37,50 @@ def published_case(
     machine = tomllib.loads(published_table("ballbar_simulator.toml").read_text("utf-8"))[name]
     # The fifth is published at 100 mm/min.
     feeds = sorted({min(_SLOWEST, machine["feed"]), float(machine["feed"]), _FASTEST})
-    feeds = feeds if len(feeds) == 3 else [feeds[0], 1000.0, _FASTEST]
+    feeds = feeds if len(feeds) == 3 else [feeds[0], _USUAL, _FASTEST]
+    return _case(name, machine, feeds, law, noise_um, rng)
+
+
+def drawn_case(
+    number: int, everyday: bool, noise_um: float, rng: np.random.Generator
+) -> tuple[Campaign, list[Run], dict[str, float], tuple[str, ...]]:
+    """Return what :func:`published_case` does of a machine with the same sorts of faults, drawn; ``everyday``: at one feed."""
+    feeds = [_USUAL] if everyday else [_SLOWEST, _USUAL, _FASTEST]
+    return _case(f"drawn{number}", _drawn(rng), feeds, ("time", "angle")[number % 2], noise_um, rng)
+
+
+def _drawn(rng: np.random.Generator) -> Table:
+    """Return a machine with 8 to 19 faults, of sizes and at pitches as in the published table."""
+
+    def size(least: float, most: float) -> float:
+        return float(rng.choice([-1, 1]) * rng.uniform(least, most))
+
+    def pair(share: float, least: float, most: float) -> list[float]:
+        both = [size(least, most), size(least, most)]
+        return both if rng.random() < share else [0.0, 0.0]
+
+    machine: dict[str, Any] = {
+        "radius": float(rng.choice([50.0, 100.0, 150.0])),
+        "scale_x": size(5.0, 40.0),
+        "scale_y": size(5.0, 40.0),
+        "squareness": pair(0.9, 5.0, 35.0)[0],
+        "servo_mismatch": pair(0.6, 0.02, 0.3)[0],
+    }
+    for low in "xy":
+        machine |= {
+            f"straightness_{low}": pair(0.8, 1.0, 20.0)[0],
+            f"cyclic_{low}": pair(0.6, 0.5, 6.0),
+            f"pitch_{low}": float(rng.choice(_PITCHES_MM)),
+            f"backlash_{low}": pair(0.8, 0.2, 8.0),
+            f"lateral_play_{low}": pair(0.6, 0.3, 12.0),
+            f"reversal_spike_{low}": pair(0.7, 1.0, 4.0),
+        }
+    return machine
+
+
+def _case(
+    name: str, machine: Table, feeds: Sequence[float], law: str, noise_um: float, rng: np.random.Generator
+) -> tuple[Campaign, list[Run], dict[str, float], tuple[str, ...]]:
     rms = {label: _shows_um(part, feeds, law) for label, part in _parts(machine).items()}
     asked = {label: value for label, value in rms.items() if value >= noise_um}
     also = tuple(label for label, value in rms.items() if 0.0 < value < noise_um)

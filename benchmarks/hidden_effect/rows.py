@@ -25,7 +25,8 @@ PUBLISHED = tuple((name, law) for name in ("sim1", "sim2", "sim3", "sim5") for l
 class Row:
     """One row: how its cases are made and what the right answer is.
 
-    ``machine`` is what makes the runs: the virtual mill, the second machine or the published simulator.
+    ``machine`` is what makes the runs: the virtual mill, the second machine, the published simulator, or that with
+    machines that are drawn.
     In a row of the ``everyday`` design a group may hold more effects, counted without their axes.
     """
 
@@ -174,6 +175,8 @@ def _of_others() -> list[Row]:
             everyday=True,
         ),
         Row("published_from_nothing", "every", len(PUBLISHED), base=(), noise_um=0.1, machine="published"),
+        Row("drawn_from_nothing", "every", 40, base=(), noise_um=0.1, machine="drawn"),
+        Row("drawn_everyday", "every", 40, base=(), design="both_ways", noise_um=0.1, machine="drawn", everyday=True),
     ]
     return rows
 

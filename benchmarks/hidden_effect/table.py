@@ -45,8 +45,8 @@ MOST_FALSE = 0.10
 
 
 def _limits(row: Row) -> tuple[float, float] | None:
-    """Return the share that must be named and how many false names may be; published machines have no limit."""
-    if row.machine == "published":
+    """Return the share that must be named and how many false names may be; published and drawn machines have no limit."""
+    if row.machine in ("published", "drawn"):
         return None
     if row.everyday:
         return 0.85, 0.20

@@ -65,6 +65,7 @@ _HEADS = (
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
+_TIME, _ANGLE = "t_s", "angle_deg"
 _WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 
 
@@ -169,9 +170,9 @@ def understand(path: Path, home: Home, told: Mapping[str, Any], answers: Mapping
         columns: tuple[Column, ...] = ()
         if answers or not any(kind.takes_alone(lone) for kind in kinds()):
             columns = _columns(heads, units, answers)
-            plain = _converted(columns, body)
+            plain = _converted(columns, body, _seconds_per_deg(columns, told, path))
             write_text(lone, plain, "a table")
-        kind = _kind(lone, columns, path)
+        kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:
@@ -287,9 +288,26 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
     return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
 
 
-def _kind(lone: Path, columns: Sequence[Column], path: Path) -> str:
+def _seconds_per_deg(columns: Sequence[Column], told: Mapping[str, Any], path: Path) -> float | None:
+    """Return the time that a degree took, where a table of a circle tells none: at the programmed feed."""
+    names = {c.name for c in columns}
+    if not any(kind.goes_round and set(kind.columns) - names == {_TIME} for kind in kinds()):
+        return None
+    radius_mm, feed_mm_min = told.get("radius_mm"), told.get("feed_mm_min")
+    if not radius_mm or not feed_mm_min:
+        raise InputError(
+            "the table of a circle tells no time",
+            code="import.time",
+            where=str(path),
+            got=", ".join(sorted(names - {""})),
+            hint="--radius and --feed tell how long a degree takes; a column of time in s is better",
+        )
+    return float(math.radians(1.0) * radius_mm / (feed_mm_min / 60.0))
+
+
+def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Path) -> str:
     for kind in kinds():
-        if kind.takes_alone(lone) or (columns and {c.name for c in columns} >= set(kind.columns)):
+        if kind.takes_alone(lone) or (columns and set(names) >= set(kind.columns)):
             return kind.name
     raise InputError(
         "the columns are those of no kind of test",
@@ -301,13 +319,21 @@ def _kind(lone: Path, columns: Sequence[Column], path: Path) -> str:
     )
 
 
-def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
+def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]], seconds_per_deg: float | None) -> str:
     kept = [(n, column) for n, column in enumerate(columns) if column.name]
     table = [[column.name for _, column in kept]]
     for row in body:
         cells = [(row[n].strip() if n < len(row) else "", column.factor) for n, column in kept]
         table.append([f"{float(cell) * factor:.12g}" if _is_number(cell) else "" for cell, factor in cells])
-    return _as_csv(table)
+    return _as_csv(table if seconds_per_deg is None else _with_time(table, seconds_per_deg))
+
+
+def _with_time(table: Sequence[Sequence[str]], seconds_per_deg: float) -> list[list[str]]:
+    """Return a table of a circle with a column of time at the programmed feed."""
+    at = table[0].index(_ANGLE)
+    begun = next((float(row[at]) for row in table[1:] if row[at]), 0.0)
+    times = [f"{abs(float(row[at]) - begun) * seconds_per_deg:.12g}" if row[at] else "" for row in table[1:]]
+    return [[first, *row] for first, row in zip([_TIME, *times], table, strict=True)]
 
 
 def _as_csv(rows: Sequence[Sequence[str]]) -> str:

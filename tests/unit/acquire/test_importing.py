@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,19 @@ def test_a_german_table_of_a_circle(tmp_path: Path, encoding: str, below: bool) 
     again = understand(later, home, {"feed_mm_min": 2000.0}, {})
     assert again.remembered
     assert (again.told["plane"], again.told["feed_mm_min"], again.runs) == ("XY", 2000.0, (("later", 300),))
+
+
+def test_a_circle_without_time_takes_it_from_the_feed(tmp_path: Path) -> None:
+    path, home = tmp_path / "c.csv", Home(tmp_path / "home")
+    rows = [f"{359.5 - n};{math.sin(n):.3f}".replace(".", ",") for n in range(360)]
+    path.write_text("\n".join(["Winkel [°];Abweichung [µm]", *rows]), "utf-8")
+    with pytest.raises(InputError, match="tells no time"):
+        understand(path, home, {}, {})
+    write_folder(understand(path, home, CIRCLE, {}), tmp_path / "c", home)
+    (run,) = next(iter(open_source(tmp_path / "c")[1]))[0]
+    turn_s = 2.0 * math.pi * CIRCLE["radius_mm"] / (CIRCLE["feed_mm_min"] / 60.0)
+    assert run.meta.direction == "CW"
+    np.testing.assert_allclose(run.samples["t_s"], turn_s / 360.0 * np.arange(360), rtol=1e-9)
 
 
 def test_a_positioning_table_is_read_by_its_own_rules(tmp_path: Path) -> None:
