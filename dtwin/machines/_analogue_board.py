@@ -14,7 +14,7 @@ from typing import Self
 
 from dtwin.links.analogue_firmware import build_firmware, compiled
 
-_BOARD = Path(__file__).with_suffix(".c")
+_BOARD = Path(__file__).with_name("analogue_board.c")
 
 
 def build_board(out: Path) -> Path:

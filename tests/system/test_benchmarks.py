@@ -48,6 +48,7 @@ def test_none_is_left_out() -> None:
         "cobot_family.py",
         "machine_years.py",
         "mechanism_bias.py",
+        "next_test.py",
         "two_instruments.py",
     }
     # test_freezes and test_exam_short run these.
@@ -135,6 +136,12 @@ def test_machine_years() -> None:
 
 
 @pytest.mark.long
+def test_next_test() -> None:
+    (row,) = short("next_test.py")
+    assert 0 < row["told by all"] <= row["faults"]
+    assert 0.0 < row["proposed, min"] <= row["full, min"] * 1.5
+
+
 def test_two_instruments() -> None:
     for row in short("two_instruments.py"):
         assert row["of these named with both"] == row["not told by the ball bar"]
