@@ -162,6 +162,12 @@ class Dictionary:
         return self._sizes
 
 
+def dictionary_for(problem: Problem, terms: Iterable[Term]) -> Dictionary:
+    """Return a dictionary that takes these terms in: those that differ between repeats must be known from the start."""
+    differ = {t.label: t.instance for t in terms if not problem.obs.is_alike_in_repeats(t.instance)}
+    return Dictionary(problem, Candidates(problem.obs, list(differ.values())))
+
+
 def _squares(rows: Floats) -> Floats:
     """Return the sum of squares of each row."""
     return np.asarray(np.einsum("ij,ij->i", rows, rows))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.physics._dictionary import PITCH, Dictionary, Entry
+from dtwin.physics._dictionary import PITCH, Dictionary, Entry, dictionary_for
 from dtwin.physics._shapes import refined_together
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.localise import condition_means
@@ -233,7 +233,7 @@ def _is_sharp(problem: Problem, terms: Sequence[Term]) -> bool:
 def _left(problem: Problem, terms: Sequence[Term]) -> Floats:
     """Return what a set leaves, whitened, shape (rows, n)."""
     obs = problem.obs
-    dictionary = Dictionary(problem, Candidates(obs, []))
+    dictionary = dictionary_for(problem, terms)
     rest = problem.residual.ravel() - dictionary.fitted(dictionary.add(terms))
     return np.asarray(rest.reshape(obs.n_rows, obs.n_bins))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._dictionary import Dictionary, Entry, dictionary_for
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
@@ -100,7 +100,7 @@ def hidden_by_mask(
     ``found``: effects that were found in a part of it.
     ``known``, ``candidates``, ``problem``: what the twin knows, the library, and the whole campaign.
     """
-    whole = Dictionary(unweighted(problem.obs, known), Candidates(problem.obs, []))
+    whole = dictionary_for(unweighted(problem.obs, known), [*found, *everywhere])
     chosen = whole.add(found)
     have = {entry.label for entry in chosen}
     # Near reversals laws are least exact: what keeps its place there may be any of that.

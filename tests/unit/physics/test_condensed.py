@@ -9,6 +9,7 @@ import pytest
 from test_five_runs import LIBRARY, campaign
 
 from dtwin.physics._condensed import condensed
+from dtwin.physics._dictionary import dictionary_for
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up
@@ -52,3 +53,20 @@ def test_products_and_what_is_left_are_those_of_all_rows(places_differ: bool) ->
     np.testing.assert_allclose(
         few.expanded(fitted[:, None])[:, 0], long[:, :3] @ np.ones(3), atol=1e-9 * size[:3].max()
     )
+
+
+def test_a_dictionary_of_terms_fits_what_differs_between_repeats() -> None:
+    obs = campaign(0.5 * np.ones((1, 1, 1)), np.random.default_rng(4))
+    instances, _ = applicable(LIBRARY, obs, [])
+    terms = [Term(i, i.effect.start_shape) for i in instances if i.effect.name in ("thermal_drift", "thermal_shift")]
+    problem = set_up(obs, [], [])
+    dictionary = dictionary_for(problem, terms)
+    fitted = dictionary.fitted(dictionary.add(terms))
+    candidates = Candidates(obs, instances)
+    columns = np.concatenate([candidates.whitened(problem, t) for t in terms], axis=1)
+    columns = columns - problem.basis @ (problem.basis.T @ columns)
+    left = problem.residual.ravel()
+    np.testing.assert_allclose(
+        fitted, columns @ np.linalg.lstsq(columns, left, rcond=None)[0], atol=1e-6 * np.abs(left).max()
+    )
+    assert np.linalg.norm(fitted) > 0.05 * np.linalg.norm(left)
