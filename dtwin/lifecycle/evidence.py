@@ -26,6 +26,8 @@ from dtwin.train.registry import RegisteredVersion, Registry
 if TYPE_CHECKING:
     from dtwin.train.measured_ways import MeasuredWays
 
+    Looked = MeasuredWays | Evidence
+
 
 def compute(
     home: Home,
@@ -61,7 +63,20 @@ def compute(
 def measure(
     home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
 ) -> Evidence:
-    """Measure a virtual machine with and without a version, and compute evidence from the runs.
+    """Measure a virtual machine with and without a version, and keep the evidence that the runs give.
+
+    Raises
+    ------
+    InputError
+        As :func:`look`.
+    """
+    return keep_looked(home, version, look(home, version, seed=seed, plan=plan, progress=progress))
+
+
+def look(
+    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
+) -> Looked:
+    """Measure a virtual machine with and without a version, or predict where nothing is served; nothing is written.
 
     Parameters
     ----------
@@ -86,12 +101,17 @@ def measure(
         )
     machine = virtual_of(geometry)
     if machine.offers("prediction"):
-        evidence = machine.prediction(home, version, progress)
-        _keep(registry, version, evidence)
-        return evidence
+        return machine.prediction(home, version, progress)
     bundle = Bundle.from_dict(registry.bundle(version))
-    request = EvidenceRequest(registry, version, bundle, geometry, plan, seed, progress)
-    return compute_measured(home, version, machine.evidence(request))
+    return machine.evidence(EvidenceRequest(registry, version, bundle, geometry, plan, seed, progress))
+
+
+def keep_looked(home: Home, version: RegisteredVersion, looked: Looked) -> Evidence:
+    """Keep evidence; of runs it is computed after they are in the lake."""
+    if isinstance(looked, Evidence):
+        _keep(Registry(home), version, looked)
+        return looked
+    return compute_measured(home, version, looked)
 
 
 def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredWays) -> Evidence:

@@ -6,21 +6,25 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.machine import EvidenceRequest, VirtualMachine
-from dtwin.lifecycle.evidence import compute, measure, virtual_of
+from dtwin.lifecycle.evidence import compute, keep_looked, look, virtual_of
 from dtwin.lifecycle.train import geometry_of
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import renew_proof
-from dtwin.train.evidence import WITHOUT
+from dtwin.train.evidence import WITHOUT, Evidence
 from dtwin.train.evidence_record import newest
 from dtwin.train.promotion import withdraw
 from dtwin.train.recheck import Recheck, judge, judge_evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+
+if TYPE_CHECKING:
+    from dtwin.lifecycle.evidence import Looked
+    from dtwin.train.recheck import CheckedRun
 
 # Days after those of the evidence for promotion: copies of its runs would prove nothing.
 _LATER = 500
@@ -86,39 +90,30 @@ def recheck(
     InputError
         When there is no champion, or the machine is real and no campaigns are named.
     """
-    registry = Registry(home)
-    champion = registry.version(machine, "champion")
-    given: Sequence[Mapping[str, Any]]
+    champion = Registry(home).version(machine, "champion")
     if without or with_:
         evidence = compute(home, champion, without, with_)
-        given, found = evidence.runs, judge_evidence(evidence)
-    else:
-        given, found = _measure(home, champion, virtual, blocks, seed, progress)
-    now = datetime.now(UTC)
-    stamp = now.strftime("%Y%m%d-%H%M%S")
-    record = found.as_dict() | {"runs": [dict(run) for run in given]}
-    withdrawn, restored = False, None
-    if found.verdict == "worse":
-        _, restored = withdraw(registry, home, machine, found.reason)
-        withdrawn = True
-    if found.verdict == "helps":
-        proved = now.isoformat(timespec="seconds")
-        renew_proof(machine, home, int(champion.version), proved)
-        registry.mark(champion, {"proved": proved})
-    registry.attach(champion, {f"recheck-{stamp}.json": json.dumps(record, indent=1)})
-    registry.mark(champion, {"recheck": f"{stamp} {found.verdict}: {found.reason}"[:500]})
-    return Rechecked(champion, found, withdrawn, restored.version if restored else "", len(given))
+        return _settled(home, champion, evidence.runs, judge_evidence(evidence))
+    looked = look_again(home, champion, virtual=virtual, blocks=blocks, seed=seed, progress=progress)
+    return settled(home, champion, looked)
 
 
-def _measure(
+def look_again(
     home: Home,
     champion: RegisteredVersion,
-    virtual: VirtualMachine | None,
-    blocks: int,
-    seed: int,
-    progress: Progress | None,
-) -> tuple[Sequence[Mapping[str, Any]], Recheck]:
-    """Return runs of the virtual machine and their verdict: pairs where it takes them, else fresh evidence."""
+    *,
+    virtual: VirtualMachine | None = None,
+    blocks: int = 3,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[CheckedRun] | Looked:
+    """Measure a virtual machine with and without its champion: by pairs where it takes them; nothing is written.
+
+    Parameters
+    ----------
+    virtual, blocks, seed
+        As for :func:`recheck`.
+    """
     registry = Registry(home)
     geometry = geometry_of(registry, champion)
     if not geometry.get("virtual", False):
@@ -129,23 +124,22 @@ def _measure(
             hint="dtwin campaign --with champion, then: dtwin recheck --without C --with C",
         )
     known = virtual or virtual_of(geometry)
-    if known.offers("prediction"):
-        return _newer(home, registry, champion, progress)
-    if not known.offers("checked"):
-        evidence = measure(home, champion, seed=_LATER + seed, progress=progress)
-        return evidence.runs, judge_evidence(evidence)
+    if known.offers("prediction") or not known.offers("checked"):
+        return look(home, champion, seed=_LATER + seed, progress=progress)
     bundle = Bundle.from_dict(registry.bundle(champion))
-    pairs = known.checked(EvidenceRequest(registry, champion, bundle, geometry, None, seed, progress), blocks)
-    return [vars(run) for run in pairs], judge(pairs)
+    return known.checked(EvidenceRequest(registry, champion, bundle, geometry, None, seed, progress), blocks)
 
 
-def _newer(
-    home: Home, registry: Registry, champion: RegisteredVersion, progress: Progress | None
-) -> tuple[Sequence[Mapping[str, Any]], Recheck]:
-    """Return the runs and the verdict of campaigns that no evidence of a champion held before."""
-    kept = newest(registry, champion)
+def settled(home: Home, champion: RegisteredVersion, looked: list[CheckedRun] | Looked) -> Rechecked:
+    """Judge a champion by what :func:`look_again` saw, keep it, and withdraw the champion when it harms."""
+    if isinstance(looked, list):
+        return _settled(home, champion, [vars(run) for run in looked], judge(looked))
+    kept = newest(Registry(home), champion)
     before = set(kept.content["campaigns"].get(WITHOUT, ())) if kept is not None else set()
-    evidence = measure(home, champion, seed=0, progress=progress)
+    evidence = keep_looked(home, champion, looked)
+    if not isinstance(looked, Evidence):
+        return _settled(home, champion, evidence.runs, judge_evidence(evidence))
+    # A prediction uses every campaign: what no evidence held before is what judges.
     conditions = tuple(c for c in evidence.conditions if c["campaign"] not in before)
     if not conditions:
         raise InputError(
@@ -156,4 +150,22 @@ def _newer(
             hint="measure it without a correction once more, and dtwin ingest the campaign",
         )
     runs = [run for run in evidence.runs if run["campaign"] not in before]
-    return runs, judge_evidence(replace(evidence, conditions=conditions))
+    return _settled(home, champion, runs, judge_evidence(replace(evidence, conditions=conditions)))
+
+
+def _settled(home: Home, champion: RegisteredVersion, given: Sequence[Mapping[str, Any]], found: Recheck) -> Rechecked:
+    registry = Registry(home)
+    now = datetime.now(UTC)
+    stamp = now.strftime("%Y%m%d-%H%M%S")
+    record = found.as_dict() | {"runs": [dict(run) for run in given]}
+    withdrawn, restored = False, None
+    if found.verdict == "worse":
+        _, restored = withdraw(registry, home, champion.machine, found.reason)
+        withdrawn = True
+    if found.verdict == "helps":
+        proved = now.isoformat(timespec="seconds")
+        renew_proof(champion.machine, home, int(champion.version), proved)
+        registry.mark(champion, {"proved": proved})
+    registry.attach(champion, {f"recheck-{stamp}.json": json.dumps(record, indent=1)})
+    registry.mark(champion, {"recheck": f"{stamp} {found.verdict}: {found.reason}"[:500]})
+    return Rechecked(champion, found, withdrawn, restored.version if restored else "", len(given))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -111,8 +112,8 @@ def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | N
         return turn.result(fresh)
 
 
-def news(home: Home, registry: Registry) -> list[_CampaignNews]:
-    """Return what is new in every campaign of the lake, the newest ingest first.
+def news(home: Home, registry: Registry, machines: Collection[str] = ()) -> list[_CampaignNews]:
+    """Return what is new in every campaign of some machines, the newest ingest first; of all without names.
 
     New is a usable run whose content no registered version of the machine was trained on; what
     a version was trained on is read back from the lake at the version's own table version.
@@ -120,7 +121,8 @@ def news(home: Home, registry: Registry) -> list[_CampaignNews]:
     lake = Lake(home.lake)
     by_campaign: dict[str, list[dict[str, Any]]] = {}
     for row in lake.runs():
-        by_campaign.setdefault(row["campaign"], []).append(row)
+        if not machines or row["machine"] in machines:
+            by_campaign.setdefault(row["campaign"], []).append(row)
     order = sorted(by_campaign, key=lambda n: max(r["ingested"] for r in by_campaign[n]))
     known = {
         machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in by_campaign.values()}
@@ -141,6 +143,12 @@ def news(home: Home, registry: Registry) -> list[_CampaignNews]:
             )
         )
     return news
+
+
+def compared(home: Home, made: Registered) -> Comparison | None:
+    """Return a fresh candidate and the champion on the runs that it was trained on; None without a champion."""
+    rows = [row for row in Lake(home.lake).runs(made.training.report.campaign) if usable(row)]
+    return compare_with_champion(home, made, rows)
 
 
 def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
@@ -213,7 +221,7 @@ class _Turn:
         except InputError as error:
             self.told[item.campaign] = error.message
             return
-        self.comparison = compare_with_champion(self.home, self.registered, item.rows)
+        self.comparison = compared(self.home, self.registered)
 
     def result(self, news: list[_CampaignNews]) -> Scheduled:
         """Return what was done."""

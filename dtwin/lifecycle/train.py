@@ -44,18 +44,29 @@ def train(
     InputError
         When a correction was in force while it was measured, or it cannot be used otherwise.
     """
+    return registered(home, trained(home, campaign, seed=seed, engine=engine, progress=progress), progress)
+
+
+def trained(
+    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+) -> Training:
+    """Train every candidate on a campaign; nothing is written."""
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
     require_uncorrected(known)
     training = kind_named(known.kind).training()(lake, campaign, seed=seed, engine=engine, progress=progress)
     amended = [f.message for f in amendment_findings(lake.runs(campaign, left_out=True))]
     told = *training.report.told, *worse_in_sample(training.report.candidates), *amended
-    report = replace(training.report, told=told)
-    training = replace(training, report=report)
+    return replace(training, report=replace(training.report, told=told))
+
+
+def registered(home: Home, training: Training, progress: StageProgress | None = None) -> Registered:
+    """Log the candidates of a training, register the proposed one, and judge it by the offline gates."""
     if progress is not None:
         progress("log and register", 0, 1, "")
+    report = training.report
     registry = Registry(home)
-    title = f"Training on {campaign}"
+    title = f"Training on {report.campaign}"
     overview = page(title, report.machine, [training_section(report)])
     ids = registry.log_training(report, {"comparison.html": overview})
     proposed = report.candidate(report.proposed)

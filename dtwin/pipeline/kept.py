@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from dtwin import __version__
@@ -35,17 +36,40 @@ def kept(home: Home, what: str, campaign: str, stamp: str, make: Callable[[], An
     make : callable
         Returns something JSON-ready.
     """
-    path = home.root / "kept" / what / f"{require_name(campaign, 'the campaign')}.json"
-    full = f"{__version__} {stamp}"
+    found = kept_already(home, what, campaign, stamp)
+    if found is None:
+        found = make()
+        with suppress(StoreError):  # A home that cannot be written is read all the same.
+            keep(home, what, campaign, stamp, found)
+    return found
+
+
+def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None) -> Any:
+    """Return what :func:`kept` keeps; None when there is nothing, or the runs changed since.
+
+    ``stamp``: None takes what was made of other runs too.
+    """
+    path = _file_of(home, what, campaign)
     try:
         found = read_document(path) if path.exists() else {}
     except StoreError:
-        found = {}
-    if found.get("stamp") != full:
-        found = {"stamp": full, "made": make()}
-        with suppress(StoreError):  # A home that cannot be written is read all the same.
-            write_document(path, found, what)
-    return found["made"]
+        return None
+    return found.get("made") if stamp is None or found.get("stamp") == f"{__version__} {stamp}" else None
+
+
+def keep(home: Home, what: str, campaign: str, stamp: str, made: Any) -> None:
+    """Keep what was made of the runs of a campaign.
+
+    Raises
+    ------
+    StoreError
+        When the home cannot be written.
+    """
+    write_document(_file_of(home, what, campaign), {"stamp": f"{__version__} {stamp}", "made": made}, what)
+
+
+def _file_of(home: Home, what: str, campaign: str) -> Path:
+    return home.root / "kept" / what / f"{require_name(campaign, 'the campaign')}.json"
 
 
 def sheet_of_campaign(home: Home, campaign: str, machine: str, stamp: str) -> dict[str, Any]:

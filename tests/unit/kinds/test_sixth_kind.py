@@ -71,11 +71,14 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     assert said("twin", "compare", "c-axis")["headline"].startswith("72 waves a turn")
     said("twin", "show", "c-axis", "--html", "page.html")
     assert "worm_error" in (tmp_path / "page.html").read_text(encoding="utf-8")
-    trained = said("train", "table")
-    assert trained["candidates"][0]["scores"]["run"]["r2"] > 0.99
+    trained = said("fleet", "train", "--workers", "1")["done"]["table"]
+    assert (trained["gates_passed"], trained["against_champion"]) == (True, None)
+    assert said("fleet", "train", "--workers", "1")["passed"] == {"table": "every run was trained on already"}
     promoted = said("promote", trained["version"], "--machine", "table-1")
     assert promoted["champion"], promoted["reason"]
     assert all(condition["better"] for condition in promoted["evidence"]["conditions"])
+    assert said("fleet", "recheck", "--workers", "1")["done"]["table-1"]["verdict"] == "helps"
+    assert said("fleet", "recheck", "--workers", "1")["passed"]["table-1"].startswith("checked 20")
     home = Home(tmp_path / "home")
     served = load_bundle(resolve("latest", "table-1", home).path, "table-1").bundle
     predicted = CompiledBundle(served).run(np.array([[45.0], [90.0]]))

@@ -1,0 +1,127 @@
+"""Commands that do the same for many machines: diagnose, train, recheck."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.errors import EXIT_USER
+
+if TYPE_CHECKING:
+    from dtwin.fleet import FleetRun, Job
+
+Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
+On = Annotated[
+    str, typer.Option(help="local, or a Dask scheduler: dask://host:port on this computer, dask+tls://host:port.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")
+]
+Seed = Annotated[int, typer.Option(help="Seed of what is drawn.")]
+
+app_fleet = typer.Typer(no_args_is_help=True, help="The same for many machines, on one computer or many.")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_fleet, name="fleet")
+
+
+@app_fleet.command()
+def diagnose(
+    machine: Machines = None, on: On = "local", workers: Workers = None, seed: Seed = 0, as_json: Json = False
+) -> None:
+    """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
+    from dtwin.fleet import DIAGNOSE
+
+    _run(DIAGNOSE, machine, on, workers, seed, as_json)
+
+
+@app_fleet.command()
+def train(
+    machine: Machines = None, on: On = "local", workers: Workers = None, seed: Seed = 1, as_json: Json = False
+) -> None:
+    """Train on the newest campaign of every machine that has new runs, and register; nothing is promoted."""
+    from dtwin.fleet import TRAIN
+
+    _run(TRAIN, machine, on, workers, seed, as_json)
+
+
+@app_fleet.command()
+def recheck(
+    machine: Machines = None,
+    days: Annotated[float, typer.Option(min=0.0, help="Pass over champions that were checked since.")] = 1.0,
+    on: On = "local",
+    workers: Workers = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Measure every machine with and without its champion again, and withdraw those that harm."""
+    from dtwin.fleet import recheck_job
+
+    _run(recheck_job(days), machine, on, workers, seed, as_json)
+
+
+@app_fleet.command()
+def show(machine: Machines = None, as_json: Json = False) -> None:
+    """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
+    from dtwin.config import home
+    from dtwin.fleet import fleet_view
+    from dtwin.report.text import table
+
+    found = fleet_view(home(), machine or ())
+    head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")
+    rows = [
+        [
+            m["machine"],
+            str(m["started"] or "-")[:10],
+            m["campaign"],
+            _um(m["systematic_rms_um"]),
+            _um(m["noise_floor_um"]),
+            ", ".join(m["found"]) or m["verdict"],
+        ]
+        for m in found
+    ]
+    nothing = "nothing was diagnosed yet: dtwin fleet diagnose"
+    emit({"machines": found}, lambda: table(head, rows) if rows else nothing, as_json=as_json)
+
+
+def _um(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _run(job: Job, machines: list[str] | None, on: str, workers: int | None, seed: int, as_json: bool) -> None:
+    from dtwin.config import home
+    from dtwin.fleet import run_fleet
+
+    progress = ProgressLine(job.name, quiet=as_json)
+    run = run_fleet(home(), job, machines or (), on=on, workers=workers, seed=seed, progress=progress)
+    emit(run.as_dict(), lambda: _text(run), as_json=as_json)
+    if run.failed:
+        raise typer.Exit(EXIT_USER)
+
+
+def _text(run: FleetRun) -> str:
+    from dtwin.report.text import table
+
+    lines = []
+    if run.done:
+        rows = [
+            [name, said["machine"], *(str(value) for key, value in said.items() if key != "machine")]
+            for name, said in sorted(run.done.items())
+        ]
+        titles = [key.replace("_", " ") for key in next(iter(run.done.values())) if key != "machine"]
+        lines.append(table(("", "machine", *titles), rows))
+    lines += [f"failed: {name}: {error['message']}" for name, error in sorted(run.failed.items())]
+    reasons: dict[str, list[str]] = {}
+    for name, why in run.passed.items():
+        reasons.setdefault(why, []).append(name)
+    lines += [f"passed over, {why}: {_listed(names)}" for why, names in reasons.items()]
+    lines.append(f"{len(run.done)} done, {len(run.failed)} failed, {len(run.passed)} passed over")
+    return "\n".join(lines)
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")

@@ -1,0 +1,205 @@
+"""What can be done for many machines: which units there are, the work on one, and who keeps its result.
+
+A unit is worked on anywhere by a function of this module that reads the home and writes nothing but short cuts.
+What it returns is kept by the one process that conducts the job.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.documents import finite
+from dtwin.errors import GateRefusal
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
+from dtwin.pipeline.kept import keep, kept_already, stamp_of
+
+DIAGNOSES = "diagnoses"
+_Units = tuple[list["Unit"], dict[str, str]]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One piece of work.
+
+    Attributes
+    ----------
+    name : str
+        A campaign, or a machine: what is reported and resumed by.
+    stamp : str
+        Of what the result depends on.
+    """
+
+    name: str
+    machine: str
+    stamp: str = ""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Work for many machines.
+
+    Attributes
+    ----------
+    name : str
+        Its verb.
+    units : callable
+        Returns what is to do in a home for some machines (all without names), and what is passed over: names and why.
+    work : callable
+        Returns the result of a unit; takes the home's folder, the unit and a seed, all of which can be sent.
+    keep : callable
+        Keeps a result, and returns what is said of it, JSON-ready.
+    """
+
+    name: str
+    units: Callable[[Home, Collection[str]], _Units]
+    work: Callable[[str, Unit, int], Any]
+    keep: Callable[[Home, Unit, Any], dict[str, Any]]
+
+
+def _campaigns(home: Home, machines: Collection[str]) -> _Units:
+    """Return campaigns that were not diagnosed since their runs changed."""
+    units, passed = [], {}
+    for name, rows in _by_campaign(home, machines).items():
+        kind = kind_named(str(rows[0]["kind"]))
+        stamp = stamp_of(rows)
+        if all(row["left_out"] for row in rows):
+            passed[name] = "all its runs are left out"
+        elif not kind.offers("rows"):
+            passed[name] = kind.lacks("rows").message
+        elif kept_already(home, DIAGNOSES, name, stamp) is not None:
+            passed[name] = "diagnosed already"
+        else:
+            units.append(Unit(name, str(rows[0]["machine"]), stamp))
+    return units, passed
+
+
+def _by_campaign(home: Home, machines: Collection[str]) -> dict[str, list[Mapping[str, Any]]]:
+    out: dict[str, list[Mapping[str, Any]]] = {}
+    for row in Lake(home.lake).runs(left_out=True):
+        if not machines or row["machine"] in machines:
+            out.setdefault(str(row["campaign"]), []).append(row)
+    return out
+
+
+def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
+    """Return what the runs of a campaign can tell, from nothing but the set-up."""
+    from dtwin.physics.diagnose import diagnose
+    from dtwin.physics.library import Library
+    from dtwin.physics.twin import data_lines
+    from dtwin.twins.measured import load
+
+    loaded = load(Home(Path(root)), unit.name)
+    found = replace(diagnose(loaded.obs, [], Library(), seed=seed), told=tuple(data_lines(loaded.data)))
+    started = min((meta.started or "" for meta in loaded.obs.runs), default="")
+    head = {"campaign": unit.name, "machine": unit.machine, "kind": loaded.obs.campaign.kind, "started": started}
+    # As it is after being written and read: the same wherever it was computed.
+    as_kept: dict[str, Any] = json.loads(json.dumps(finite(head | found.as_dict())))
+    return as_kept
+
+
+def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
+    keep(home, DIAGNOSES, unit.name, unit.stamp, result)
+    return {name: result[name] for name in ("verdict", "headline")}
+
+
+def _trainable(home: Home, machines: Collection[str]) -> _Units:
+    """Return for each machine its newest campaign, when it has runs that no version was trained on."""
+    from dtwin.lifecycle.schedule import news
+    from dtwin.train.registry import Registry
+
+    units, passed, seen = [], {}, set()
+    for item in news(home, Registry(home), machines):
+        if item.machine in seen:
+            continue
+        if item.obstacle:
+            passed[item.campaign] = item.obstacle
+            continue
+        seen.add(item.machine)
+        if item.new_runs:
+            units.append(Unit(item.campaign, item.machine, item.digest))
+        else:
+            passed[item.campaign] = "every run was trained on already"
+    return units, passed
+
+
+def _trained(root: str, unit: Unit, seed: int) -> Any:
+    from dtwin.lifecycle.train import trained
+
+    return trained(Home(Path(root)), unit.name, seed=seed)
+
+
+def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
+    from dtwin.lifecycle.schedule import compared
+    from dtwin.lifecycle.train import registered
+
+    made = registered(home, result)
+    comparison = compared(home, made)
+    return {
+        "version": made.version.version,
+        "proposed": made.training.report.proposed,
+        "gates_passed": all(verdict.passed for verdict in made.verdicts),
+        "against_champion": comparison.verdict if comparison is not None else None,
+    }
+
+
+def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
+    """Return machines whose champion was not checked for some days."""
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home)
+    units, passed = [], {}
+    limit = (datetime.now(UTC) - timedelta(days=days)).strftime("%Y%m%d-%H%M%S")
+    for machine in registry.machines():
+        if machines and machine not in machines:
+            continue
+        champion = registry.champion(machine)
+        if champion is None:
+            passed[machine] = "no champion"
+        elif (last := champion.tags.get("recheck", "").partition(" ")[0]) > limit:
+            passed[machine] = f"checked {last}"
+        else:
+            units.append(Unit(machine, machine, champion.version))
+    return units, passed
+
+
+def _looked_at(root: str, unit: Unit, seed: int) -> Any:
+    from dtwin.lifecycle.recheck import look_again
+    from dtwin.train.registry import Registry
+
+    home = Home(Path(root))
+    return look_again(home, Registry(home).version(unit.machine, unit.stamp), seed=seed)
+
+
+def _settle(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
+    from dtwin.lifecycle.recheck import settled
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home)
+    champion = registry.version(unit.machine, "champion")
+    if champion.version != unit.stamp:
+        raise GateRefusal(
+            "another version became champion meanwhile",
+            code="fleet.champion",
+            where=f"machine {unit.machine}",
+            got=champion.version,
+            allowed=unit.stamp,
+        )
+    done = settled(home, champion, result)
+    return {"verdict": done.found.verdict, "headline": done.found.reason, "withdrawn": done.withdrawn}
+
+
+DIAGNOSE = Job("diagnose", _campaigns, _diagnosed, _keep_diagnosis)
+TRAIN = Job("train", _trainable, _trained, _register)
+
+
+def recheck_job(days: float) -> Job:
+    """Return the job that checks champions which were not checked for so many days."""
+    return Job("recheck", partial(_champions, days), _looked_at, _settle)

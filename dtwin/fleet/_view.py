@@ -1,0 +1,44 @@
+"""What is kept of a fleet: the newest diagnosis of each campaign, worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.pipeline.kept import kept_already
+
+
+def fleet_view(home: Home, machines: Collection[str] = ()) -> list[dict[str, Any]]:
+    """Return the newest diagnosis of every machine, JSON-ready, the largest systematic error over its floor first.
+
+    Parameters
+    ----------
+    machines : collection of str
+        All without names.
+    """
+    newest: dict[str, dict[str, Any]] = {}
+    folder = home.root / "kept" / DIAGNOSES
+    for file in sorted(folder.glob("*.json")):
+        found = kept_already(home, DIAGNOSES, file.stem)
+        if found is None or (machines and found["machine"] not in machines):
+            continue
+        before = newest.get(found["machine"])
+        if before is None or str(found["started"]) >= str(before["started"]):
+            newest[found["machine"]] = found
+    return sorted((_line(found) for found in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
+
+
+def _line(found: dict[str, Any]) -> dict[str, Any]:
+    floor, systematic = found["noise_floor_um"], found["systematic_rms_um"]
+    names = ("machine", "campaign", "kind", "started", "verdict", "headline", "systematic_rms_um", "noise_floor_um")
+    return {name: found[name] for name in names} | {
+        "over_floor": systematic / floor if floor and systematic is not None else None,
+        "found": [" or ".join(_label(s) for s in group) for group in found["found"]],
+        "unresolved": found["unresolved"] is not None,
+    }
+
+
+def _label(suspect: dict[str, Any]) -> str:
+    return f"{suspect['effect']} {suspect['axis']}".rstrip()
