@@ -25,6 +25,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
         "none",
         "folders besides `DTWIN_HOME`, parted by `:`, that flows started on the Prefect page may read and write",
     ),
+    "DTWIN_ENGINE": (
+        "local",
+        "where `dtwin fleet` and the flow `nightly` work: `local`, `dask://host:port`, `dask+tls://host:port`",
+    ),
     "MLFLOW_TRACKING_URI": ("a SQLite file in `DTWIN_HOME`", "where models are logged and registered"),
     "DTWIN_MLFLOW": (
         "later",
@@ -127,6 +131,11 @@ class Home:
     def mlflow_uri(self) -> str:
         """Tracking store: ``MLFLOW_TRACKING_URI``, by default a local SQLite file."""
         return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow/mlflow.db"
+
+    @property
+    def engine(self) -> str:
+        """Where the work of a fleet is done: ``DTWIN_ENGINE``, by default on this computer."""
+        return os.environ.get("DTWIN_ENGINE") or "local"
 
     @property
     def mlflow_at_once(self) -> bool:

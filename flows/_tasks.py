@@ -19,6 +19,7 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
+from dtwin.fleet import Night, nightly
 from dtwin.lifecycle import drift, schedule
 from dtwin.lifecycle import evidence as closed_loop
 from dtwin.lifecycle import recheck as rechecking
@@ -148,6 +149,12 @@ def make_champion(version: RegisteredVersion, comment: str, despite: Sequence[st
 def recheck(machine: str, seed: int, blocks: int) -> rechecking.Rechecked:
     """Measure with and without a champion again, and withdraw it when it harms."""
     return rechecking.recheck(home(), machine, seed=seed, blocks=blocks, progress=logged("runs"))
+
+
+@task(name="night", **_ONCE)
+def night(folder: Path | None, seed: int) -> Night:
+    """Take in what arrived, diagnose what is new, check champions, and tell what somebody should look at."""
+    return nightly(home(), folder=folder, on=home().engine, seed=seed, progress=logged_stages())
 
 
 @task(name="figures", task_run_name="figures of {campaign}", **_REPEATABLE)

@@ -15,6 +15,7 @@ from flows.campaign import campaign_flow
 from flows.cell import cell_flow
 from flows.diagnose import diagnose_flow, publish_drift
 from flows.ingest import ingest_flow
+from flows.nightly import nightly_flow
 from flows.papers import paper_flows
 from flows.promote import promote_flow
 from flows.recheck import recheck_flow
@@ -22,6 +23,7 @@ from flows.simulate import simulate_flow
 from flows.train import publish_training, train_flow
 
 DEPLOYMENT = "local"
+_AT_NIGHT = "0 2 * * *"
 
 
 @flow(name="scheduled-training")
@@ -55,12 +57,12 @@ def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, A
 
 
 def deployments(cron: str | None) -> list[RunnerDeployment]:
-    """Return every flow as a deployment, scheduled training and recheck with their times.
+    """Return every flow as a deployment; scheduled training, recheck and the night with their times.
 
     Parameters
     ----------
     cron : str or None
-        When to train and to check champions; None for only when somebody starts it.
+        When to train and to check champions; the night is at two. None for only when somebody starts them.
     """
     scheduled = RunnerDeployment.from_flow(
         scheduled_training_flow,
@@ -76,6 +78,13 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         description="Circles with and without each champion; one that harms is withdrawn.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
+    night = RunnerDeployment.from_flow(
+        nightly_flow,
+        DEPLOYMENT,
+        cron=_AT_NIGHT if cron else None,
+        description="Diagnoses what is new, checks champions, lists what is late, failed or changed.",
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
     others = (
         campaign_flow,
         simulate_flow,
@@ -89,6 +98,7 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
     return [
         scheduled,
         checked,
+        night,
         *(
             RunnerDeployment.from_flow(known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH)
             for known in others

@@ -101,9 +101,12 @@ def real_recording() -> Path:
     return sample_recording()
 
 
-def require_program(name: str, package: str) -> str:
-    """Return the path of a program; absent it skips, or fails where everything must be there."""
-    found = shutil.which(name)
+def require_program(name: str, package: str, also: str = "") -> str:
+    """Return the path of a program; absent it skips, or fails where everything must be there.
+
+    ``also``: a folder that is looked into besides those of the path.
+    """
+    found = shutil.which(name) or shutil.which(name, path=also)
     if found is None:
         reason = f"{name} is not installed (Debian package {package})"
         if os.environ.get("DTWIN_REQUIRE_ALL"):

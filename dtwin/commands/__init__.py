@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from dtwin.commands import (
+    _alerts,
     _amending,
     _analogue,
     _campaign,
@@ -52,6 +53,7 @@ _MODULES = (
     _twins,
     _machine,
     _fleet,
+    _alerts,
     _certificate,
     _analogue,
     _linuxcnc,

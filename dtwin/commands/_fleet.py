@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
 
 Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
 On = Annotated[
-    str, typer.Option(help="local, or a Dask scheduler: dask://host:port on this computer, dask+tls://host:port.")
+    str | None,
+    typer.Option(help="local, or a Dask scheduler: dask://host:port on this computer, dask+tls://host:port."),
 ]
 Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")
@@ -31,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 @app_fleet.command()
 def diagnose(
-    machine: Machines = None, on: On = "local", workers: Workers = None, seed: Seed = 0, as_json: Json = False
+    machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 0, as_json: Json = False
 ) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
     from dtwin.fleet import DIAGNOSE
@@ -41,7 +43,7 @@ def diagnose(
 
 @app_fleet.command()
 def train(
-    machine: Machines = None, on: On = "local", workers: Workers = None, seed: Seed = 1, as_json: Json = False
+    machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 1, as_json: Json = False
 ) -> None:
     """Train on the newest campaign of every machine that has new runs, and register; nothing is promoted."""
     from dtwin.fleet import TRAIN
@@ -53,7 +55,7 @@ def train(
 def recheck(
     machine: Machines = None,
     days: Annotated[float, typer.Option(min=0.0, help="Pass over champions that were checked since.")] = 1.0,
-    on: On = "local",
+    on: On = None,
     workers: Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -62,6 +64,41 @@ def recheck(
     from dtwin.fleet import recheck_job
 
     _run(recheck_job(days), machine, on, workers, seed, as_json)
+
+
+@app_fleet.command()
+def nightly(
+    folder: Annotated[Path | None, typer.Option(help="Where new measurements arrive.")] = None,
+    machine: Machines = None,
+    on: On = None,
+    workers: Workers = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed."""
+    from dtwin.config import home
+    from dtwin.fleet import nightly as night_of
+
+    night = night_of(home(), folder=folder, machines=machine or (), on=on or home().engine, workers=workers, seed=seed)
+
+    def text() -> str:
+        from dtwin.report.text import table
+
+        taken = sum(event.outcome == "ingested" for event in night.arrived)
+        lines = [
+            f"{taken} taken in, {len(night.diagnosed.done)} campaigns diagnosed, "
+            f"{len(night.rechecked.done)} champions checked"
+        ]
+        if night.alerts:
+            lines.append(table(("alert", "what"), [[alert.key, alert.text] for alert in night.alerts]))
+        told = night.told
+        if told is not None:
+            lines += [f"told by {name}: {count}" for name, count in told.sent.items()]
+            lines += [f"not told by {name}: {why}" for name, why in told.failed.items()]
+            lines += [f"silenced: {key}" for key in told.silenced]
+        return "\n".join(lines)
+
+    emit(night.as_dict(), text, as_json=as_json)
 
 
 @app_fleet.command()
@@ -92,12 +129,12 @@ def _um(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-def _run(job: Job, machines: list[str] | None, on: str, workers: int | None, seed: int, as_json: bool) -> None:
+def _run(job: Job, machines: list[str] | None, on: str | None, workers: int | None, seed: int, as_json: bool) -> None:
     from dtwin.config import home
     from dtwin.fleet import run_fleet
 
     progress = ProgressLine(job.name, quiet=as_json)
-    run = run_fleet(home(), job, machines or (), on=on, workers=workers, seed=seed, progress=progress)
+    run = run_fleet(home(), job, machines or (), on=on or home().engine, workers=workers, seed=seed, progress=progress)
     emit(run.as_dict(), lambda: _text(run), as_json=as_json)
     if run.failed:
         raise typer.Exit(EXIT_USER)

@@ -24,7 +24,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "repair",
         "migrate",
     ),
-    "Understand": ("twin", "fleet", "effects", "dynamics", "report", "certificate", "papers"),
+    "Understand": ("twin", "fleet", "alert", "effects", "dynamics", "report", "certificate", "papers"),
     "Correct": (
         "features",
         "train",

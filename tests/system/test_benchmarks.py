@@ -37,6 +37,7 @@ def test_none_is_left_out() -> None:
         "bench_equation.py",
         "bench_features.py",
         "bench_fit.py",
+        "bench_fleet.py",
         "bench_flips.py",
         "bench_help.py",
         "bench_ingest.py",
@@ -142,15 +143,29 @@ def test_next_test() -> None:
     assert 0.0 < row["proposed, min"] <= row["full, min"] * 1.5
 
 
+@pytest.mark.long  # test_one_twin has a case of each sort.
 def test_two_instruments() -> None:
     for row in short("two_instruments.py"):
         assert row["of these named with both"] == row["not told by the ball bar"]
         assert row["a false name in one twin"] <= row["a false name by one test"]
 
 
+@pytest.mark.long  # test_readme trains, corrects and measures the same robot.
 def test_cobot_family() -> None:
     (shipped,) = short("cobot_family.py")
     assert shipped["passed"]
     for condition in shipped["conditions"]:
         before, after, best = (condition[k] for k in ("uncompensated", "compensated", "oracle"))
         assert best < after < 0.5 * before
+
+
+def test_fleet() -> None:
+    rows = short("bench_fleet.py")["rows"]
+    assert [row["how"] for row in rows] == [
+        "plain loop",
+        "in line",
+        "two processes",
+        "Dask, 1 worker",
+        "Dask, 2 workers",
+    ]
+    assert all(row["of_plain"] > 0.0 for row in rows)

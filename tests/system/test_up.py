@@ -79,10 +79,10 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
         # 127.0.0.1 as the kernel writes it.
         assert listening(children) == {"0100007F"}
 
-        served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 13, 90, "not all flows are served")
+        served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 14, 90, "not all flows are served")
         assert served
         times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
-        assert times == [[]] * 13, "--no-schedule has a schedule"
+        assert times == [[]] * 14, "--no-schedule has a schedule"
 
         _refuses_strangers(up)
 

@@ -1,0 +1,146 @@
+"""What somebody should look at, told once while it lasts, and what is not to be told for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.documents import read_document, write_document
+from dtwin.errors import InputError
+from dtwin.fleet._channels import Channel
+
+SORTS = ("failed", "withdrawn", "drift", "changed", "limit", "overdue")
+_MOST_DAYS = 3653
+
+
+@dataclass(frozen=True)
+class Alert:
+    """One thing that somebody should look at.
+
+    Attributes
+    ----------
+    sort : str
+        One of ``SORTS``.
+    about : str
+        The machine, campaign or file.
+    text : str
+        What it is, one line.
+    """
+
+    sort: str
+    about: str
+    text: str
+
+    @property
+    def key(self) -> str:
+        """What it is silenced by, and told once by."""
+        return f"{self.sort}:{self.about}"
+
+    def as_dict(self) -> dict[str, str]:
+        """Return a JSON-ready mapping."""
+        return asdict(self) | {"key": self.key}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What became of alerts.
+
+    Attributes
+    ----------
+    sent : dict of str to int
+        Number of alerts in the message to each channel; a channel that has nothing new gets none.
+    failed : dict of str to str
+        Why a channel could not be reached; it is told the next time.
+    silenced : tuple of str
+        Keys that are not told now.
+    """
+
+    sent: Mapping[str, int]
+    failed: Mapping[str, str]
+    silenced: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {"sent": dict(self.sent), "failed": dict(self.failed), "silenced": list(self.silenced)}
+
+
+def tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], today: date | None = None) -> Told:
+    """Send each channel one message with the alerts that it was not told of; what is over may be told again later."""
+    day = today or datetime.now(UTC).date()
+    state = _state(home)
+    silent = {key for key, until in state["silent"].items() if until > day.isoformat()}
+    open_now = {alert.key: alert for alert in alerts}
+    told: dict[str, list[str]] = {}
+    sent, failed = {}, {}
+    for channel in channels:
+        known = [key for key in state["told"].get(channel.name, []) if key in open_now]
+        new = [alert for key, alert in open_now.items() if key not in known and key not in silent]
+        if new:
+            try:
+                channel.send(_title(new), _lines(new), [alert.as_dict() for alert in sorted_alerts(new)])
+                sent[channel.name] = len(new)
+                known += [alert.key for alert in new]
+            except Exception as error:  # Whatever a library of a channel raises: the others are told.
+                failed[channel.name] = f"{type(error).__name__}: {error}"[:300]
+        told[channel.name] = known
+    state["told"] = told
+    state["silent"] = {key: until for key, until in state["silent"].items() if until > day.isoformat()}
+    write_document(_path(home), state, "the state of alerts")
+    return Told(sent, failed, tuple(sorted(silent & set(open_now))))
+
+
+def silence(home: Home, key: str, days: float, today: date | None = None) -> str:
+    """Tell nobody of something for some days, and return the day it ends on; 0 days tells again.
+
+    Parameters
+    ----------
+    key : str
+        Sort and what it is about, as alerts are listed: ``overdue:mill-1``.
+    """
+    sort, colon, about = key.partition(":")
+    if not colon or not about or sort not in SORTS:
+        raise InputError(
+            "no alert is called so",
+            code="alert.key",
+            got=key[:60],
+            allowed=", ".join(f"{name}:NAME" for name in SORTS),
+            hint="dtwin fleet nightly lists them",
+        )
+    if not 0 <= days <= _MOST_DAYS:
+        raise InputError("not a number of days", code="alert.days", got=f"{days:g}", allowed=f"0 to {_MOST_DAYS}")
+    until = ((today or datetime.now(UTC).date()) + timedelta(days=days)).isoformat()
+    state = _state(home)
+    state["silent"] = {name: end for name, end in state["silent"].items() if name != key} | (
+        {key: until} if days else {}
+    )
+    write_document(_path(home), state, "the state of alerts")
+    return until
+
+
+def sorted_alerts(alerts: Sequence[Alert]) -> list[Alert]:
+    """Return alerts by sort and by what they are about."""
+    return sorted(alerts, key=lambda alert: (SORTS.index(alert.sort), alert.about))
+
+
+def _title(alerts: Sequence[Alert]) -> str:
+    about = sorted({alert.about for alert in alerts})
+    more = f" and {len(about) - 3} more" if len(about) > 3 else ""
+    return f"dtwin: {len(alerts)} to look at: {', '.join(about[:3])}{more}"
+
+
+def _lines(alerts: Sequence[Alert]) -> str:
+    return "\n".join(f"{alert.sort:<10}{alert.about}: {alert.text}" for alert in sorted_alerts(alerts)) + "\n"
+
+
+def _path(home: Home) -> Path:
+    return home.root / "fleet" / "alerts.json"
+
+
+def _state(home: Home) -> dict[str, Any]:
+    path = _path(home)
+    found = read_document(path, "remove the file: every open alert is told once more") if path.exists() else {}
+    return {"told": dict(found.get("told", {})), "silent": dict(found.get("silent", {}))}

@@ -1,0 +1,245 @@
+"""How alerts reach people: e-mail (SMTP), a webhook (HTTP), MQTT; as ``DTWIN_HOME/alerts.toml`` states them."""
+
+from __future__ import annotations
+
+import json
+import os
+import smtplib
+import ssl
+import tomllib
+import urllib.request
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from email.message import EmailMessage
+from email.utils import parseaddr
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+from dtwin.config import Home
+from dtwin.errors import DeviceError, InputError
+from dtwin.own_address import names_this_computer
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Settings = TypeVar("_Settings", bound="DataclassInstance")
+_WAIT_S = 15.0
+_MAX_BYTES = 100_000
+
+
+class Channel(Protocol):
+    """Sends a message."""
+
+    @property
+    def name(self) -> str:
+        """How the file calls it."""
+
+    def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
+        """Send one message, or raise."""
+
+
+@dataclass(frozen=True)
+class Email:
+    """SMTP. Secrets are in the environment, never in the file.
+
+    Attributes
+    ----------
+    smtp : str
+        ``host:port``. On another computer the connection is encrypted (STARTTLS).
+    password_from : str
+        Environment variable that holds the password of ``user``.
+    """
+
+    smtp: str
+    sender: str
+    to: Sequence[str]
+    user: str = ""
+    password_from: str = ""
+    name = "email"
+
+    def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
+        """Send one message to all."""
+        message = EmailMessage()
+        message["Subject"], message["From"], message["To"] = title, self.sender, ", ".join(self.to)
+        message.set_content(text)
+        host, port = _host_and_port(self.smtp, "email.smtp")
+        with smtplib.SMTP(host, port, timeout=_WAIT_S) as server:
+            if not names_this_computer(host):
+                server.starttls(context=ssl.create_default_context())
+            if self.user:
+                server.login(self.user, _secret(self.password_from, "email.password_from"))
+            server.send_message(message)
+
+
+@dataclass(frozen=True)
+class Webhook:
+    """A POST of JSON: ``title``, ``text``, ``alerts``. Not encrypted on this computer only.
+
+    Attributes
+    ----------
+    token_from : str
+        Environment variable that holds a bearer token.
+    """
+
+    url: str
+    token_from: str = ""
+    name = "webhook"
+
+    def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
+        """Post one message."""
+        body = json.dumps({"title": title, "text": text, "alerts": list(alerts)}).encode()
+        head = {"Content-Type": "application/json", "User-Agent": "dtwin"}
+        if self.token_from:
+            head["Authorization"] = f"Bearer {_secret(self.token_from, 'webhook.token_from')}"
+        request = urllib.request.Request(self.url, body, head)
+        # A redirection would take the token elsewhere.
+        with urllib.request.build_opener(_NoRedirection).open(request, timeout=_WAIT_S):
+            pass
+
+
+class _NoRedirection(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: Any) -> None:
+        """Follow none."""
+
+
+@dataclass(frozen=True)
+class Mqtt:
+    """One message of JSON, as a webhook gets it, kept by the broker until it was delivered (QoS 1)."""
+
+    broker: str
+    topic: str = "dtwin/alerts"
+    user: str = ""
+    password_from: str = ""
+    name = "mqtt"
+
+    def send(self, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
+        """Publish one message, and wait until the broker has it."""
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        host, port = _host_and_port(self.broker, "mqtt.broker")
+        client = Client(CallbackAPIVersion.VERSION2)
+        if not names_this_computer(host):
+            client.tls_set_context(ssl.create_default_context())
+        if self.user:
+            client.username_pw_set(self.user, _secret(self.password_from, "mqtt.password_from"))
+        client.connect(host, port)
+        client.loop_start()
+        try:
+            sent = client.publish(self.topic, json.dumps({"title": title, "text": text, "alerts": list(alerts)}), qos=1)
+            sent.wait_for_publish(_WAIT_S)
+            if not sent.is_published():
+                raise DeviceError("the broker did not take the message", code="alert.mqtt", where=self.broker)
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+
+_KINDS: dict[str, type[Email] | type[Webhook] | type[Mqtt]] = {"email": Email, "webhook": Webhook, "mqtt": Mqtt}
+
+
+def alerts_file(home: Home) -> Path:
+    """Return the file that states the channels."""
+    return home.root / "alerts.toml"
+
+
+def channels_of(home: Home) -> list[Channel]:
+    """Return the channels that a home states; none without the file.
+
+    Raises
+    ------
+    InputError
+        When the file is not usable.
+    """
+    path = alerts_file(home)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError) as error:
+        raise _refused(str(path), str(error)[:120], "a TOML file") from error
+    unknown = sorted(set(stated) - set(_KINDS))
+    if unknown:
+        raise _refused(str(path), ", ".join(unknown)[:120], ", ".join(_KINDS))
+    return [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
+
+
+def try_channels(home: Home) -> dict[str, str]:
+    """Send every channel a test message, and return why it failed, empty where it did not.
+
+    Raises
+    ------
+    InputError
+        When no channel is stated, or the file is not usable.
+    """
+    channels = channels_of(home)
+    if not channels:
+        raise _refused(str(alerts_file(home)), "no such file, or nothing in it", ", ".join(_KINDS))
+    found = {}
+    for channel in channels:
+        try:
+            channel.send("dtwin: a test", "This is a test of dtwin alert test; nothing is wrong.\n", [])
+            found[channel.name] = ""
+        except Exception as error:  # Whatever a library of a channel raises.
+            found[channel.name] = f"{type(error).__name__}: {error}"[:300]
+    return found
+
+
+def _settings(kind: type[_Settings], stated: object, where: str) -> _Settings:
+    names = [field.name for field in fields(kind)]
+    if not isinstance(stated, Mapping) or not set(stated) <= set(names):
+        raise _refused(where, str(stated)[:80], ", ".join(names))
+    missing = [f.name for f in fields(kind) if f.default is MISSING and f.name not in stated]
+    if missing:
+        raise _refused(where, f"no {', '.join(missing)}", ", ".join(names))
+    for name, value in stated.items():
+        many = isinstance(value, list) and value and all(isinstance(one, str) for one in value)
+        if not (many if name == "to" else isinstance(value, str)):
+            raise _refused(f"{where}.{name}", str(value)[:60], "a list of addresses" if name == "to" else "text")
+    return kind(**stated)
+
+
+def _checked(channel: Email | Webhook | Mqtt, where: str) -> Channel:
+    """Refuse what could not be sent, or would be sent openly to another computer."""
+    if isinstance(channel, Email):
+        _host_and_port(channel.smtp, f"{where}: email.smtp")
+        for address in (channel.sender, *channel.to):
+            if "@" not in parseaddr(address)[1] or any(ord(c) < 32 for c in address):
+                raise _refused(f"{where}: email", address[:60], "an address such as shop@example.com")
+    elif isinstance(channel, Webhook):
+        parts = urlsplit(channel.url)
+        if not (parts.scheme == "https" or (parts.scheme == "http" and names_this_computer(parts.netloc))):
+            raise _refused(f"{where}: webhook.url", channel.url[:80], "https://..., or http:// on this computer")
+    else:
+        _host_and_port(channel.broker, f"{where}: mqtt.broker")
+        if not channel.topic or any(mark in channel.topic for mark in "#+\0"):
+            raise _refused(f"{where}: mqtt.topic", channel.topic[:60], "a topic without # and +")
+    return channel
+
+
+def _host_and_port(text: str, where: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise _refused(where, text[:60], "host:port")
+    return host, int(port)
+
+
+def _secret(variable: str, where: str) -> str:
+    value = os.environ.get(variable, "")
+    if not value:
+        raise _refused(where, variable or "not stated", "an environment variable that holds the secret")
+    return value
+
+
+def _refused(where: str, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the channels for alerts are not usable",
+        code="alert.channels",
+        where=where,
+        got=got,
+        allowed=allowed,
+        hint="docs/how-to/fleet.md#alerts",
+    )

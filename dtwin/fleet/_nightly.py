@@ -1,0 +1,138 @@
+"""One night of a fleet: take in, diagnose, check champions, and say what somebody should look at."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import DtwinError
+from dtwin.fleet._alerts import Alert, Told, sorted_alerts, tell
+from dtwin.fleet._channels import channels_of
+from dtwin.fleet._jobs import DIAGNOSE, Job, recheck_job
+from dtwin.fleet._run import FleetRun, run_fleet
+from dtwin.pipeline.machine_history import machine_history, machine_overviews
+from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
+from dtwin.progress import StageProgress
+from dtwin.train.registry import Registry
+
+# Champions are checked a little less than a day after the last time: nights do not begin to the second.
+_DAYS = 0.9
+_DRIFT = "drift."
+
+
+@dataclass
+class Night:
+    """What a night did.
+
+    Attributes
+    ----------
+    arrived : list of WatchEvent
+        What became of what lay in the folder.
+    alerts : list of Alert
+        All that is open now, told before or not.
+    """
+
+    diagnosed: FleetRun
+    rechecked: FleetRun
+    arrived: list[WatchEvent] = field(default_factory=list)
+    alerts: list[Alert] = field(default_factory=list)
+    told: Told | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "arrived": [event.as_dict() for event in self.arrived],
+            "diagnosed": self.diagnosed.as_dict(),
+            "rechecked": self.rechecked.as_dict(),
+            "alerts": [alert.as_dict() for alert in self.alerts],
+            "told": self.told.as_dict() if self.told else None,
+        }
+
+
+def nightly(
+    home: Home,
+    *,
+    folder: Path | None = None,
+    machines: Collection[str] = (),
+    on: str = "local",
+    workers: int | None = None,
+    seed: int = 0,
+    progress: StageProgress | None = None,
+    today: date | None = None,
+) -> Night:
+    """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where new measurements arrive; only those of machines that are known are taken in.
+    machines : collection of str
+        All without names.
+    on, workers
+        As for :func:`dtwin.fleet.engine`.
+    today : date, optional
+        The day by which a test is overdue.
+    """
+    channels = channels_of(home)
+    arrived: list[WatchEvent] = []
+    if folder is not None:
+        watch(FolderWatch(folder, home, settle_s=0.0), arrived.append, lambda _: False, every_s=0.0, once=True)
+
+    def done(job: Job) -> FleetRun:
+        told = None if progress is None else partial(progress, job.name)
+        return run_fleet(home, job, machines, on=on, workers=workers, seed=seed, progress=told)
+
+    night = Night(done(DIAGNOSE), done(recheck_job(_DAYS)), arrived)
+    night.alerts = sorted_alerts([*_of_work(night), *_of_machines(home, machines, today or datetime.now(UTC).date())])
+    night.told = tell(home, night.alerts, channels, today)
+    return night
+
+
+def _of_work(night: Night) -> Iterator[Alert]:
+    """Yield what failed tonight."""
+    for event in night.arrived:
+        if event.outcome not in ("ingested", "unchanged"):
+            yield Alert("failed", Path(event.path).name, f"{event.outcome}: {event.message.splitlines()[0]}")
+    for run in (night.diagnosed, night.rechecked):
+        for name, error in run.failed.items():
+            # That a real machine has to be measured is no failure of the night.
+            if error.get("code") != "recheck.real":
+                yield Alert("failed", name, f"{run.job}: {error['message']}")
+    for name, said in night.rechecked.done.items():
+        if said["withdrawn"]:
+            yield Alert("withdrawn", name, f"the champion was withdrawn: {said['headline']}")
+
+
+def _of_machines(home: Home, machines: Collection[str], today: date) -> Iterator[Alert]:
+    """Yield what is overdue, what changed, what crosses a limit, and champions that drifted."""
+    registry = Registry(home)
+    modelled = set(registry.machines())
+    for overview in machine_overviews(home):
+        name = overview["machine"]
+        if machines and name not in machines:
+            continue
+        try:
+            history = machine_history(home, name)
+        except DtwinError as error:
+            yield Alert("failed", name, f"history: {error.message}")
+            continue
+        due = history["next_test"]
+        if due and due["on"] < today.isoformat():
+            yield Alert("overdue", name, f"a test was due on {due['on']}: {due['why']}")
+        for one in history["series"]:
+            if one["state"] == "changed":
+                yield Alert("changed", f"{name} {one['name']}", one["changes"][-1]["text"])
+            elif one["crossing"] is not None:
+                limit = one["crossing"]["limit"]
+                yield Alert(
+                    "limit", f"{name} {one['name']}", f"reaches {limit:g} from {one['crossing']['earliest']} on"
+                )
+        champion = registry.champion(name) if name in modelled else None
+        for tag, said in ({} if champion is None else champion.tags).items():
+            if tag.startswith(_DRIFT) and said.startswith("DRIFT: "):
+                yield Alert("drift", f"{name} {tag.removeprefix(_DRIFT)}", said.removeprefix("DRIFT: "))

@@ -1,0 +1,77 @@
+"""Alerts through a real broker."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from datetime import date
+from pathlib import Path
+
+import pytest
+from conftest import require_program
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+
+from dtwin.config import home
+from dtwin.fleet import Alert, channels_of, tell
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    program = require_program("mosquitto", "mosquitto", "/usr/sbin")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
+    settings = tmp_path / "mosquitto.conf"
+    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
+    with subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL) as process:
+        until = time.monotonic() + 30.0
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", port), 1.0).close()
+                break
+            except OSError:
+                assert time.monotonic() < until
+                time.sleep(0.05)
+        yield port
+        process.terminate()
+
+
+def test_who_subscribes_gets_what_is_new_once(broker: int) -> None:
+    got: list[dict[str, object]] = []
+    listener = Client(CallbackAPIVersion.VERSION2)
+    ready: list[object] = []
+    listener.on_subscribe = lambda *_: ready.append(True)
+    listener.on_message = lambda _client, _data, message: got.append(json.loads(message.payload))
+    listener.connect("127.0.0.1", broker)
+    listener.subscribe("plant/#", qos=1)
+    listener.loop_start()
+    try:
+        until = time.monotonic() + 30.0
+        while not ready and time.monotonic() < until:
+            time.sleep(0.02)
+        home().root.mkdir(parents=True)
+        stated = f'[mqtt]\nbroker = "127.0.0.1:{broker}"\ntopic = "plant/alerts"\n'
+        (home().root / "alerts.toml").write_text(stated, encoding="utf-8")
+        late = Alert("overdue", "mill-1", "a test was due on 2026-11-01")
+        day = date(2026, 11, 24)
+        assert tell(home(), [late], channels_of(home()), day).sent == {"mqtt": 1}
+        assert tell(home(), [late], channels_of(home()), day).sent == {}
+        while not got and time.monotonic() < until:
+            time.sleep(0.02)
+    finally:
+        listener.disconnect()
+        listener.loop_stop()
+    assert [message["title"] for message in got] == ["dtwin: 1 to look at: mill-1"]
+
+
+def test_a_broker_that_is_away_is_said(broker: int) -> None:
+    home().root.mkdir(parents=True)
+    (home().root / "alerts.toml").write_text('[mqtt]\nbroker = "127.0.0.1:9"\n', encoding="utf-8")
+    failed = tell(home(), [Alert("failed", "x", "y")], channels_of(home()), date(2026, 11, 24)).failed
+    assert "refused" in failed["mqtt"]

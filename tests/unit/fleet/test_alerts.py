@@ -1,0 +1,205 @@
+"""Alerts by real SMTP and HTTP, and what is told when."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from datetime import date
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from aiosmtpd.controller import Controller
+from fleet_lake import fill
+from typer.testing import CliRunner
+
+from dtwin.cli import app
+from dtwin.config import Home, home
+from dtwin.errors import InputError
+from dtwin.fleet import Alert, channels_of, nightly, silence, tell, try_channels
+from dtwin.machine_record import MachineRecord, write_record
+
+DAY = date(2026, 11, 24)
+LATE = Alert("overdue", "mill-1", "a test was due on 2026-11-01")
+FAILED = Alert("failed", "c07", "diagnose: the file is damaged")
+
+
+class Inbox:
+    """Keeps what a mail server hands over."""
+
+    def __init__(self) -> None:
+        self.mails: list[Any] = []
+
+    async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:
+        self.mails.append(envelope)
+        return "250 OK"
+
+
+@pytest.fixture
+def inbox() -> Iterator[tuple[Inbox, int]]:
+    kept = Inbox()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
+    server = Controller(kept, hostname="127.0.0.1", port=port)
+    server.start()
+    try:
+        yield kept, port
+    finally:
+        server.stop()
+
+
+@pytest.fixture
+def hook() -> Iterator[tuple[list[dict[str, Any]], int]]:
+    got: list[dict[str, Any]] = []
+
+    class Taker(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            got.append(body | {"authorization": self.headers.get("Authorization")})
+            if self.path == "/moved":
+                self.send_response(302)
+                self.send_header("Location", "/elsewhere")
+            else:
+                self.send_response(204 if self.path == "/alerts" else 500)
+            self.end_headers()
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Taker)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield got, server.server_address[1]
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def state(text: str) -> Home:
+    home().root.mkdir(parents=True, exist_ok=True)
+    (home().root / "alerts.toml").write_text(text, encoding="utf-8")
+    return home()
+
+
+def test_new_alerts_are_one_mail_and_told_once_while_they_last(inbox: tuple[Inbox, int]) -> None:
+    kept, port = inbox
+    where = state(f'[email]\nsmtp = "127.0.0.1:{port}"\nsender = "dtwin@plant.example"\nto = ["shop@plant.example"]\n')
+    assert tell(where, [LATE, FAILED], channels_of(where), DAY).sent == {"email": 2}
+    (mail,) = kept.mails
+    assert mail.rcpt_tos == ["shop@plant.example"]
+    text = mail.content.decode()
+    assert "Subject: dtwin: 2 to look at: c07, mill-1" in text
+    assert text.index("failed    c07: diagnose: the file is damaged") < text.index("overdue   mill-1")
+    assert tell(where, [LATE, FAILED], channels_of(where), DAY).sent == {}
+    # It ended, and came again.
+    tell(where, [FAILED], channels_of(where), DAY)
+    assert tell(where, [LATE, FAILED], channels_of(where), DAY).sent == {"email": 1}
+    assert len(kept.mails) == 2
+
+
+def test_what_is_silenced_is_not_told_until_its_day(inbox: tuple[Inbox, int]) -> None:
+    kept, port = inbox
+    where = state(f'[email]\nsmtp = "127.0.0.1:{port}"\nsender = "a@b.example"\nto = ["c@d.example"]\n')
+    assert silence(where, LATE.key, 7, DAY) == "2026-12-01"
+    told = tell(where, [LATE], channels_of(where), DAY)
+    assert (dict(told.sent), told.silenced) == ({}, (LATE.key,))
+    assert tell(where, [LATE], channels_of(where), date(2026, 12, 1)).sent == {"email": 1}
+    silence(where, LATE.key, 7, DAY)
+    silence(where, LATE.key, 0, DAY)
+    assert tell(where, [FAILED], channels_of(where), DAY).silenced == ()
+    assert len(kept.mails) == 2
+
+
+def test_a_channel_that_cannot_be_reached_is_told_the_next_time(
+    hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    got, port = hook
+    monkeypatch.setenv("HOOK_TOKEN", "secret")
+    url = f'[webhook]\nurl = "http://127.0.0.1:{port}/%s"\ntoken_from = "HOOK_TOKEN"\n'
+    where = state(url % "broken")
+    failed = tell(where, [LATE], channels_of(where), DAY).failed
+    assert "500" in failed["webhook"]
+    state(url % "moved")
+    assert "302" in tell(where, [LATE], channels_of(where), DAY).failed["webhook"]
+    state(url % "alerts")
+    assert tell(where, [LATE], channels_of(where), DAY).sent == {"webhook": 1}
+    assert [body["authorization"] for body in got] == ["Bearer secret"] * 3
+    assert got[-1]["alerts"] == [{"sort": "overdue", "about": "mill-1", "text": LATE.text, "key": "overdue:mill-1"}]
+    assert got[-1]["title"] == "dtwin: 1 to look at: mill-1"
+
+
+@pytest.mark.parametrize(
+    ("text", "got"),
+    [
+        ("[pager]\nnumber = 1\n", "pager"),
+        ("email = 3\n", "3"),
+        ("[email]\nsmtp = 'mail:25'\nsender = 'a@b.c'\n", "no to"),
+        ("[email]\nsmtp = 'mail'\nsender = 'a@b.c'\nto = ['d@e.f']\n", "mail"),
+        ("[email]\nsmtp = 'mail:25'\nsender = 'a@b.c'\nto = 'd@e.f'\n", "d@e.f"),
+        ("[email]\nsmtp = 'mail:25'\nsender = 'a@b.c'\nto = [\"d@e.f\\nBcc: g@h.i\"]\n", "d@e.f\nBcc: g@h.i"),
+        ("[webhook]\nurl = 'http://plant.example/x'\n", "http://plant.example/x"),
+        ("[webhook]\nurl = 'file:///etc/passwd'\n", "file:///etc/passwd"),
+        ("[webhook]\nurl = 'https://plant.example/x'\npassword = 'p'\n", None),
+        ("[mqtt]\nbroker = 'plant:1883'\ntopic = 'a/#'\n", "a/#"),
+        ("[mqtt\n", None),
+    ],
+)
+def test_channels_that_cannot_be_used_are_refused(text: str, got: str | None) -> None:
+    with pytest.raises(InputError) as refused:
+        channels_of(state(text))
+    assert refused.value.code == "alert.channels"
+    if got is not None:
+        assert refused.value.got == got
+
+
+def test_a_secret_that_is_not_there_is_a_failure_of_its_channel(hook: tuple[list[dict[str, Any]], int]) -> None:
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\ntoken_from = "NOT_SET_ANYWHERE"\n')
+    assert "not usable" in try_channels(where)["webhook"]
+    assert hook[0] == []
+
+
+def test_the_command_tries_every_channel(hook: tuple[list[dict[str, Any]], int]) -> None:
+    shell = CliRunner()
+    assert shell.invoke(app, ["alert", "test"]).exit_code == 1
+    state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
+    done = shell.invoke(app, ["alert", "test"])
+    assert (done.exit_code, done.stdout) == (0, "webhook: sent\n")
+    assert hook[0][0]["title"] == "dtwin: a test"
+    state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/broken"\n')
+    assert shell.invoke(app, ["alert", "test"]).exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("key", "days"), [("mill-1", 7.0), ("late:mill-1", 7.0), ("overdue:", 7.0), ("overdue:x", 1e9)]
+)
+def test_what_no_alert_is_called_cannot_be_silenced(key: str, days: float) -> None:
+    with pytest.raises(InputError):
+        silence(home(), key, days)
+
+
+def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
+    tmp_path: Path, hook: tuple[list[dict[str, Any]], int]
+) -> None:
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
+    fill(where, 4)
+    write_record(where, MachineRecord("mill-0", test_every_days=30.0))
+    write_record(where, MachineRecord("mill-1", test_every_days=3000.0))
+    arriving = tmp_path / "arriving"
+    arriving.mkdir()
+    (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")
+    night = nightly(where, folder=arriving, workers=1, today=DAY)
+    assert sorted(night.diagnosed.done) == ["c00", "c01", "c02", "c03"]
+    assert [(alert.sort, alert.about) for alert in night.alerts] == [("failed", "spoilt.b5r"), ("overdue", "mill-0")]
+    assert "due on 2026-04-02" in night.alerts[1].text
+    (told,) = hook[0]
+    assert [alert["key"] for alert in told["alerts"]] == ["failed:spoilt.b5r", "overdue:mill-0"]
+    # The next night: nothing new, nothing told again; the spoilt file is looked at again when it changes.
+    again = nightly(where, folder=arriving, workers=1, today=DAY)
+    assert not again.diagnosed.done
+    assert [alert.key for alert in again.alerts] == ["overdue:mill-0"]
+    assert len(hook[0]) == 1
