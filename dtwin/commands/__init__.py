@@ -17,6 +17,7 @@ from dtwin.commands import (
     _evidence,
     _exporting,
     _fleet,
+    _home,
     _importing,
     _lathe,
     _linuxcnc,
@@ -66,6 +67,7 @@ _MODULES = (
     _exporting,
     _importing,
     _servers,
+    _home,
     _ui,
 )
 

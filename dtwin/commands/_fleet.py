@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
 On = Annotated[
     str | None,
-    typer.Option(help="local, or a Dask scheduler: dask://host:port on this computer, dask+tls://host:port."),
+    typer.Option(help="local, or a Dask scheduler: dask://host:port here, dask+tls://host:port; else DTWIN_ENGINE."),
 ]
 Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")

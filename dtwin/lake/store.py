@@ -345,6 +345,15 @@ class Lake:
         table = self.tables["signals"].read_file(group["file"])
         return SignalGroup(group["group"], group["rate_hz"], columns_of(table), group["start_s"])
 
+    @contextmanager
+    def at_rest(self) -> Iterator[None]:
+        """Keep writers waiting while somebody copies the files; nothing is made where there is no lake."""
+        if not self.root.is_dir():
+            yield
+            return
+        with self._writing(alone=True), self._lock():
+            yield
+
     def _lock(self) -> AbstractContextManager[None]:
         """Return the lock that one writer holds while it commits."""
         return self._locked(".lock")

@@ -32,6 +32,7 @@ from flows.campaign import campaign_flow
 from flows.cron import require_cron
 from flows.diagnose import diagnose_flow
 from flows.ingest import ingest_flow
+from flows.nightly import nightly_flow
 from flows.reach import running
 from flows.recheck import recheck_flow
 from flows.simulate import simulate_flow
@@ -231,3 +232,13 @@ def test_a_flow_started_on_the_page_keeps_to_its_folders(scheduled_up: Up, tmp_p
         return str(found[0]["state"]["message"]) if found[0]["state"]["type"] == "FAILED" else ""
 
     assert "keeps to its folders" in wait_for(ended, 120, "the flow did not end")
+
+
+def test_a_night_leaves_two_lists(up: Up) -> None:
+    found = run(nightly_flow)
+    assert found["diagnosed"]["done"]
+    assert not found["diagnosed"]["failed"]
+    left = up.artifacts_of(up.runs_of("nightly")[-1])
+    machines = {row["machine"] for row in cells(left["fleet"])}
+    assert {said["machine"] for said in found["diagnosed"]["done"].values()} == machines
+    assert len(cells(left["to-look-at"])) == max(1, len(found["alerts"]))

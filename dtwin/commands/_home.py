@@ -1,0 +1,78 @@
+"""Commands about a home: what it holds, whether it is sound, a backup, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.errors import EXIT_USER
+
+app_home = typer.Typer(no_args_is_help=True, help="What DTWIN_HOME holds, whether it is sound, a backup, and back.")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_home, name="home")
+
+
+@app_home.command()
+def show(as_json: Json = False) -> None:
+    """Show where the home is and what its parts take."""
+    from dtwin.config import home
+    from dtwin.pipeline.home_check import home_parts
+    from dtwin.report.text import table
+
+    parts = home_parts(home())
+    where = home()
+    payload = {"root": str(where.root), "mlflow": where.mlflow_uri, "engine": where.engine, "parts": parts}
+    rows = [[name, part["files"], f"{part['bytes'] / 1e6:.1f}"] for name, part in parts.items()]
+
+    def text() -> str:
+        head = f"home    {where.root}\nMLflow  {where.mlflow_uri}\nengine  {where.engine}"
+        return f"{head}\n\n{table(('part', 'files', 'MB'), rows)}" if rows else f"{head}\n\nnothing is kept here yet"
+
+    emit(payload, text, as_json=as_json)
+
+
+@app_home.command()
+def check(as_json: Json = False) -> None:
+    """Read every run, document, database and bundle, and compare it with its hash (exit 1 when one is damaged)."""
+    from dtwin.config import home
+    from dtwin.pipeline.home_check import check_home
+
+    found = check_home(home(), ProgressLine("runs", quiet=as_json))
+
+    def text() -> str:
+        counts = ", ".join(f"{count} {name}" for name, count in found.looked_at.items())
+        return "\n".join([f"looked at {counts}", *(f"damaged: {n}: {w}" for n, w in found.wrong.items())])
+
+    emit(vars(found), text, as_json=as_json)
+    if found.wrong:
+        raise typer.Exit(EXIT_USER)
+
+
+@app_home.command()
+def backup(
+    out: Annotated[Path, typer.Argument(help="File to write, such as home-2026-11-24.tar.")], as_json: Json = False
+) -> None:
+    """Write all that the home holds to one file; caches and logs are left out."""
+    from dtwin.config import home
+    from dtwin.pipeline.home_archive import backup as write
+
+    made = write(home(), out, ProgressLine("files", quiet=as_json))
+    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:.1f} MB: {made.path}", as_json=as_json)
+
+
+@app_home.command()
+def restore(
+    archive: Annotated[Path, typer.Argument(help="What dtwin home backup wrote.")], as_json: Json = False
+) -> None:
+    """Make DTWIN_HOME, which must not be there, from a backup; every file is compared with its hash."""
+    from dtwin.config import home
+    from dtwin.pipeline.home_archive import restore as read
+
+    made = read(archive, home(), ProgressLine("files", quiet=as_json))
+    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:.1f} MB are back in {made.path}", as_json=as_json)

@@ -1,0 +1,121 @@
+"""What a home holds, and whether all of it is what was written."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.documents import read_document
+from dtwin.errors import DtwinError
+from dtwin.lake.store import Lake
+from dtwin.machine_record import read_record, recorded
+from dtwin.progress import Progress
+from dtwin.serve.pointer import resolve
+
+
+@dataclass(frozen=True)
+class HomeCheck:
+    """What was looked at, and what is wrong.
+
+    Attributes
+    ----------
+    looked_at : dict of str to int
+        Number of runs, documents, records, databases and served bundles.
+    wrong : dict of str to str
+        By file, run or machine.
+    """
+
+    looked_at: dict[str, int]
+    wrong: dict[str, str]
+
+
+def home_parts(home: Home) -> dict[str, dict[str, int]]:
+    """Return files and bytes of every part of a home, by the name of its folder or file."""
+    parts: dict[str, dict[str, int]] = {}
+    for entry in sorted(home.root.iterdir()) if home.root.is_dir() else []:
+        paths = [entry] if entry.is_file() else [Path(f) / n for f, _, names in os.walk(entry) for n in names]
+        sizes = [path.lstat().st_size for path in paths if path.is_file()]
+        parts[entry.name] = {"files": len(sizes), "bytes": sum(sizes)}
+    return parts
+
+
+def check_home(home: Home, progress: Progress | None = None) -> HomeCheck:
+    """Read everything that a home has a hash of, and ask its databases."""
+    looked_at: dict[str, int] = {}
+    wrong: dict[str, str] = {}
+    steps = {
+        "runs": _runs(home, progress),
+        "documents": _documents(home),
+        "records": _records(home),
+        "databases": _databases(home),
+        "served": _served(home),
+    }
+    for name, found in steps.items():
+        looked_at[name] = 0
+        for what, said in found:
+            looked_at[name] += 1
+            if said:
+                wrong[what] = said
+    return HomeCheck(looked_at, wrong)
+
+
+def _runs(home: Home, progress: Progress | None) -> Iterator[tuple[str, str]]:
+    lake = Lake(home.lake)
+    try:
+        rows = lake.runs(left_out=True)
+    except DtwinError as error:
+        yield "lake", error.message
+        return
+    for done, row in enumerate(rows, start=1):
+        name = f"{row['campaign']}/{row['run_id']}"
+        yield name, _said(lake.load, row)
+        if progress is not None:
+            progress(done, len(rows), name)
+
+
+def _documents(home: Home) -> Iterator[tuple[str, str]]:
+    for folder in ("twins", "kept", "fleet"):
+        for path in sorted((home.root / folder).rglob("*.json")):
+            yield str(path.relative_to(home.root)), _said(read_document, path)
+
+
+def _records(home: Home) -> Iterator[tuple[str, str]]:
+    for machine in recorded(home):
+        yield f"machines/{machine}", _said(read_record, home, machine)
+
+
+def _databases(home: Home) -> Iterator[tuple[str, str]]:
+    for path in sorted(home.root.rglob("*.db")):
+        try:
+            with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
+                said = "; ".join(row[0] for row in file.execute("PRAGMA integrity_check") if row[0] != "ok")
+        except sqlite3.DatabaseError as error:
+            said = str(error)
+        yield str(path.relative_to(home.root)), said[:300]
+
+
+def _served(home: Home) -> Iterator[tuple[str, str]]:
+    for folder in sorted(path.parent for path in home.bundles.glob("*/machine.json")):
+        try:
+            resolve("latest", folder.name, home)
+        except DtwinError as error:
+            # That nothing may be served is no damage.
+            damaged = not error.code.startswith("serve.")
+            yield f"bundles/{folder.name}", error.message if damaged else ""
+        else:
+            yield f"bundles/{folder.name}", ""
+
+
+def _said(read: Any, *arguments: Any) -> str:
+    """Return why something cannot be read, empty when it can."""
+    try:
+        read(*arguments)
+    except DtwinError as error:
+        return f"{error.message}{': ' + error.got if error.got else ''}"[:300]
+    return ""

@@ -1,0 +1,170 @@
+"""A home is shown, checked, written to one file and made again from it elsewhere."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from closed_loop import MACHINE, registered, small_bundle
+from fleet_lake import fill
+from typer.testing import CliRunner
+
+from dtwin.cli import app
+from dtwin.config import Home, home
+from dtwin.errors import InputError, StoreError
+from dtwin.lake.store import Lake
+from dtwin.machine_record import MachineRecord, read_record, write_record
+from dtwin.pipeline.home_archive import MANIFEST, backup, restore
+from dtwin.pipeline.home_check import check_home, home_parts
+from dtwin.train.registry import Registry
+from dtwin.twins.verbs import Twins
+
+
+@pytest.fixture
+def lived_in() -> Home:
+    """A home with two campaigns, a twin and a record."""
+    fill(home(), 2)
+    Twins(home()).fit("c00", ["squareness"], "mine")
+    write_record(home(), MachineRecord("mill-0", {"serial": "7"}))
+    (home().root / "logs").mkdir(exist_ok=True)
+    (home().root / "logs" / "x.log").write_text("a log")
+    return home()
+
+
+def test_what_was_backed_up_is_there_again_elsewhere(lived_in: Home, tmp_path: Path) -> None:
+    registered(lived_in, small_bundle())
+    rows = Lake(lived_in.lake).runs()
+    samples = Lake(lived_in.lake).load(rows[0]).samples
+    bundle = Registry(lived_in).bundle(Registry(lived_in).version(MACHINE, "1"))
+    made = backup(lived_in, tmp_path / "home.tar")
+    assert (tmp_path / "home.tar").stat().st_mode & 0o077 == 0
+    # What it stood on is gone: nothing may lead back to it.
+    shutil.rmtree(lived_in.root)
+    other = Home(tmp_path / "other" / "home")
+    again = restore(tmp_path / "home.tar", other)
+    assert (again.files, again.bytes) == (made.files, made.bytes)
+    assert Lake(other.lake).runs() == rows
+    loaded = Lake(other.lake).load(rows[0]).samples
+    assert all((loaded[name] == samples[name]).all() for name in samples)
+    assert Twins(other).newest("mine").labels == ("squareness XY",)
+    record = read_record(other, "mill-0")
+    assert record is not None
+    assert record.facts == {"serial": "7"}
+    assert Registry(other).bundle(Registry(other).version(MACHINE, "1")) == bundle
+    assert not (other.root / "logs").exists()
+    assert not check_home(other).wrong
+    assert fill(other, 3)[-1] in Lake(other.lake).campaigns()
+
+
+def test_a_home_that_is_there_is_never_replaced(lived_in: Home, tmp_path: Path) -> None:
+    backup(lived_in, tmp_path / "home.tar")
+    with pytest.raises(InputError, match="already"):
+        backup(lived_in, tmp_path / "home.tar")
+    with pytest.raises(InputError, match="home already"):
+        restore(tmp_path / "home.tar", lived_in)
+    with pytest.raises(InputError, match="no home"):
+        backup(Home(tmp_path / "none"), tmp_path / "none.tar")
+    assert not (tmp_path / "none").exists()
+
+
+Change = Callable[[list[tuple[tarfile.TarInfo, bytes]]], None]
+
+
+def _manifest_first(members: list[tuple[tarfile.TarInfo, bytes]], name: str, content: bytes) -> None:
+    """Add a member that the manifest knows."""
+    import hashlib
+
+    head = tarfile.TarInfo(name)
+    head.size = len(content)
+    members.insert(0, (head, content))
+    about = json.loads(members[-1][1])
+    about["files"][name] = [len(content), hashlib.sha256(content).hexdigest()]
+    text = json.dumps(about).encode()
+    members[-1][0].size = len(text)
+    members[-1] = (members[-1][0], text)
+
+
+def _flip(members: list[tuple[tarfile.TarInfo, bytes]]) -> None:
+    head, content = members[3]
+    members[3] = (head, content[:-1] + bytes([content[-1] ^ 1]))
+
+
+def _link(members: list[tuple[tarfile.TarInfo, bytes]]) -> None:
+    head = tarfile.TarInfo("lake")
+    head.type, head.linkname = tarfile.SYMTYPE, "/etc"
+    members.insert(0, (head, b""))
+
+
+CHANGES: dict[str, Change] = {
+    "a bit is another": _flip,
+    "a file is missing": lambda members: members.pop(2) and None,
+    "no manifest": lambda members: members.pop() and None,
+    "a link": _link,
+    "a name above": lambda members: _manifest_first(members, "../outside", b"x"),
+    "a name from the root": lambda members: _manifest_first(members, "/tmp/outside", b"x"),
+    "twice": lambda members: members.insert(0, members[0]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
+def test_a_backup_that_is_not_as_it_was_written_leaves_nothing(lived_in: Home, tmp_path: Path, change: Change) -> None:
+    backup(lived_in, tmp_path / "home.tar")
+    with tarfile.open(tmp_path / "home.tar") as archive:
+        members = [(m, archive.extractfile(m).read()) for m in archive]  # type: ignore[union-attr]
+    assert members[-1][0].name == MANIFEST
+    change(members)
+    with tarfile.open(tmp_path / "spoilt.tar", "w") as archive:
+        for head, content in members:
+            archive.addfile(head, io.BytesIO(content))
+    place = tmp_path / "place"
+    place.mkdir()
+    with pytest.raises(StoreError):
+        restore(tmp_path / "spoilt.tar", Home(place / "home"))
+    assert list(place.iterdir()) == []
+    assert not (tmp_path / "outside").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"no tar at all", b"\x00" * 4096])
+def test_what_is_no_backup_is_said(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.tar").write_bytes(content)
+    with pytest.raises(StoreError) as refused:
+        restore(tmp_path / "x.tar", Home(tmp_path / "made"))
+    assert refused.value.code == "home.backup"
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_check_finds_what_was_changed(lived_in: Home) -> None:
+    sound = check_home(lived_in)
+    assert not sound.wrong
+    assert sound.looked_at["runs"] == 12
+    assert sound.looked_at["documents"] >= 1
+    twin = next((lived_in.root / "twins").rglob("*.json"))
+    twin.write_text(twin.read_text().replace("squareness", "squarenesz", 1))
+    data = next((lived_in.lake / "samples").rglob("*.parquet"))
+    spoilt = bytearray(data.read_bytes())
+    spoilt[len(spoilt) // 2] ^= 1
+    data.write_bytes(spoilt)
+    (lived_in.root / "machines" / "mill-0.toml").write_text("serial = 7\n")
+    wrong = check_home(lived_in).wrong
+    assert str(twin.relative_to(lived_in.root)) in wrong
+    assert "machines/mill-0" in wrong
+    assert any(name.startswith(("c00/", "c01/")) for name in wrong)
+    assert CliRunner().invoke(app, ["home", "check"]).exit_code == 1
+
+
+def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shell = CliRunner()
+    shown = json.loads(shell.invoke(app, ["home", "show", "--json"]).stdout)
+    assert shown["root"] == str(lived_in.root)
+    assert shown["parts"] == home_parts(lived_in)
+    assert shown["parts"]["lake"]["files"] > 3
+    out = tmp_path / "one.tar"
+    assert shell.invoke(app, ["home", "backup", str(out)]).exit_code == 0
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "again"))
+    assert "are back in" in shell.invoke(app, ["home", "restore", str(out)]).stdout
+    assert shell.invoke(app, ["home", "check"]).exit_code == 0
