@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dtwin.config import Home
@@ -9,14 +11,20 @@ from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta
 
 
-def fill(home: Home, campaigns: int, machines: int = 2, seed: int = 0) -> list[str]:
+def fill(
+    home: Home,
+    campaigns: int,
+    machines: int = 2,
+    seed: int = 0,
+    size_um: Callable[[int], float] = lambda number: 2.0 + number,
+) -> list[str]:
     """Commit circles of one radius and feed, three each way, with squareness and 0.2 µm of noise."""
     lake, names = Lake(home.lake), []
     for number in range(campaigns):
         rng = np.random.default_rng([seed, number])
         name = f"c{number:02d}"
         start = f"2026-03-{number + 1:02d}T08:00:00+00:00"
-        runs = [_run(f"r{k}", k, 2.0 + number, rng, start) for k in range(6)]
+        runs = [_run(f"r{k}", k, size_um(number), rng, start) for k in range(6)]
         lake.commit(Campaign(name, f"mill-{number % machines}", "circular", start, {}), runs)
         names.append(name)
     return names

@@ -125,6 +125,46 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
     emit({"machines": found}, lambda: table(head, rows) if rows else nothing, as_json=as_json)
 
 
+@app_fleet.command("sisters")
+def sister_machines(
+    type: Annotated[str, typer.Option(help="Machines whose record states this type (dtwin machine add --type).")] = "",
+    machine: Machines = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the sizes of faults of machines of one type: what is usual, and which one differs."""
+    from dtwin.config import home
+    from dtwin.errors import InputError
+    from dtwin.fleet import sisters
+    from dtwin.report.faults import with_k2
+    from dtwin.report.text import table
+
+    if bool(type) == bool(machine):
+        raise InputError(
+            "which machines?",
+            code="fleet.sisters",
+            allowed="--type TYPE, or --machine several times",
+            got=type or "neither",
+        )
+    found = sisters(home(), machine or (), type, ProgressLine("machines", quiet=as_json))
+
+    def text() -> str:
+        rows = [
+            [
+                f"{size.effect} {size.name}",
+                m.machine,
+                with_k2(m.value, m.k2, size.unit),
+                with_k2(m.with_sisters, m.with_sisters_k2, size.unit),
+                with_k2(size.mean, 2.0 * size.spread, size.unit),
+                f"differs (p = {m.p_value:.2g})" if m.differs else "",
+            ]
+            for size in found
+            for m in size.machines
+        ]
+        return table(("size", "machine", "by itself", "with sisters", "mean ± 2 s of the type", ""), rows)
+
+    emit({"sizes": [size.as_dict() for size in found]}, text, as_json=as_json)
+
+
 def _um(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 

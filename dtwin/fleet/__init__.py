@@ -6,6 +6,7 @@ from dtwin.fleet._engine import engine
 from dtwin.fleet._jobs import DIAGNOSE, TRAIN, Job, Unit, recheck_job
 from dtwin.fleet._nightly import Night, nightly
 from dtwin.fleet._run import FleetRun, run_fleet
+from dtwin.fleet._sisters import SisterSize, compared, sisters
 from dtwin.fleet._view import fleet_view
 
 __all__ = [
@@ -15,14 +16,17 @@ __all__ = [
     "FleetRun",
     "Job",
     "Night",
+    "SisterSize",
     "Unit",
     "channels_of",
+    "compared",
     "engine",
     "fleet_view",
     "nightly",
     "recheck_job",
     "run_fleet",
     "silence",
+    "sisters",
     "tell",
     "try_channels",
 ]

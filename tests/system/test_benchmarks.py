@@ -50,6 +50,7 @@ def test_none_is_left_out() -> None:
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
+        "sister_machines.py",
         "two_instruments.py",
     }
     # test_freezes and test_exam_short run these.
@@ -159,6 +160,7 @@ def test_cobot_family() -> None:
         assert best < after < 0.5 * before
 
 
+@pytest.mark.long  # test_fleet_on_dask has the same engines.
 def test_fleet() -> None:
     rows = short("bench_fleet.py")["rows"]
     assert [row["how"] for row in rows] == [
@@ -169,3 +171,11 @@ def test_fleet() -> None:
         "Dask, 2 workers",
     ]
     assert all(row["of_plain"] > 0.0 for row in rows)
+
+
+def test_sister_machines() -> None:
+    rows = short("sister_machines.py")
+    assert len(rows) == 6
+    for row in rows.values():
+        assert row["error_ratio"] < 1.1
+        assert row["odd_named"] <= row["odd"]

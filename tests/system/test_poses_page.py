@@ -11,7 +11,10 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
+
+
+pytestmark = pytest.mark.system
 
 
 def test_the_commands_of_the_page_print_its_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,308 @@
+"""Sister machines: what machines of one type have in common, which one differs, and what that says of a short test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import brentq
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.lake.store import Lake
+from dtwin.machine_record import read_record
+from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
+from dtwin.physics.twin import chosen_terms
+from dtwin.pipeline.kept import kept_already
+from dtwin.pipeline.machine_joint import newest_tests
+from dtwin.progress import Progress
+from dtwin.schema import Floats
+from dtwin.statistics import holm
+from dtwin.twins.measured import load
+
+FEWEST = 4
+_Flags = NDArray[np.bool_]
+_ALPHA = 0.05
+_CAUTION = 0.1
+
+
+@dataclass(frozen=True)
+class Sister:
+    """One size of one machine beside those of its sisters; unit of replication: the machine.
+
+    Attributes
+    ----------
+    value, k2 : float
+        As its own runs tell it, with the uncertainty at k = 2.
+    with_sisters, with_sisters_k2 : float
+        The same with what its sisters say of machines of this type (empirical Bayes, the prior made without it);
+        of one that differs its own.
+    p_value : float
+        Of the hypothesis that it is drawn like its sisters, after Holm over all sizes and machines.
+    """
+
+    machine: str
+    campaign: str
+    value: float
+    k2: float
+    with_sisters: float
+    with_sisters_k2: float
+    p_value: float
+    differs: bool
+
+
+@dataclass(frozen=True)
+class SisterSize:
+    """A size of an effect over machines of one type.
+
+    Attributes
+    ----------
+    mean, spread : float
+        Mean of the machines that do not differ, and standard deviation between them beyond their uncertainties.
+    """
+
+    effect: str
+    title: str
+    name: str
+    unit: str
+    mean: float
+    spread: float
+    machines: tuple[Sister, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return asdict(self)
+
+
+def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple[float, float, float]:
+    """Return mean, its standard error, and the standard deviation between machines (Paule and Mandel).
+
+    Parameters
+    ----------
+    values, errors : ndarray, shape (n,)
+        Sizes and their standard uncertainties.
+    chance : float, optional
+        Take the deviation that is exceeded with this chance (Q profile; Viechtbauer 2007), not the most likely one.
+    """
+    dof = values.size - 1
+    wanted = dof if chance is None else float(stats.chi2.ppf(chance, dof))
+
+    def mean_at(between: float) -> tuple[float, Floats]:
+        weights = 1.0 / (errors**2 + between)
+        return float(weights @ values / weights.sum()), weights
+
+    def too_much(between: float) -> float:
+        mean, weights = mean_at(between)
+        return float(weights @ (values - mean) ** 2) - wanted
+
+    # At this much the sum of squares is below what is wanted.
+    most = float(np.sum((values - values.mean()) ** 2)) / wanted + float(np.max(errors)) ** 2
+    between = float(brentq(too_much, 0.0, most)) if too_much(0.0) > 0.0 else 0.0
+    mean, weights = mean_at(between)
+    return mean, float(weights.sum() ** -0.5), math.sqrt(between)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Sizes of n machines with what sisters say; arrays of shape (n,).
+
+    Attributes
+    ----------
+    values, errors : ndarray
+        With sisters, and the standard uncertainties.
+    p_values : ndarray
+        After Holm, of being drawn like the others.
+    differs : ndarray of bool
+        Those keep the size that their own runs tell.
+    """
+
+    values: Floats
+    errors: Floats
+    p_values: Floats
+    differs: _Flags
+
+
+def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
+    """Compare each machine with its sisters: the prior is made without it, and without those that differ already.
+
+    Parameters
+    ----------
+    values, errors : ndarray, shape (n,)
+        Sizes that the machines' own runs tell, and standard uncertainties.
+    many : int
+        Number of all tests that are made, for Holm.
+    """
+    # Few repeats tell little of their own noise: half of it is what the sisters' runs show.
+    errors = np.sqrt((errors**2 + np.mean(errors**2)) / 2.0)
+    differs = _differing(values, errors, many)
+    priors = [_prior(values, errors, ~differs, i) for i in range(values.size)]
+    p_values = holm([p.p_value(values[i], errors[i]) for i, p in enumerate(priors)], many)
+    # That machines are alike is believed only as far as their number shows it.
+    careful = [_prior(values, errors, ~differs, i, _CAUTION) for i in range(values.size)]
+    shares = np.array([1.0 if differs[i] else p.share(errors[i]) for i, p in enumerate(careful)])
+    means = np.array([p.mean for p in careful])
+    return Compared(shares * values + (1.0 - shares) * means, np.sqrt(shares) * errors, p_values, differs)
+
+
+@dataclass(frozen=True)
+class _Prior:
+    """What sisters say of a machine."""
+
+    mean: float
+    error: float
+    between: float
+    count: int
+
+    def p_value(self, value: float, error: float) -> float:
+        """Return the chance of a size as far away, drawn like those of the sisters."""
+        apart = abs(value - self.mean) / math.sqrt(self.between**2 + self.error**2 + error**2)
+        return float(2.0 * stats.t.sf(apart, self.count - 1))
+
+    def share(self, error: float) -> float:
+        """Return how much of a size remains its own."""
+        prior = self.between**2 + self.error**2
+        return prior / (prior + error**2)
+
+
+def _differing(values: Floats, errors: Floats, many: int) -> _Flags:
+    """Return which machines differ: the generalised test of Rosner (1983), in which several do not hide each other.
+
+    The farthest machine is set aside again and again, up to a third; all differ up to the last one that did when it was
+    set aside.
+    """
+    aside = np.zeros(values.size, dtype=bool)
+    differs = aside.copy()
+    while np.sum(aside) < values.size // 3 and np.sum(~aside) > FEWEST:
+        rest = [int(i) for i in np.flatnonzero(~aside)]
+        chances = [_prior(values, errors, ~aside, i).p_value(values[i], errors[i]) for i in rest]
+        aside[rest[int(np.argmin(chances))]] = True
+        if holm([min(chances)], many)[0] < _ALPHA:
+            differs = aside.copy()
+    return differs
+
+
+def _prior(values: Floats, errors: Floats, usual: _Flags, but: int, chance: float | None = None) -> _Prior:
+    others = usual.copy()
+    others[but] = False
+    return _Prior(*pooled(values[others], errors[others], chance), int(others.sum()))
+
+
+def sisters(
+    home: Home, machines: Sequence[str] = (), type_name: str = "", progress: Progress | None = None
+) -> list[SisterSize]:
+    """Compare the sizes of effects of machines of one type, by the newest campaign of each.
+
+    Effects are those that a diagnosis found in any of them; each is fitted to all.
+
+    Parameters
+    ----------
+    machines : sequence of str
+        Which; those of the type without.
+    type_name : str
+        As the records of machines state it.
+
+    Raises
+    ------
+    InputError
+        When there are not enough machines with campaigns of the same sort that were diagnosed.
+    """
+    wanted = list(machines) or [m for m in _known(home) if _type(home, m) == type_name]
+    tests = _tests(home, wanted)
+    found = {name for campaign in tests.values() for name in _found(home, campaign)}
+    if len(tests) < FEWEST or not found:
+        raise InputError(
+            "too few sister machines to compare",
+            code="fleet.sisters",
+            where=type_name or ", ".join(wanted)[:80],
+            got=f"{len(tests)} machines with a campaign of one sort, {len(found)} effects found",
+            allowed=f"{FEWEST} machines at least",
+            hint="dtwin fleet diagnose; dtwin machine add NAME --type TYPE",
+        )
+    sizes = _sizes(home, tests, sorted(found), progress)
+    # Those that enough machines tell; the others say nothing of a type.
+    common = {key: rows for key, rows in sizes.items() if len(rows) >= FEWEST}
+    many = sum(len(rows) for rows in common.values())
+    return [_size(key, rows, many) for key, rows in common.items()]
+
+
+_Key = tuple[str, str, str, str]
+_Row = tuple[str, str, float, float]
+
+
+def _size(key: _Key, rows: Sequence[_Row], many: int) -> SisterSize:
+    values, errors = np.array([row[2] for row in rows]), np.array([row[3] for row in rows]) / 2.0
+    found = compared(values, errors, many)
+    mean, _, between = pooled(values[~found.differs], errors[~found.differs])
+    of_machine = tuple(
+        Sister(
+            machine,
+            campaign,
+            value,
+            k2,
+            float(found.values[i]),
+            2.0 * float(found.errors[i]),
+            float(found.p_values[i]),
+            bool(found.differs[i]),
+        )
+        for i, (machine, campaign, value, k2) in enumerate(rows)
+    )
+    return SisterSize(*key, mean, between, of_machine)
+
+
+def _sizes(
+    home: Home, tests: Mapping[str, str], effects: Sequence[str], progress: Progress | None
+) -> dict[_Key, list[_Row]]:
+    library = Library()
+    sizes: dict[_Key, list[_Row]] = {}
+    for done, (machine, campaign) in enumerate(tests.items(), start=1):
+        obs = load(home, campaign).obs
+        terms = []
+        for name in effects:
+            try:
+                terms += chosen_terms([name], library, obs)
+            except InputError:  # It cannot act in these runs.
+                continue
+        for e in fit(obs, terms).estimates:
+            if e.identifiable and e.uncertainty > 0.0 and not e.name.startswith(("cosine", "sine")):
+                key = (f"{e.effect} {e.axis}".rstrip(), library[e.effect].title, e.name.replace("_", " "), e.unit)
+                sizes.setdefault(key, []).append((machine, campaign, e.value, e.uncertainty))
+        if progress is not None:
+            progress(done, len(tests), machine)
+    return sizes
+
+
+def _tests(home: Home, machines: Sequence[str]) -> dict[str, str]:
+    """Return a campaign of each machine: the newest of the sort that most of them have."""
+    lake = Lake(home.lake)
+    of_sort: dict[tuple[str, ...], dict[str, str]] = {}
+    for machine in machines:
+        for name, rows in newest_tests(lake.runs(left_out=True, machine=machine), machine).items():
+            moved = sorted({str(row["plane"] or row["condition_json"]) for row in rows if not row["left_out"]})
+            of_sort.setdefault((str(rows[0]["kind"]), *moved), {})[machine] = name
+    return max(of_sort.values(), key=len, default={})
+
+
+def _found(home: Home, campaign: str) -> Iterator[str]:
+    """Yield the effects without open shapes that the diagnosis of a campaign found."""
+    library, kept = Library(), kept_already(home, DIAGNOSES, campaign)
+    for group in [] if kept is None else kept["found"]:
+        name, axis = group[0]["effect"], group[0]["axis"]
+        # A shape of its own makes sizes that cannot be compared.
+        if name in library and not library[name].shapes:
+            yield f"{name}:{axis}" if axis else name
+
+
+def _known(home: Home) -> list[str]:
+    return sorted({str(row["machine"]) for row in Lake(home.lake).runs()})
+
+
+def _type(home: Home, machine: str) -> str:
+    record = read_record(home, machine)
+    return "" if record is None else record.facts.get("type", "")
