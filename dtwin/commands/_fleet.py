@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.commands.tasks import FleetCommands
 from dtwin.errors import EXIT_USER
 
 if TYPE_CHECKING:
@@ -23,7 +24,9 @@ Workers = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Seed of what is drawn.")]
 
-app_fleet = typer.Typer(no_args_is_help=True, help="The same for many machines, on one computer or many.")
+app_fleet = typer.Typer(
+    cls=FleetCommands, no_args_is_help=True, help="The same for many machines, on one computer or many."
+)
 
 
 def register(app: typer.Typer) -> None:

@@ -45,6 +45,10 @@ TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Change": ("add", "remove", "restore"),
     "Prove and use": ("confirm", "correct"),
 }
+FLEET_TASKS: dict[str, tuple[str, ...]] = {
+    "Do for every machine": ("diagnose", "train", "recheck", "nightly"),
+    "Look": ("show", "sisters"),
+}
 _OTHER = "More"
 _LONGEST = 200
 
@@ -80,3 +84,9 @@ class TwinCommands(_ByTask):
     """Commands of ``dtwin twin``."""
 
     tasks = TWIN_TASKS
+
+
+class FleetCommands(_ByTask):
+    """Commands of ``dtwin fleet``."""
+
+    tasks = FLEET_TASKS

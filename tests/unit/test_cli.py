@@ -64,10 +64,10 @@ def test_every_command_has_its_place_and_every_place_its_command() -> None:
     from typer.main import get_command
 
     from dtwin.cli import app
-    from dtwin.commands.tasks import TASKS, TWIN_TASKS
+    from dtwin.commands.tasks import FLEET_TASKS, TASKS, TWIN_TASKS
 
     main = get_command(app)
-    for group, tasks in ((main, TASKS), (main.commands["twin"], TWIN_TASKS)):
+    for group, tasks in ((main, TASKS), (main.commands["twin"], TWIN_TASKS), (main.commands["fleet"], FLEET_TASKS)):
         placed = [name for task in tasks.values() for name in task]
         assert sorted(placed) == sorted(group.commands)
     assert "More:" not in run("--help").stdout
