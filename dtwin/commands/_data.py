@@ -94,15 +94,16 @@ def check(
     from dtwin.config import home
     from dtwin.lake.store import Lake
     from dtwin.machine_record import tolerances_of
+    from dtwin.pipeline.kept import variation_of
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
     told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine)
-    limits = partial(tolerances_of, home())
+    limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
     if str(source) in campaigns:
-        result = check_campaign(lake, str(source), line, limits)
+        result = check_campaign(lake, str(source), line, limits, surroundings)
     elif campaigns and source.name == str(source):
         raise InputError(
             "no such file or folder, and no such campaign in the lake",
@@ -111,7 +112,7 @@ def check(
             allowed=", ".join(campaigns),
         )
     else:
-        result = check_source(source, line, told, limits)
+        result = check_source(source, line, told, limits, surroundings)
     emit(result, lambda: render_check(result), as_json=as_json)
 
 

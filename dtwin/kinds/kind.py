@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from dtwin.progress import Progress
     from dtwin.report.html import Section
     from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import ChampionError, HeldOut
@@ -56,6 +57,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "proposals": ("proposing a test", "plans for the axes of a machine"),
     "judge_run": ("a check of runs", "a judgement of one run"),
     "sheet": ("a test sheet", "figures of a standard"),
+    "variation": ("the variation of the surroundings", "readings of a machine that stands still"),
     "drawings": ("a picture of a run", "a figure of one run"),
     "twins": ("a twin", "effects, and a fit of them"),
     "export_twin": ("an export of the twin itself", "a geometry that controls and simulators take"),
@@ -259,9 +261,17 @@ class Kind:
         """Return what the runs lack as a whole; of their samples, ``campaign_columns`` are there."""
         return []
 
-    def sheet(self, runs: Sequence[Run]) -> Sheet:
-        """Return the figures of the standard by condition; of the samples, ``sheet_columns`` are there."""
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
+        """Return the figures of the standard by condition, with what makes each uncertain beside its repeatability.
+
+        ``runs``: of their samples, ``sheet_columns`` are there.
+        ``under``: what is known of instrument, temperature and surroundings.
+        """
         raise self.lacks("sheet")
+
+    def variation(self, runs: Sequence[Run], campaign: str) -> Variation | None:
+        """Return how far a reading moves while the machine stands still, None when the runs do not tell."""
+        raise self.lacks("variation")
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
         """Return the picture beside the figures of one condition."""

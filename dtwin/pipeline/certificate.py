@@ -14,8 +14,9 @@ from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record
 from dtwin.pipeline.findings import grouped_findings
-from dtwin.pipeline.kept import sheet_of_campaign, stamp_of
+from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.certificate import LANGUAGES, certificate_page
+from dtwin.report.uncertainty import Variation
 
 
 def certificate(home: Home, campaign: str, language: str = "en") -> str:
@@ -35,13 +36,15 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     known = campaign_of(mine) if mine else lake.campaign(campaign)
     kind = kind_named(known.kind)
     kind.require("sheet")
-    sheet = sheet_of_campaign(home, campaign, known.machine, stamp_of(mine))
+    every = lake.runs(left_out=True, machine=known.machine)
+    variation = variation_of(home, known.machine, every)
+    sheet = sheet_of_campaign(home, campaign, known.machine, stamp_of(mine), variation)
     used = {name for part in sheet["parts"] for name in part["runs"]}
     runs = {row["run_id"]: lake.load(row, signals=False) for row in mine if row["run_id"] in used}
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
     record = read_record(home, known.machine) or MachineRecord(known.machine)
     told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
-    earlier = _earlier(home, lake.runs(left_out=True, machine=known.machine), mine)
+    earlier = _earlier(home, every, mine, variation)
     return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
 
 
@@ -70,7 +73,9 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
     }
 
 
-def _earlier(home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def _earlier(
+    home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mapping[str, Any]], variation: Variation | None
+) -> dict[str, Any] | None:
     """Return name and sheet of the last test of the same kind and machine before this one."""
     first = min((row["started"] for row in mine if row["started"]), default="")
     same = [
@@ -85,4 +90,4 @@ def _earlier(home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mappi
         return None
     name = max(same, key=lambda row: str(row["started"]))["campaign"]
     stamp = stamp_of([row for row in rows if row["campaign"] == name])
-    return {"campaign": name, "sheet": sheet_of_campaign(home, name, mine[0]["machine"], stamp)}
+    return {"campaign": name, "sheet": sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)}

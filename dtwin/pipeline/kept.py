@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,12 @@ from dtwin import __version__
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import StoreError
+from dtwin.kinds.kind import Kind
+from dtwin.kinds.registry import kinds
 from dtwin.lake.store import Lake
 from dtwin.machine_record import tolerances_of
 from dtwin.report.checking import campaign_sheet
+from dtwin.report.uncertainty import Variation
 from dtwin.schema import require_name
 
 
@@ -72,13 +77,46 @@ def _file_of(home: Home, what: str, campaign: str) -> Path:
     return home.root / "kept" / what / f"{require_name(campaign, 'the campaign')}.json"
 
 
-def sheet_of_campaign(home: Home, campaign: str, machine: str, stamp: str) -> dict[str, Any]:
+def variation_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]] | None = None) -> Variation | None:
+    """Return how far readings of a machine move while it stands still, by its newest test that tells; else None.
+
+    ``rows``: of all runs of the machine, where they were read before.
+    """
+    lake = Lake(home.lake)
+    mine = lake.runs(machine=machine) if rows is None else [row for row in rows if row["left_out"] is None]
+    telling = {kind.name: kind for kind in kinds() if kind.offers("variation")}
+    of_campaign: dict[str, list[Mapping[str, Any]]] = {}
+    for row in mine:
+        if row["kind"] in telling:
+            of_campaign.setdefault(row["campaign"], []).append(row)
+    newest = sorted(of_campaign.items(), key=lambda item: item[1][0]["started"] or "", reverse=True)
+    for name, told in newest:
+        found = kept(home, "surroundings", name, stamp_of(told), partial(_variation, lake, telling, name, told))
+        if found:
+            return Variation(**found)
+    return None
+
+
+def _variation(lake: Lake, telling: Mapping[str, Kind], name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the variation that a campaign tells, JSON-ready; empty when it tells none."""
+    found = telling[rows[0]["kind"]].variation([lake.load(dict(row), signals=False) for row in rows], name)
+    return {} if found is None else asdict(found)
+
+
+def sheet_of_campaign(
+    home: Home, campaign: str, machine: str, stamp: str, variation: Variation | None
+) -> dict[str, Any]:
     """Return the test sheet of a campaign of this machine, JSON-ready.
 
     ``stamp``: of its runs, as ``stamp_of`` gives it.
+    ``variation``: of the machine, as ``variation_of`` gives it.
     """
     limits = tolerances_of(home, machine)
     made: dict[str, Any] = kept(
-        home, "sheets", campaign, f"{stamp} {limits}", lambda: campaign_sheet(Lake(home.lake), campaign, limits)
+        home,
+        "sheets",
+        campaign,
+        f"budget {stamp} {limits} {variation}",
+        lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
     return made

@@ -17,7 +17,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of
+from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
 from dtwin.progress import Progress
 from dtwin.report.faults import sizes_of
@@ -69,13 +69,14 @@ def machine_history(
     shelf = Twins(home, library)
     names = _twins(home).get(machine, [])
     twins = [twin for name in names if name in shelf.names() and (twin := _readable(shelf, name)) is not None]
+    variation = variation_of(home, machine, rows)
     tests = []
     series: dict[tuple[str, ...], Series] = {}
     for done, (name, mine) in enumerate(ordered, start=1):
         kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
         test: dict[str, Any] = {"campaign": name, "kind": kind, "started": started, "sheet": None}
         if kind_named(kind).offers("sheet"):
-            test["sheet"] = sheet_of_campaign(home, name, machine, stamp)
+            test["sheet"] = sheet_of_campaign(home, name, machine, stamp, variation)
         tests.append(test | _headline(test["sheet"]))
         if started:
             point = Point(name, started, 0.0, 0.0, _instrument(mine))

@@ -10,6 +10,7 @@ from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
 from dtwin.report.html import figure_html
+from dtwin.report.sheet import headline_budget
 
 _GERMAN = {
     "Test certificate": "Prüfprotokoll",
@@ -44,6 +45,21 @@ _GERMAN = {
     "not stated": "nicht angegeben",
     "date and signature": "Datum und Unterschrift",
     "Print, or save as PDF": "Drucken oder als PDF sichern",
+    "Uncertainty budget": "Messunsicherheitsbilanz",
+    "contribution": "Beitrag",
+    "from": "Herkunft",
+    "repeatability": "Wiederholbarkeit",
+    "expansion": "Ausdehnungskoeffizient",
+    "environment": "Umgebung (EVE)",
+    "set-up": "Ausrichtung",
+    "instrument's scale": "Maßstab des Messgeräts",
+    "calibrated length": "kalibrierte Länge",
+    "combined": "zusammen",
+    "range of the drift": "Spanne der Verlagerung",
+    "range in one hour": "Spanne in einer Stunde",
+    "pose accuracy, largest": "Pose-Genauigkeit, größte",
+    "pose accuracy, mean": "Pose-Genauigkeit, Mittel",
+    "pose repeatability, largest": "Pose-Wiederholgenauigkeit, größte",
     "Notes are in English.": "Anmerkungen sind englisch.",
     "circular deviation, counter-clockwise": "Kreisformabweichung, gegen den Uhrzeigersinn",
     "circular deviation, clockwise": "Kreisformabweichung, im Uhrzeigersinn",
@@ -78,7 +94,7 @@ _PAGE = """<!doctype html>
 body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; margin: 0 auto; max-width: 182mm; padding: 1rem 0; }
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
-td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } th { color: #44525d; font-weight: 600; }
+td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from { white-space: normal; } th { color: #44525d; font-weight: 600; }
 dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 12px; margin: 10px 0; } dt { color: #44525d; } dd { margin: 0; }
 .decision { border: 2px solid #14212b; padding: 8px 12px; font-size: 17px; margin: 10px 0; } .note { color: #44525d; font-size: 12px; }
 section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1fr 1fr; gap: 30px; margin-top: 46px; break-inside: avoid; }
@@ -94,6 +110,9 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, µm</th><th>U (95 %), µm</th><th>{{ say("limit") }}, µm</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, µm</th><th>{{ say("change") }}, µm</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ c.shown.value }}</td><td>{{ c.shown.expanded }}</td><td>{{ c.shown.limit }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ c.before }}</td><td>{{ c.change }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
+{% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ budget[0] }}</h2>
+<table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), µm</th><th>{{ say("from") }}</th></tr></thead>
+<tbody>{% for row in budget[1] %}<tr><td>{{ say(row[0]) }}</td><td>{{ row[1] }}</td><td class="from">{{ row[2] }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
 <p class="note">{{ sheet.basis }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" %} {{ say("Notes are in English.") }}{% endif %}</p>
@@ -147,6 +166,7 @@ def certificate_page(
             facts=facts,
             head=[(name, facts.get(name, "")) for name in HEAD],
             sheet=sheet,
+            budget=headline_budget(sheet),
             parts=parts,
             findings=findings,
             before=earlier["campaign"] if earlier is not None and old else "",

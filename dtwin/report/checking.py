@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
-from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import columns_sha256
@@ -19,12 +19,14 @@ from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import table
+from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.tolerances import Limits
 
 _MAX_DETAILED = 2
 """A file of both directions is told run by run; more runs as a table."""
 Tolerances = Callable[[str], Mapping[str, Limits]]
+Surroundings = Callable[[str], Variation | None]
 
 
 def _no_tolerances(machine: str) -> Mapping[str, Limits]:
@@ -32,18 +34,23 @@ def _no_tolerances(machine: str) -> Mapping[str, Limits]:
     return {}
 
 
-def sheet_of(kind: Kind, campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, Limits]) -> dict[str, Any]:
-    """Return the test sheet of runs with their findings, JSON-ready."""
-    stated = campaign.instrument.get("uncertainty_um")
-    if stated is not None and not (isinstance(stated, int | float) and 0.0 <= stated < 1e6):
-        raise InputError(
-            "the uncertainty of the instrument is not usable",
-            code="sheet.uncertainty",
-            where=f"{campaign.name}: instrument.uncertainty_um",
-            got=str(stated)[:60],
-            allowed="an expanded uncertainty (k = 2) in µm",
-        )
-    return judged(kind.sheet(runs), stated, limits).as_dict()
+def _no_surroundings(machine: str) -> Variation | None:
+    """Return no variation."""
+    return None
+
+
+def sheet_of(
+    kind: Kind,
+    campaign: Campaign,
+    runs: Sequence[Run],
+    limits: Mapping[str, Limits],
+    variation: Variation | None = None,
+) -> dict[str, Any]:
+    """Return the test sheet of runs with their findings, JSON-ready; ``variation`` is that of the machine's place."""
+    written = [t for run in runs if (t := run.meta.covariates.get("temperature_c")) is not None]
+    warm = sum(written) / len(written) if written else math.nan
+    under = Circumstances(campaign.instrument, warm, variation, f"{campaign.name}: instrument")
+    return judged(kind.sheet(runs, under), limits).as_dict()
 
 
 def check_source(
@@ -51,6 +58,7 @@ def check_source(
     progress: Progress | None = None,
     told: Mapping[str, Any] | None = None,
     tolerances: Tolerances = _no_tolerances,
+    surroundings: Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
@@ -62,6 +70,8 @@ def check_source(
         What is told of a table that lies alone.
     tolerances : callable
         Returns the limits of a machine by symbol.
+    surroundings : callable
+        Returns how far readings of a machine move while it stands still, where a test of it tells.
 
     Returns
     -------
@@ -70,30 +80,36 @@ def check_source(
         figures, spectrum, findings), ``bidirectional`` and ``findings`` of the whole.
     """
     campaign, sources, total = open_source(path, told)
-    return _checked(str(path), campaign, sources, total, progress, tolerances)
+    return _checked(str(path), campaign, sources, total, progress, tolerances, surroundings)
 
 
 def check_campaign(
-    lake: Lake, name: str, progress: Progress | None = None, tolerances: Tolerances = _no_tolerances
+    lake: Lake,
+    name: str,
+    progress: Progress | None = None,
+    tolerances: Tolerances = _no_tolerances,
+    surroundings: Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
     campaign = lake.campaign(name)
     rows = lake.runs(name)
     sources = (([lake.load(row, signals=False)], list[RejectedRows]()) for row in rows)
-    result = _checked(f"campaign {name}", campaign, sources, len(rows), progress, tolerances)
+    result = _checked(f"campaign {name}", campaign, sources, len(rows), progress, tolerances, surroundings)
     told = amendment_findings(lake.runs(name, left_out=True))
     result["findings"] += [finding.as_dict() for finding in told]
     return result
 
 
-def campaign_sheet(lake: Lake, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
+def campaign_sheet(
+    lake: Lake, name: str, limits: Mapping[str, Limits], variation: Variation | None = None
+) -> dict[str, Any]:
     """Return the test sheet of a campaign in the lake, JSON-ready; its kind must have one."""
     campaign = lake.campaign(name)
     kind = kind_named(campaign.kind)
     kind.require("sheet")
     runs = (lake.load(row, signals=False) for row in lake.runs(name))
     kept = [without_samples(replace(run, findings=tuple(_findings_of(run))), kind.sheet_columns) for run in runs]
-    return sheet_of(kind, campaign, kept, limits)
+    return sheet_of(kind, campaign, kept, limits, variation)
 
 
 def _checked(
@@ -103,6 +119,7 @@ def _checked(
     total: int,
     progress: Progress | None,
     tolerances: Tolerances,
+    surroundings: Surroundings,
 ) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
@@ -123,9 +140,13 @@ def _checked(
     for result in results:
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
+    sheet = {}
+    if kind.offers("sheet"):
+        machine = campaign.machine
+        sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
         **kind.campaign_figures(light),
-        **({"sheet": sheet_of(kind, campaign, light, tolerances(campaign.machine))} if kind.offers("sheet") else {}),
+        **sheet,
         "source": source,
         "campaign": campaign.name,
         "machine": campaign.machine,

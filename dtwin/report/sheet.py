@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dtwin.report.text import decimals, table
+from dtwin.report.uncertainty import REPEATABILITY, Budget, Contribution, combined
 from dtwin.schema import Run
-from dtwin.statistics import t_quantile
 from dtwin.tolerances import Limits
 
 INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
-_COVERED = 0.95
-_MANY_DOF = 1e6
 
 
 @dataclass(frozen=True)
@@ -35,6 +33,10 @@ class Characteristic:
         Degrees of freedom of that.
     expanded_um : float
         Half width that covers 95 %, NaN when it is not known.
+    contributions : tuple of Contribution
+        What makes it uncertain beside its repeatability, as the kind of campaign says.
+    budget : Budget, optional
+        All of them, combined.
     """
 
     symbol: str
@@ -45,6 +47,8 @@ class Characteristic:
     dof: float = 0.0
     expanded_um: float = math.nan
     limits: Limits | None = None
+    contributions: tuple[Contribution, ...] = ()
+    budget: Budget | None = None
 
     @property
     def decision(self) -> str:
@@ -71,6 +75,7 @@ class Characteristic:
             "low_um": None if self.limits is None else self.limits.low_um,
             "high_um": None if self.limits is None else self.limits.high_um,
             "decision": self.decision,
+            "budget": None if self.budget is None else self.budget.as_dict(),
             "shown": {
                 "value": f"{self.value_um:z.{digits}f}",
                 "expanded": f"± {self.expanded_um:z.{digits}f}" if known else "-",
@@ -184,29 +189,30 @@ def pooled(parts: Iterable[Part]) -> tuple[Part, ...]:
     return tuple(replace(part, characteristics=tuple(map(with_pool, part.characteristics))) for part in kept)
 
 
-def judged(sheet: Sheet, instrument_um: float | None, limits: Mapping[str, Limits]) -> Sheet:
-    """Return the sheet with uncertainties, limits and decisions.
+def judged(sheet: Sheet, limits: Mapping[str, Limits]) -> Sheet:
+    """Return the sheet with budgets, uncertainties, limits and decisions.
 
     ``sheet``: as a kind of campaign evaluated it.
-    ``instrument_um``: expanded uncertainty (k = 2) of a difference of two readings, from the instrument's certificate.
     """
 
     def complete(c: Characteristic, sound: bool) -> Characteristic:
-        scatter = 0.0
-        if c.dof > 0:
-            factor = t_quantile(0.5 + _COVERED / 2, min(c.dof, _MANY_DOF))
-            scatter = factor * c.deviation_um / math.sqrt(c.repeats)
-        expanded = math.hypot(scatter, instrument_um or 0.0) if c.dof > 0 and sound else math.nan
-        return replace(c, expanded_um=expanded, limits=limits.get(c.symbol))
+        c = replace(c, limits=limits.get(c.symbol))
+        if not c.dof > 0 or not sound:
+            return replace(c, expanded_um=math.nan, budget=None)
+        basis = f"standard deviation {c.deviation_um:.3g} µm, {c.dof:g} degrees of freedom"
+        scatter = Contribution(REPEATABILITY, c.deviation_um / math.sqrt(c.repeats), basis, c.dof)
+        budget = combined([scatter, *c.contributions])
+        return replace(c, expanded_um=budget.expanded_um, budget=budget)
 
     parts = tuple(
         replace(p, characteristics=tuple(complete(c, p.sound) for c in p.characteristics)) for p in sheet.parts
     )
-    own = "" if instrument_um is None else f", with ±{instrument_um:g} µm of the instrument's certificate"
-    known = any(math.isfinite(c.expanded_um) for p in parts for c in p.characteristics)
+    budgets = [c.budget for p in parts for c in p.characteristics if c.budget is not None]
+    taken = dict.fromkeys(c.source for b in budgets for c in b.contributions if c.assumed and c.standard_um)
+    assumed = f" Assumed, for nobody stated it: {', '.join(taken)}." if taken else ""
     basis = (
-        f"U covers 95 %: {sheet.basis}{own}. Set-up and temperature are not in it."
-        if known
+        f"U covers 95 % (k = 2, more where repeats are few); repeatability: {sheet.basis}.{assumed}"
+        if budgets
         else "U is not known, for no sound run was repeated: no limit can be decided."
     )
     return replace(sheet, parts=parts, basis=basis)
@@ -220,6 +226,34 @@ def _rows(part: Mapping[str, Any]) -> list[list[str]]:
     return [
         [f"{c['symbol']}, {c['name']}", s["value"], s["expanded"], s["limit"], c["decision"] or "-"] for c, s in shown
     ]
+
+
+BUDGET_HEAD = ("contribution", "u (k = 1), µm", "from")
+
+
+def headline_budget(sheet: Mapping[str, Any]) -> tuple[str, list[list[str]]] | None:
+    """Return title and rows of the budget of the figure that stands for the whole, where it is largest.
+
+    ``sheet``: as :meth:`Sheet.as_dict` gave it. None when no uncertainty is known.
+    """
+    known = [
+        (abs(c["value_um"]), part["title"], c)
+        for part in sheet["parts"]
+        for c in part["characteristics"]
+        if c["symbol"] == sheet["headline"] and c.get("budget")
+    ]
+    if not known:
+        return None
+    _, title, c = max(known, key=lambda found: found[0])
+    return f"Budget of {c['symbol']}, {title}", budget_rows(c)
+
+
+def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
+    """Return the rows of the budget of a figure, the last two its sum and the expanded uncertainty."""
+    budget = characteristic["budget"]
+    rows = [[c["source"], f"{c['standard_um']:.3f}", c["basis"]] for c in budget["contributions"]]
+    rows.append(["combined", f"{budget['standard_um']:.3f}", "root of the sum of squares"])
+    return [*rows, [f"U (k = {budget['k']:.2f})", f"{characteristic['expanded_um']:.3f}", ""]]
 
 
 def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
@@ -236,4 +270,8 @@ def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
             cells = [" ".join((shown[s]["value"], shown[s]["expanded"])) if s in shown else "-" for s in symbols]
             rows.append([part["title"], *(cell.removesuffix(" -") for cell in cells), part["verdict"] or "-"])
         lines += table(("µm", *symbols, "decision"), rows).splitlines()
-    return [*lines, sheet["basis"], *sheet["notes"]]
+    lines.append(sheet["basis"])
+    told = headline_budget(sheet)
+    if told is not None:
+        lines += ["", *table((told[0], *BUDGET_HEAD[1:]), told[1]).splitlines(), ""]
+    return [*lines, *sheet["notes"]]

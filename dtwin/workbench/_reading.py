@@ -18,7 +18,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.kept import kept, sheet_of_campaign
+from dtwin.pipeline.kept import kept, sheet_of_campaign, variation_of
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
@@ -98,7 +98,8 @@ def observed(bench: Bench, campaign: str) -> Observations:
 
 def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, Any]:
     """Return the test sheet of a campaign of this machine."""
-    return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign))
+    variation = variation_of(bench.home, machine)
+    return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign), variation)
 
 
 def campaign_floor(bench: Bench, campaign: str) -> Floor:

@@ -52,6 +52,7 @@ def test_none_is_left_out() -> None:
         "next_test.py",
         "sister_machines.py",
         "two_instruments.py",
+        "uncertainty_coverage.py",
     }
     # test_freezes and test_exam_short run these.
     assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
@@ -142,6 +143,13 @@ def test_next_test() -> None:
     (row,) = short("next_test.py")
     assert 0 < row["told by all"] <= row["faults"]
     assert 0.0 < row["proposed, min"] <= row["full, min"] * 1.5
+
+
+def test_uncertainty_coverage() -> None:
+    rows = {(row["kind"], row["figure"]): row["covered"] for row in short("uncertainty_coverage.py")}
+    assert set(rows) >= {("linear", "A"), ("linear", "B"), ("circular", "D"), ("circular", "H")}
+    # 60 machines: three standard deviations below 95 of 100.
+    assert min(rows.values()) > 0.86, rows
 
 
 @pytest.mark.long  # test_one_twin has a case of each sort.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from dtwin.errors import InputError
 from dtwin.physics.circular import bidirectional_figures, fit_circle, residual_um
 from dtwin.report.plots import polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
+from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
 from dtwin.schema import Floats, Run
 
 if TYPE_CHECKING:
@@ -18,9 +20,12 @@ if TYPE_CHECKING:
 
 _WAYS = ("CCW", "CW")
 _Arc = tuple[Floats, Floats]
+_READING_UM = 0.7
+_LENGTH_UM = 1.0
+_ASLANT_MM = 0.2
 
 
-def circular_sheet(runs: Sequence[Run]) -> Sheet:
+def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     """Evaluate every condition of a campaign.
 
     ``runs``: with ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are
@@ -44,10 +49,13 @@ def circular_sheet(runs: Sequence[Run]) -> Sheet:
             notes += said
         sound = not any(f.severity == "error" for run in kept for f in run.findings)
         try:
-            parts.append(Part(title, tuple(r.meta.run_id for r in kept), _figures(kept, radius_mm), sound))
+            figures = _figures(kept, radius_mm)
         except InputError as error:
             notes.append(f"{title} is not evaluated: {error.message}.")
-    basis = "repeatability of the runs (unit of replication: the run, pooled over conditions)"
+            continue
+        told = tuple(_with_contributions(c, radius_mm, under) for c in figures)
+        parts.append(Part(title, tuple(r.meta.run_id for r in kept), told, sound))
+    basis = "what runs of one condition differ by (unit of replication: the run, pooled over conditions)"
     return Sheet("ISO 230-4, circular test", "G(b)", pooled(parts), basis, tuple(notes))
 
 
@@ -72,6 +80,25 @@ def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...
             repeated("D", "mean bi-directional radial deviation", [p.mean_bidirectional_radius_um for p in pairs]),
         ]
     return tuple(characteristics)
+
+
+def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstances) -> Characteristic:
+    """Say what makes a figure uncertain: differences of readings by the instrument, radii by their length, too."""
+    found = [under.reading(_READING_UM), *under.environment(c.repeats)]
+    if c.symbol == "D" or c.symbol.startswith("F"):
+        length = under.stated("calibration_um", _LENGTH_UM)
+        aslant = under.stated("height_difference_mm", _ASLANT_MM)
+        found += [
+            Contribution("calibrated length", length.value / 2, length.basis("µm (k = 2)"), assumed=length.assumed),
+            Contribution(
+                "set-up",
+                off_line_um(aslant.value, radius_mm),
+                f"height difference of the balls {aslant.basis('mm at most')}",
+                assumed=aslant.assumed,
+            ),
+            *under.length(radius_mm / 1000.0),
+        ]
+    return replace(c, contributions=tuple(found))
 
 
 def _centred_um(arc: _Arc, radius_mm: float) -> Floats:

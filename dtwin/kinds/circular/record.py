@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import ChampionError, HeldOut
@@ -82,10 +83,10 @@ class _Circular(Kind):
 
         return judge_circular_campaign(runs)
 
-    def sheet(self, runs: Sequence[Run]) -> Sheet:
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.circular._sheet import circular_sheet
 
-        return circular_sheet(runs)
+        return circular_sheet(runs, under)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
         from dtwin.kinds.circular._sheet import both_ways_figure

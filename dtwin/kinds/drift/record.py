@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Finding, Run
 
 
@@ -15,10 +19,10 @@ class _Drift(Kind):
     name = "drift"
     columns = ("t_s", "displacement_um")
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
+    sheet_columns = campaign_columns
     instead: ClassVar[Mapping[str, str]] = {
         "twins": "dtwin check CAMPAIGN tells what the displacement follows, and what that lacks",
         "rows": "dtwin check CAMPAIGN tells what the displacement follows, and what that lacks",
-        "sheet": "dtwin check CAMPAIGN tells coefficients with their uncertainty",
     }
 
     @property
@@ -38,6 +42,21 @@ class _Drift(Kind):
 
         whole = [run for run in runs if run.samples]
         return judge_campaign_drift(whole) if len(whole) > 1 else []
+
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
+        from dtwin.kinds.drift._sheet import drift_sheet
+
+        return drift_sheet(runs, under)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.drift._sheet import drift_figure
+
+        return drift_figure(runs)
+
+    def variation(self, runs: Sequence[Run], campaign: str) -> Variation | None:
+        from dtwin.kinds.drift._sheet import variation
+
+        return variation(runs, campaign)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.drift._check import drift_figures

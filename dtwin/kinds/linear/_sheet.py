@@ -14,12 +14,16 @@ from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.physics.linear import linear_figures, stacked_figures
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
+from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
 from dtwin.schema import Floats, Run
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _AGAIN = 400
+_READING_UM = 0.2
+_SCALE_UM_PER_M = 0.5
+_ASLANT_MM = 1.0
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
     ("A↑", "accuracy, forward", "accuracy_forward_um"),
@@ -36,7 +40,7 @@ _FIGURES = (
 )
 
 
-def positioning_sheet(runs: Sequence[Run]) -> Sheet:
+def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     """Evaluate every axis of a campaign.
 
     ``runs``: with all columns; runs with an error of quality are left out where there are others, and named.
@@ -65,12 +69,12 @@ def positioning_sheet(runs: Sequence[Run]) -> Sheet:
             sound = False
             notes.append(f"{title}: {spoilt.message}.")
         notes += _other_formulas(test, title)
-        parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test), sound))
+        parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test, under), sound))
     basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
 
 
-def _figures(test: LinearTest) -> tuple[Characteristic, ...]:
+def _figures(test: LinearTest, under: Circumstances) -> tuple[Characteristic, ...]:
     told = asdict(linear_figures(test.forward_um, test.reverse_um))
     n = test.forward_um.shape[1]
     normal = np.random.default_rng(0).standard_normal((_AGAIN, 2, *test.forward_um.shape))
@@ -78,9 +82,42 @@ def _figures(test: LinearTest) -> tuple[Characteristic, ...]:
     # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction.
     dof = 2.0 * (n - 1)
     return tuple(
-        Characteristic(symbol, name, told[key], 1, float(np.std(drawn[key], ddof=1)), dof)
+        Characteristic(
+            symbol,
+            name,
+            told[key],
+            1,
+            float(np.std(drawn[key], ddof=1)),
+            dof,
+            contributions=_contributions(symbol, test, under),
+        )
         for symbol, name, key in _FIGURES
     )
+
+
+def _contributions(symbol: str, test: LinearTest, under: Circumstances) -> tuple[Contribution, ...]:
+    """Say what makes a figure uncertain: R and B compare readings of one target, the others readings along the axis."""
+    found = [under.reading(_READING_UM), *under.environment(test.forward_um.shape[1])]
+    if symbol[0] in "AEM":
+        travel_mm = float(np.ptp(test.position_mm))
+        scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
+        aslant = under.stated("alignment_mm", _ASLANT_MM)
+        found += [
+            Contribution(
+                "instrument's scale",
+                scale.value / 2 * travel_mm / 1000.0,
+                scale.basis("µm/m (k = 2)"),
+                assumed=scale.assumed,
+            ),
+            Contribution(
+                "set-up",
+                off_line_um(aslant.value, travel_mm),
+                f"beam off the axis by {aslant.basis('mm at most')}",
+                assumed=aslant.assumed,
+            ),
+            *under.length(travel_mm / 1000.0),
+        ]
+    return tuple(found)
 
 
 def _other_formulas(test: LinearTest, title: str) -> list[str]:

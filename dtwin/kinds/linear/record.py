@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import ChampionError, HeldOut
@@ -104,10 +105,10 @@ class _Linear(Kind):
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
 
-    def sheet(self, runs: Sequence[Run]) -> Sheet:
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.linear._sheet import positioning_sheet
 
-        return positioning_sheet(runs)
+        return positioning_sheet(runs, under)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
         from dtwin.kinds.linear._sheet import positioning_figure

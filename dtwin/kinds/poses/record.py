@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
+    from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.twins.verbs import Twins
 
@@ -25,11 +29,11 @@ class _Poses(Kind):
         *(f"{what}_{a}_mm" for what in ("measured", "target", "error") for a in "xyz"),
         "ambient_c",
     )
+    sheet_columns = campaign_columns
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {
-        "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
-        "sheet": "dtwin check CAMPAIGN tells the figures of ISO 9283",
+        "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm"
     }
 
     @property
@@ -48,6 +52,16 @@ class _Poses(Kind):
         from dtwin.kinds.poses._check import judge_poses
 
         return judge_poses(run)
+
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
+        from dtwin.kinds.poses._sheet import pose_sheet
+
+        return pose_sheet(runs, under)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.poses._sheet import pose_figure
+
+        return pose_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.poses._check import problem_of

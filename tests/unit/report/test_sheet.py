@@ -13,10 +13,25 @@ from dtwin.kinds.circular._sheet import circular_sheet
 from dtwin.kinds.registry import kind_named
 from dtwin.report.checking import check_source, sheet_of
 from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines
+from dtwin.report.uncertainty import Circumstances, Contribution, Variation, combined
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.tolerances import limits_from
 
 ROOT = Path(__file__).parents[3]
+PERFECT = Circumstances(
+    dict.fromkeys(
+        (
+            "uncertainty_um",
+            "uncertainty_um_per_m",
+            "calibration_um",
+            "height_difference_mm",
+            "alignment_mm",
+            "temperature_uncertainty_k",
+            "expansion_uncertainty_um_per_m_k",
+        ),
+        0.0,
+    )
+)
 ANGLE = np.arange(1.0, 360.0, 2.0)
 
 
@@ -40,7 +55,7 @@ def circle(
 
 def test_the_figures_of_a_circle_are_those_of_its_shape() -> None:
     nothing = np.zeros(ANGLE.size)
-    (part,) = circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)]).parts
+    (part,) = circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)], PERFECT).parts
     figures = {c.symbol: c.value_um for c in part.characteristics}
     assert part.title == "XY R100 F2000"
     assert figures["H"] == pytest.approx(1.0, abs=0.05)
@@ -61,7 +76,7 @@ def test_the_uncertainty_covers_what_the_figure_is_on_average() -> None:
             for n in range(3)
             for w, way in enumerate(("CCW", "CW"))
         ]
-        sheet = judged(circular_sheet(runs), None, {})
+        sheet = judged(circular_sheet(runs, PERFECT), {})
         found = next(c for c in sheet.parts[0].characteristics if c.symbol == "D")
         covered += abs(found.value_um) <= found.expanded_um
     assert 89 <= covered <= 99
@@ -81,7 +96,9 @@ def test_a_decision_needs_its_uncertainty() -> None:
 
 def test_without_repeats_nothing_is_decided() -> None:
     nothing = np.zeros(ANGLE.size)
-    sheet = judged(circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)]), 0.1, {"H": Limits(None, 9.0)})
+    sheet = judged(
+        circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)], PERFECT), {"H": Limits(None, 9.0)}
+    )
     found = {c.symbol: c.decision for c in sheet.parts[0].characteristics}
     assert found["H"] == "cannot say"
     assert "not known" in sheet.basis
@@ -93,10 +110,10 @@ def test_a_spoilt_run_is_left_out_where_there_are_others() -> None:
     spoilt = replace(
         circle("CCW", 4, np.full(ANGLE.size, 0.0), oval_um=80.0), findings=(Finding("x.y", "error", "it slipped"),)
     )
-    sheet = circular_sheet([*runs, spoilt])
+    sheet = circular_sheet([*runs, spoilt], PERFECT)
     assert sheet.notes == ("CCW2000-4 is not evaluated: x.y.",)
     assert sheet.parts[0].characteristics[0].value_um < 10.0
-    alone = judged(circular_sheet([spoilt, runs[1], runs[3]]), None, {"G(CW)": Limits(None, 99.0)})
+    alone = judged(circular_sheet([spoilt, runs[1], runs[3]], PERFECT), {"G(CW)": Limits(None, 99.0)})
     assert "though not sound" in alone.notes[0]
     assert {c.decision for c in alone.parts[0].characteristics} == {"", "cannot say"}
 
@@ -114,7 +131,7 @@ def test_an_axis_is_told_after_iso_230_2() -> None:
             error = 0.01 * place + np.where(way == "reverse", -2.0, 0.0) + rng.normal(0.0, 0.5, place.size)
             samples = {"t_s": np.arange(place.size) * 1.0, "position_mm": place, "direction": way, "error_um": error}
             runs.append(Run(RunMeta(f"r{n}", kind="linear", condition={"axis": "X"}, repeat=n + 1), samples))
-        sheet = judged(kind_named("linear").sheet(runs), None, {})
+        sheet = judged(kind_named("linear").sheet(runs, PERFECT), {})
         for c in sheet.parts[0].characteristics:
             told.setdefault(c.symbol, []).append((c.value_um, c.expanded_um))
     assert np.mean([v for v, _ in told["B̄"]]) == pytest.approx(2.0, abs=0.1)
@@ -146,8 +163,35 @@ def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
     kind = kind_named("circular")
     plain, stated = (
         sheet_of(kind, Campaign("c", "m", instrument=instrument), runs, {})["parts"][0]["characteristics"][0]
-        for instrument in ({}, {"uncertainty_um": 3.0})
+        for instrument in ({"uncertainty_um": 0.0}, {"uncertainty_um": 3.0})
     )
-    assert stated["expanded_um"] == pytest.approx(np.hypot(plain["expanded_um"], 3.0))
+    (scatter, _), own = plain["budget"]["contributions"], stated["budget"]["contributions"][1]
+    assert (own["source"], own["standard_um"], own["assumed"]) == ("instrument", 1.5, False)
+    assert stated["budget"]["standard_um"] == pytest.approx(np.hypot(scatter["standard_um"], 1.5))
     with pytest.raises(InputError, match="uncertainty of the instrument"):
         sheet_of(kind, Campaign("c", "m", instrument={"uncertainty_um": "small"}), runs, {})
+
+
+def test_contributions_are_combined_as_the_gum_says() -> None:
+    plain = combined([Contribution("a", 3.0, ""), Contribution("b", 4.0, "")])
+    assert plain.expanded_um == pytest.approx(10.0, rel=1e-3)
+    few = combined([Contribution("a", 3.0, "", dof=2.0), Contribution("b", 4.0, "")])
+    assert few.dof == pytest.approx(5.0**4 / (3.0**4 / 2.0))
+    assert few.factor > plain.factor
+
+
+@pytest.mark.parametrize(("range_um", "counted"), [(1.0, 0.0), (12.0, np.sqrt(144.0 / 6.0 - 4.0))])
+def test_surroundings_count_where_they_go_beyond_what_repeats_show(range_um: float, counted: float) -> None:
+    under = Circumstances(variation=Variation(range_um, 1.0, "night"))
+    budget = combined([Contribution("repeatability", 2.0, ""), *under.environment(1)])
+    assert budget.contributions[1].standard_um == pytest.approx(counted)
+
+
+def test_what_nobody_stated_is_said() -> None:
+    runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2, 3) for way in ("CCW", "CW")]
+    sheet = judged(circular_sheet(runs, Circumstances({"uncertainty_um": 0.4}, 23.0)), {}).as_dict()
+    assert "Assumed, for nobody stated it: calibrated length, set-up, temperature, expansion." in sheet["basis"]
+    of_symbol = {c["symbol"]: c["budget"]["contributions"] for c in sheet["parts"][0]["characteristics"]}
+    assert [c["source"] for c in of_symbol["H"]] == ["repeatability", "instrument"]
+    assert of_symbol["D"][-1]["standard_um"] == pytest.approx(0.1 * 3.0 * 1.0)
+    assert "Budget of G(b), XY R100 F2000" in "\n".join(sheet_lines(sheet))

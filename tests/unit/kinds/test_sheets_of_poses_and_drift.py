@@ -1,0 +1,94 @@
+"""Test sheets of poses and of drift, of machines made here, and what a drift test says of other tests of its machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import ingest
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
+from dtwin.pipeline.kept import variation_of
+from dtwin.report.checking import check_source, sheet_of
+from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.tolerances import limits_from
+
+ROOT = Path(__file__).parents[3]
+
+
+def log(hours: float, per_hour_um: float, *, noise_um: float = 0.0, test: str = "") -> Run:
+    """Return a log that rises steadily, two readings each minute, with a sensor that does nothing."""
+    minute = np.repeat(np.arange(round(60 * hours) + 1.0), 2)
+    noise = np.random.default_rng(0).normal(0.0, noise_um, minute.size) if noise_um else 0.0
+    samples = {
+        "t_s": 60.0 * minute + np.tile([0.0, 1.0], minute.size // 2),
+        "displacement_um": per_hour_um * minute / 60.0 + noise,
+        "sample_1": minute,
+        "temperature_room_c": 20.0 + 0.0 * minute,
+    }
+    return Run(RunMeta("night", kind="drift", condition={"test": test} if test else {}), samples)
+
+
+def test_the_ranges_of_a_steady_drift_are_its_rate_times_the_time() -> None:
+    sheet = sheet_of(
+        kind_named("drift"), Campaign("c", "m", "drift"), [log(3.0, 6.0)], limits_from({"d": 10.0}, "here")
+    )
+    found = {c["symbol"]: c["value_um"] for c in sheet["parts"][0]["characteristics"]}
+    assert found == {"d": pytest.approx(18.0), "d(1 h)": pytest.approx(6.0)}
+    assert sheet["verdict"] == "outside"
+
+
+def test_the_uncertainty_of_a_drift_is_that_of_two_readings() -> None:
+    told = {"uncertainty_um": 0.0}
+    sheet = sheet_of(
+        kind_named("drift"), Campaign("c", "m", "drift", instrument=told), [log(6.0, 5.0, noise_um=1.0)], {}
+    )
+    # Two means of two readings each.
+    assert sheet["parts"][0]["characteristics"][0]["expanded_um"] == pytest.approx(2.0, rel=0.15)
+
+
+def test_only_a_machine_at_rest_tells_its_surroundings() -> None:
+    kind = kind_named("drift")
+    assert kind.variation([log(3.0, 6.0)], "c") is None
+    found = kind.variation([log(3.0, 6.0, test="environment")], "c")
+    assert found is not None
+    assert (found.range_um, found.hours, found.campaign) == (pytest.approx(6.0), 1.0, "c")
+
+
+def test_poses_with_repeats_are_decided_and_without_are_not() -> None:
+    limits = limits_from({"AP": 5000.0, "AP mean": 500.0}, "here")
+    known = check_source(ROOT / "data/poses/ur10-joint-configurations", tolerances=lambda machine: limits)["sheet"]
+    assert {c["symbol"]: c["decision"] for c in known["parts"][0]["characteristics"]} == {
+        "AP": "inside",
+        "AP mean": "outside",
+    }
+    alone = check_source(ROOT / "data/poses/ur5-random", tolerances=lambda machine: limits)["sheet"]
+    assert alone["verdict"] == "cannot say"
+    assert "not known" in alone["basis"]
+
+
+def test_a_drift_test_in_the_lake_is_in_the_budget_of_a_circle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    folder = tmp_path / "night"
+    folder.mkdir()
+    made = log(3.0, 30.0, noise_um=0.1)
+    rows = zip(*(made.samples[name].tolist() for name in made.samples), strict=True)
+    lines = [",".join(map(repr, row)) for row in rows]
+    (folder / "night.csv").write_text("\n".join(["t_s,displacement_um,sample,temperature_room_c", *lines]))
+    (folder / "campaign.toml").write_text(
+        '[campaign]\nname = "night"\nmachine = "virtual-mill"\nkind = "drift"\nstarted = 2026-01-02T03:00:00Z\n'
+        '[[run]]\nid = "night"\nfile = "night.csv"\ncondition = { test = "environment" }\n'
+    )
+    home = Home(tmp_path / "home")
+    ingest(folder, Lake(home.lake))
+    found = variation_of(home, "virtual-mill")
+    assert found is not None
+    assert found.range_um == pytest.approx(30.0, rel=0.05)
+    assert variation_of(home, "another") is None
+    said = CliRunner().invoke(app, ["check", str(ROOT / "data/examples/hidden-effect")]).stdout
+    assert "drift test night; what goes beyond the repeatability" in said
