@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from dtwin.config import Home
@@ -67,7 +67,7 @@ def run_fleet(
     Raises
     ------
     StoreError
-        When another process does the same job in this home, or workers die again and again.
+        When another process does the same job in this home, or the scheduler died.
     """
     require_engine(on, workers)
     with locked(home.root / "locks" / f"fleet-{job.name}.lock") as mine:
@@ -81,25 +81,29 @@ def run_fleet(
             )
         units, passed = job.units(home, machines)
         run = FleetRun(job.name, on, passed=passed)
-        todo = list(units)
-        for attempt in range(1, _TRIES + 1):
-            if not todo:
-                break
+        alone, tries = False, 0
+        while todo := [unit for unit in units if unit.name not in run.done and unit.name not in run.failed]:
+            tries += 1
             try:
                 with engine(on, workers) as at:
-                    for unit, future in _answers(at, home, job, todo, seed):
+                    for unit, future in _answers(replace(at, slots=1) if alone else at, home, job, todo, seed):
                         _take(run, home, job, unit, future)
                         if progress is not None:
                             progress(len(run.done) + len(run.failed), len(units), unit.name)
-            except (BrokenExecutor, CancelledError, StoreError) as error:
-                # A worker or the scheduler died: what is not kept is done again by a new engine.
-                if isinstance(error, StoreError) and attempt == 1:
+            except BrokenExecutor:
+                # A process died: one unit at a time shows with which.
+                if alone:
+                    culprit = next(unit for unit in todo if unit.name not in run.done and unit.name not in run.failed)
+                    run.failed[culprit.name] = _killed(culprit).as_dict()
+                alone = True
+            except (CancelledError, StoreError) as error:
+                # The scheduler died. What is not kept is asked for again, when there is one again.
+                if isinstance(error, StoreError) and tries == 1:
                     raise
-                if isinstance(error, StoreError) or attempt == _TRIES:
+                if isinstance(error, StoreError) or tries == _TRIES:
                     raise _died(run, units, on) from error
             except KeyboardInterrupt as error:
                 raise _stopped(run, units) from error
-            todo = [unit for unit in units if unit.name not in run.done and unit.name not in run.failed]
         return run
 
 
@@ -130,13 +134,22 @@ def _take(run: FleetRun, home: Home, job: Job, unit: Unit, future: Future[Any]) 
         run.failed[unit.name] = {"code": "fleet.failed", "message": said, "where": unit.name}
 
 
+def _killed(unit: Unit) -> StoreError:
+    return StoreError(
+        "the process that worked on it died",
+        code="fleet.killed",
+        where=unit.name,
+        hint="look at its memory; dtwin fleet --workers 1 shows what happens",
+    )
+
+
 def _died(run: FleetRun, units: list[Unit], on: str) -> StoreError:
     return StoreError(
-        "workers or their scheduler died",
+        "the scheduler died",
         code="fleet.died",
         where=on,
         got=f"{len(run.done)} of {len(units)} are done and kept",
-        hint="look at their memory and log, then give the same command again",
+        hint="give the same command again when it is back, or --on local",
     )
 
 
