@@ -83,9 +83,8 @@ def _campaigns(home: Home, machines: Collection[str]) -> _Units:
 
 def _by_campaign(home: Home, machines: Collection[str]) -> dict[str, list[Mapping[str, Any]]]:
     out: dict[str, list[Mapping[str, Any]]] = {}
-    for row in Lake(home.lake).runs(left_out=True):
-        if not machines or row["machine"] in machines:
-            out.setdefault(str(row["campaign"]), []).append(row)
+    for row in Lake(home.lake).runs(left_out=True, machine=machines or None):
+        out.setdefault(str(row["campaign"]), []).append(row)
     return out
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dtwin.lake.delta import DeltaFiles, Written
 from dtwin.lake.parquet import encoded, table_of
-from dtwin.schema import Encoded
+from dtwin.schema import Encoded, Run
 
 # So many bytes of columns go into one file, at most.
 _FILE_BYTES = 8 * 2**20
@@ -61,6 +61,17 @@ class Batch:
         written = self.table.write_encoded(stem, data, sum(rows.num_rows for rows in tables))
         self._written.append(written)
         return [f"{written.name}#{k}" for k in range(len(file))] if more else [written.name]
+
+
+def samples_part(run: Run, row: Mapping[str, Any]) -> Part:
+    """Return the samples of a run; ``row``: of the table of runs."""
+    return Part(f"{row['campaign']}/{run.meta.run_id}", run.samples)
+
+
+def signal_parts(run: Run, row: Mapping[str, Any]) -> list[Part]:
+    """Return each group of signals of a run; ``row`` as above."""
+    stem = f"{row['campaign']}/{run.meta.run_id}"
+    return [Part(f"{stem}-{group.name}", group.columns, group.encoded) for group in run.signals]
 
 
 def _is_as_read(part: Part) -> bool:

@@ -18,13 +18,12 @@ from deltalake.transaction import AddAction, CommitProperties, PostCommitHookPro
 from dtwin.atomic import make_folder, sync
 from dtwin.errors import StoreError
 from dtwin.lake._delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
+from dtwin.lake._log import Log
 from dtwin.lake.parquet import encoded, read_encoded, write_bytes
 
 _COMMIT_TRIES = 20
 # Log entries stay: repair reads in them which files were ever committed.
 _KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
-# Who opens a table reads the entries since the last summary of the log, which is written every so many.
-_CHECKPOINT = 10
 # Hexadecimal digits of its own hash that the name of a data file ends with.
 _DIGITS = 24
 _NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
@@ -66,15 +65,15 @@ class DeltaFiles:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.log = Log(folder / "_delta_log")
 
     def exists(self) -> bool:
         """Tell whether the table was ever written."""
-        return (self.folder / "_delta_log").is_dir()
+        return self.log.folder.is_dir()
 
     def version(self) -> int:
         """Return the current table version; -1 when the table does not exist."""
-        entries = self._entries()
-        return int(entries[-1].stem) if entries else -1
+        return self.log.newest()
 
     def files(self, version: int | None = None) -> list[str]:
         """Return the relative paths of the live data files.
@@ -93,7 +92,7 @@ class DeltaFiles:
         if not self.exists():
             return False
         try:
-            return not any(LIVE in path.read_text(encoding="utf-8") for path in self._entries())
+            return not any(LIVE in path.read_text(encoding="utf-8") for path in self.log.entries())
         except (OSError, ValueError):
             return False
 
@@ -202,10 +201,7 @@ class DeltaFiles:
 
     def _synced(self) -> int:
         version = self.version()
-        sync(self._entry(version))
-        if version % _CHECKPOINT == _CHECKPOINT - 1:
-            self._open().create_checkpoint()
-        sync(self.folder / "_delta_log")
+        self.log.committed(version, lambda: self._open().create_checkpoint())
         return version
 
     def remove(self, names: Sequence[str]) -> int:
@@ -257,7 +253,7 @@ class DeltaFiles:
         if not self.folder.is_dir():
             return 0
         try:
-            kept = {path for entry in self._entries() for path in added(entry)}
+            kept = {path for entry in self.log.entries() for path in added(entry)}
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise self._damaged(str(error)) from error
         stray = [
@@ -269,24 +265,6 @@ class DeltaFiles:
         for path in stray:
             path.unlink(missing_ok=True)
         return len(stray)
-
-    def set_aside_cut_entry(self) -> str | None:
-        """Rename the newest log entry when it is empty, as a power cut leaves it; return its name.
-
-        What it would have added is invisible already; its sources can be ingested again.
-        """
-        entries = self._entries()
-        if not entries or entries[-1].stat().st_size:
-            return None
-        entries[-1].rename(entries[-1].with_suffix(".cut"))
-        sync(self.folder / "_delta_log")
-        return entries[-1].name
-
-    def _entry(self, version: int) -> Path:
-        return self.folder / "_delta_log" / f"{version:020d}.json"
-
-    def _entries(self) -> list[Path]:
-        return sorted((self.folder / "_delta_log").glob("*.json"))
 
     def _path(self, name: str) -> tuple[Path, str]:
         """Return the place of a data file, which must lie inside the table, and its hash."""
@@ -307,7 +285,7 @@ class DeltaFiles:
             # Not by pyarrow, which would import pandas to see what it is given.
             live = set(table.get_add_actions()["path"].to_pylist())
             # Not table.history: of an older version it returns the newest entries.
-            entry = self._entry(table.version()).read_text(encoding="utf-8")
+            entry = self.log.entry(table.version()).read_text(encoding="utf-8")
             actions = [json.loads(line) for line in entry.splitlines()]
             hashes = [action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action]
         except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
@@ -333,7 +311,7 @@ class DeltaFiles:
         return StoreError(
             "the log of a table is damaged",
             code="store.open",
-            where=str(self.folder / "_delta_log"),
+            where=str(self.log.folder),
             got=got[:200],
             hint="restore _delta_log from a backup; after a power cut: dtwin repair, then ingest "
             "the newest measurements again",

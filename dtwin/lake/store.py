@@ -15,7 +15,7 @@ from dtwin.atomic import make_folder
 from dtwin.errors import InputError, StoreError
 from dtwin.lake._admission import accepted, fresh
 from dtwin.lake._delta_columns import content_hash
-from dtwin.lake._file_batch import Batch, Part
+from dtwin.lake._file_batch import Batch, samples_part, signal_parts
 from dtwin.lake.delta import DeltaFiles, file_of, part_of, stem_of
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed
@@ -140,11 +140,11 @@ class Lake:
 
     def runs(
         self,
-        campaign: str | None = None,
+        campaign: str | Collection[str] | None = None,
         left_out: bool = False,
         at: Mapping[str, int] | None = None,
         *,
-        machine: str | None = None,
+        machine: str | Collection[str] | None = None,
     ) -> list[dict[str, Any]]:
         """Return the runs as they are stated now, in the order they were planned or read.
 
@@ -153,8 +153,8 @@ class Lake:
 
         Parameters
         ----------
-        campaign, machine : str, optional
-            Only this campaign; only this machine.
+        campaign, machine : str or collection of str, optional
+            Only this campaign, or these; only this machine, or these.
         left_out : bool
             Whether runs that a user left out are returned too.
         at : mapping of str to int, optional
@@ -165,15 +165,16 @@ class Lake:
         StoreError
             When the log, a file or a row is not what was written.
         """
+        wanted, machines = _names(campaign), _names(machine)
 
         def rows_of(name: str, schema: pa.Schema, anew: Collection[str] | None = None) -> list[dict[str, Any]]:
             table = self.tables[name]
             files = table.files(None if at is None else at.get(name, -1))
-            if campaign is not None:
-                files = [f for f in files if _campaign_of(f) == campaign]
-            if machine is not None and anew is not None:
+            if wanted is not None:
+                files = [f for f in files if _campaign_of(f) in wanted]
+            if machines is not None and anew is not None:
                 # What was stated anew of a campaign may be its machine.
-                files = [f for f in files if _machine_of(f) in (machine, None) or _campaign_of(f) in anew]
+                files = [f for f in files if _machine_of(f) in {*machines, None} or _campaign_of(f) in anew]
             return unsealed(table.read(files), schema, str(self.root / name))
 
         told = rows_of("amendments", AMENDMENT_SCHEMA)
@@ -181,8 +182,8 @@ class Lake:
         chosen = [
             row
             for row in rows
-            if campaign in (None, row["campaign"])
-            and machine in (None, row["machine"])
+            if (wanted is None or row["campaign"] in wanted)
+            and (machines is None or row["machine"] in machines)
             and (left_out or row["left_out"] is None)
         ]
         return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
@@ -217,6 +218,13 @@ class Lake:
     def campaigns(self) -> list[str]:
         """Return the names of all campaigns that have visible runs."""
         return sorted({_campaign_of(file) for file in self.tables["runs"].files()})
+
+    def files_by_campaign(self) -> dict[str, list[str]]:
+        """Return the files that say what the runs of each campaign are: others say the same only of the same rows."""
+        found: dict[str, list[str]] = {}
+        for file in (f for name in ("runs", "amendments") for f in self.tables[name].files()):
+            found.setdefault(_campaign_of(file), []).append(file)
+        return found
 
     def campaign(self, name: str) -> Campaign:
         """Return what is known of a campaign.
@@ -275,8 +283,10 @@ class Lake:
             cut = [
                 f"{name}/_delta_log/{entry}"
                 for name, table in self.tables.items()
-                if (entry := table.set_aside_cut_entry()) is not None
+                if (entry := table.log.set_aside_cut_entry()) is not None
             ]
+            for table in self.tables.values():
+                table.log.drop_summaries()
             rows = self.runs(left_out=True)
             wanted = {
                 "samples": {file_of(row["samples_file"]) for row in rows},
@@ -294,8 +304,8 @@ class Lake:
         """Write those files of runs again that are missing or damaged: their source has the content."""
         samples, signals = [], []
         for run, row in runs:
-            samples.append((row["samples_file"], _samples(run, row)))
-            by_group = dict(zip((g.name for g in run.signals), _signals(run, row), strict=True))
+            samples.append((row["samples_file"], samples_part(run, row)))
+            by_group = dict(zip((g.name for g in run.signals), signal_parts(run, row), strict=True))
             kept = {g["group"]: g["file"] for g in json.loads(row["signals_json"])}
             signals += [(kept[name], part) for name, part in by_group.items() if name in kept]
         for table, named in ((self.tables["samples"], samples), (self.tables["signals"], signals)):
@@ -311,8 +321,8 @@ class Lake:
     def _write_data(self, runs: Sequence[Run], rows: Mapping[str, dict[str, Any]]) -> tuple[Batch, Batch]:
         """Write the files of runs and enter their names into the rows."""
         stated = [(run, rows[run.meta.run_id]) for run in runs]
-        samples = Batch(self.tables["samples"], [_samples(run, row) for run, row in stated])
-        signals = Batch(self.tables["signals"], [part for run, row in stated for part in _signals(run, row)])
+        samples = Batch(self.tables["samples"], [samples_part(run, row) for run, row in stated])
+        signals = Batch(self.tables["signals"], [part for run, row in stated for part in signal_parts(run, row)])
         files, kept = samples.write(), iter(signals.write())
         for (run, row), file in zip(stated, files, strict=True):
             row["samples_file"] = file
@@ -380,13 +390,8 @@ class Lake:
             yield
 
 
-def _samples(run: Run, row: Mapping[str, Any]) -> Part:
-    return Part(f"{row['campaign']}/{run.meta.run_id}", run.samples)
-
-
-def _signals(run: Run, row: Mapping[str, Any]) -> list[Part]:
-    stem = f"{row['campaign']}/{run.meta.run_id}"
-    return [Part(f"{stem}-{group.name}", group.columns, group.encoded) for group in run.signals]
+def _names(told: str | Collection[str] | None) -> set[str] | None:
+    return {told} if isinstance(told, str) else None if told is None else set(told)
 
 
 def _campaign_of(file: str) -> str:

@@ -120,9 +120,8 @@ def news(home: Home, registry: Registry, machines: Collection[str] = ()) -> list
     """
     lake = Lake(home.lake)
     by_campaign: dict[str, list[dict[str, Any]]] = {}
-    for row in lake.runs():
-        if not machines or row["machine"] in machines:
-            by_campaign.setdefault(row["campaign"], []).append(row)
+    for row in lake.runs(machine=machines or None):
+        by_campaign.setdefault(row["campaign"], []).append(row)
     order = sorted(by_campaign, key=lambda n: max(r["ingested"] for r in by_campaign[n]))
     known = {
         machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in by_campaign.values()}

@@ -17,6 +17,7 @@ import pytest
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import InputError, StoreError
+from dtwin.lake.delta import DeltaFiles
 from dtwin.lake.parquet import read_parquet, table_of, write_parquet
 from dtwin.lake.store import Lake, RejectedRows
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
@@ -354,6 +355,8 @@ def test_runs_of_one_campaign_or_machine_do_not_read_those_of_others(tmp_path: P
     )
     assert lake.campaigns() == ["a", "b", "c", "d"]
     assert {row["campaign"] for row in lake.runs(machine="m2")} == {"b", "c", "d"}
+    assert {row["campaign"] for row in lake.runs(machine=("m1", "m3", "m4"))} == {"a"}
+    assert {row["campaign"] for row in lake.runs(("a", "b", "e"), machine=["m1", "m2"])} == {"a", "b"}
     assert lake.runs(machine="m3") == []
     (others,) = (file for file in lake.tables["runs"].files() if file.startswith("a/"))
     (lake.root / "runs" / others).unlink()
@@ -369,6 +372,38 @@ def test_the_log_is_summed_up_and_goes_on(tmp_path: Path) -> None:
         lake.commit(replace(CAMPAIGN, name=f"c{number}"), [make_run("r1", number)])
     assert list((lake.root / "runs" / "_delta_log").glob("*.checkpoint.parquet"))
     assert len(lake.campaigns()) == 12
+
+
+def test_few_summaries_of_the_log_stay_and_every_version_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dtwin.lake._log._KEPT_EVERY", 40)
+    table = DeltaFiles(tmp_path / "table")
+    log = table.folder / "_delta_log"
+    names = []
+    for number in range(105):
+        rows = pa.table({"a": [f"row {number}"]})
+        names.append(table.write(f"f{number:03d}", rows))
+        table.commit(names[-1:], rows.schema)
+        for entry in log.iterdir():
+            # Older than any rule by which readers and writers of Delta expire a log.
+            os.utime(entry, (0, 0))
+    assert sorted(int(p.name[:20]) for p in log.glob("*.checkpoint.parquet")) == [39, 79, 89, 99]
+    assert len(list(log.glob("*.json"))) == 106
+    for version in range(106):
+        assert table.files(version) == [name.name for name in names[:version]]
+    assert table.version() == 105
+    for lie in (
+        b"",
+        b"{}",
+        b'{"version": "x"}',
+        b'{"version": 9999}',
+        b'{"version": 1e999}',
+        b"[1]",
+        b'{"version": -1}',
+    ):
+        (log / "_last_checkpoint").write_bytes(lie)
+        assert table.version() == 105
 
 
 def test_a_damaged_or_missing_file_is_written_again_from_its_source(tmp_path: Path) -> None:
