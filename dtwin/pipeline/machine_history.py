@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,6 +17,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
+from dtwin.pipeline.catalogue import Overview, catalogue
 from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
 from dtwin.progress import Progress
@@ -27,17 +28,20 @@ from dtwin.twins.of_kind import every_shelf
 from dtwin.twins.verbs import Twins
 
 
-def machine_overviews(home: Home, rows: Sequence[Mapping[str, Any]] | None = None) -> list[dict[str, Any]]:
+def machine_overviews(home: Home, campaigns: Sequence[Overview] | None = None) -> list[dict[str, Any]]:
     """Return every machine that has a record or a campaign, JSON-ready, by name.
 
-    ``rows``: of all runs, where they were read before.
+    ``campaigns``: the catalogue, where it was read before.
     """
-    of_machine: dict[str, list[Mapping[str, Any]]] = {name: [] for name in recorded(home)}
-    for row in Lake(home.lake).runs() if rows is None else rows:
-        if row["left_out"] is None:
-            of_machine.setdefault(row["machine"], []).append(row)
+    of_machine: dict[str, list[Overview]] = {name: [] for name in recorded(home)}
+    for one in catalogue(home) if campaigns is None else campaigns:
+        if one.used:
+            of_machine.setdefault(one.machine, []).append(one)
     twins = _twins(home)
-    return [_overview(home, name, mine, twins.get(name, [])) for name, mine in sorted(of_machine.items())]
+    return [
+        _overview(home, name, {c.name for c in mine}, max((c.last for c in mine), default=""), twins.get(name, []))
+        for name, mine in sorted(of_machine.items())
+    ]
 
 
 def machine_history(
@@ -85,7 +89,8 @@ def machine_history(
         if progress is not None:
             progress(done, len(ordered), name)
     judged = judged_series([one for one in series.values() if len(one.points) > 1], record)
-    overview = _overview(home, machine, rows, names)
+    last = max((row["started"] or "" for row in rows), default="")
+    overview = _overview(home, machine, of_campaign, last, names)
     return {
         **overview,
         "facts": dict(record.facts),
@@ -200,13 +205,15 @@ def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
     return rows
 
 
-def _overview(home: Home, machine: str, rows: Sequence[Mapping[str, Any]], twins: Sequence[str]) -> dict[str, Any]:
+def _overview(
+    home: Home, machine: str, campaigns: Iterable[str], last_test: str, twins: Sequence[str]
+) -> dict[str, Any]:
     record = read_record(home, machine)
     return {
         "machine": machine,
         "type": "" if record is None else record.facts.get("type", ""),
-        "campaigns": sorted({row["campaign"] for row in rows}),
-        "last_test": max((row["started"] or "" for row in rows), default="")[:10],
+        "campaigns": sorted(campaigns),
+        "last_test": last_test[:10],
         "twins": list(twins),
     }
 

@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.locks import locked
+from dtwin.pipeline.catalogue import catalogue
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
 _SETTLE_S = 10.0
@@ -152,8 +153,7 @@ class FolderWatch:
         return before["outcome"] == "unknown machine" and before["machine"] in self._machines()
 
     def _machines(self) -> frozenset[str]:
-        rows = Lake(self._home.lake).runs()
-        return self._named | {row["machine"] for row in rows}
+        return self._named | {one.machine for one in catalogue(self._home) if one.used}
 
 
 def watch(

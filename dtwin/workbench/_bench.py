@@ -15,6 +15,7 @@ from dtwin.kinds.volumetric import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
+from dtwin.pipeline.catalogue import Overview, catalogue
 from dtwin.pipeline.kept import stamp_of
 from dtwin.twins.of_kind import every_shelf, twins_with
 from dtwin.twins.verbs import Twins
@@ -89,9 +90,27 @@ class Bench:
         stamp = tuple((str(f), f.stat().st_mtime_ns) for f in files)
         return self.cache.get(("library", stamp), lambda: _usable(files))
 
-    def run_rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return the rows of all runs, left out ones too, read once for each version."""
-        return self.cache.get(("rows", *self.lake_version), lambda: self.lake.runs(left_out=True))
+    def campaigns(self) -> Sequence[Overview]:
+        """Return all campaigns, the newest ingest first."""
+        return self.cache.get(("catalogue", *self.lake_version), lambda: catalogue(self.home))
+
+    def campaigns_of(self, machine: str) -> list[str]:
+        """Return the names of the campaigns of a machine, sorted."""
+        return sorted(one.name for one in self.campaigns() if one.machine == machine)
+
+    def run_rows(self, campaign: str) -> Sequence[Mapping[str, Any]]:
+        """Return the rows of the runs of a campaign, left out ones too, read once for each version.
+
+        Raises ``InputError`` when there is no such campaign.
+        """
+
+        def read() -> Sequence[Mapping[str, Any]]:
+            rows = self.lake.runs(campaign, left_out=True)
+            if not rows:
+                self.lake.campaign(campaign)
+            return rows
+
+        return self.cache.get(("rows", campaign, *self.lake_version), read)
 
     @property
     def lake_version(self) -> tuple[int, int]:
@@ -101,15 +120,8 @@ class Bench:
 
     def stamp(self, campaign: str) -> str:
         """Return a hash of the runs of a campaign: other campaigns do not change it."""
-        rows = self.run_rows()
-
-        def hashed() -> str:
-            mine = [row for row in rows if row["campaign"] == campaign]
-            if not mine:
-                self.lake.campaign(campaign)
-            return stamp_of(mine)
-
-        return self.cache.get(("stamp", campaign, *self.lake_version), hashed)
+        rows = self.run_rows(campaign)
+        return self.cache.get(("stamp", campaign, *self.lake_version), lambda: stamp_of(rows))
 
 
 def bench_of(request: Request) -> Bench:

@@ -15,11 +15,12 @@ from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.kinds.volumetric import FAMILIES
+from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.pipeline.measuring import ingest
-from dtwin.workbench import _campaigns as campaigns
 from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
@@ -67,9 +68,7 @@ class _Reason(BaseModel):
 def campaign_list(request: Request) -> Response:
     """Show all campaigns."""
     bench = bench_of(request)
-    rows = bench.run_rows()
-    version = bench.lake_version
-    found = bench.cache.get(("overviews", version), lambda: campaigns.overviews(rows))
+    found = bench.campaigns()
     return rendered(request, "campaigns.html", title="Campaigns", campaigns=found, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
@@ -77,23 +76,23 @@ def campaign_list(request: Request) -> Response:
 def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     """Show a campaign: its test sheet, its runs, and what can be done with it."""
     bench = bench_of(request)
-    rows = _rows(bench, name)
+    rows = bench.run_rows(name)
     version = bench.lake_version
-    overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
+    line = bench.cache.get(("overview", name, version), lambda: overview(name, rows))
     findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows))
     rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
     fitted = [
         twin for twin, found in rungs.items() if found and name in found[-1].get("campaigns", [found[-1]["campaign"]])
     ]
-    kind = kind_named(overview.kind)
+    kind = kind_named(line.kind)
     paths = kind.offers("rows")
-    sheet = campaign_sheet_of(bench, name, overview.machine) if kind.offers("sheet") else None
+    sheet = campaign_sheet_of(bench, name, line.machine) if kind.offers("sheet") else None
     shown = sheet["parts"][part] if sheet and 0 <= part < len(sheet["parts"]) else None
     return rendered(
         request,
         "campaign.html",
         title=f"Campaign {name}",
-        campaign=overview,
+        campaign=line,
         runs=rows,
         findings=findings,
         kind=kind,
@@ -102,9 +101,9 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         part=part,
         shown=shown,
         paths=paths,
-        effects=campaigns.possible_effects(rows, bench.library) if paths else FAMILIES.values(),
+        effects=possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],
-        suggested=_free_name(list(rungs), overview.machine),
+        suggested=_free_name(list(rungs), line.machine),
         fitted=fitted,
     )
 
@@ -113,7 +112,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
 def sheet_figure(request: Request, name: str, part: int) -> Response:
     """Return the picture of one condition of the test sheet."""
     bench = bench_of(request)
-    rows = _rows(bench, name)
+    rows = bench.run_rows(name)
     kind = kind_named(rows[0]["kind"])
     parts = campaign_sheet_of(bench, name, rows[0]["machine"])["parts"]
     if not 0 <= part < len(parts):
@@ -249,15 +248,8 @@ def _ingested(bench: Bench, folder: Path, told: Mapping[str, Any], tell: Tell) -
     return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
 
 
-def _rows(bench: Bench, name: str) -> list[Any]:
-    rows = [row for row in bench.run_rows() if row["campaign"] == name]
-    if not rows:
-        bench.lake.campaign(name)
-    return rows
-
-
 def _row(bench: Bench, name: str, run_id: str) -> Any:
-    for row in _rows(bench, name):
+    for row in bench.run_rows(name):
         if row["run_id"] == run_id:
             return row
     raise InputError("no such run in the campaign", code="page.unknown", where=name, got=run_id[:100])

@@ -25,7 +25,7 @@ def heat_page(request: Request, name: str, on: str = "") -> Response:
     bench = bench_of(request)
     twins = HeatTwins(bench.home)
     twin = twins.newest(name)
-    campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == twin.machine})
+    campaigns = bench.campaigns_of(twin.machine)
     return rendered(
         request,
         "heat.html",

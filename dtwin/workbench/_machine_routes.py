@@ -52,7 +52,7 @@ class ScheduleTold(BaseModel):
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
     bench = bench_of(request)
-    overviews = machine_overviews(bench.home, bench.run_rows())
+    overviews = machine_overviews(bench.home, bench.campaigns())
     return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 

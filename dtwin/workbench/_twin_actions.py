@@ -148,7 +148,7 @@ def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
 def find_together(request: Request, machine: str, wanted: _NameRequest) -> JSONResponse:
     """The same of the newest tests of a machine, all in one twin."""
     bench = bench_of(request)
-    campaigns = list(newest_tests(bench.run_rows(), machine))
+    campaigns = list(newest_tests(bench.lake.runs(left_out=True, machine=machine), machine))
     if not campaigns:
         raise InputError("no test of the machine can have a twin of paths", code="machine.tests", where=machine)
     return _find(bench, campaigns, wanted.name)

@@ -52,7 +52,7 @@ def twin_list(request: Request) -> Response:
         "twins.html",
         title="Twins",
         twins=[(n, rungs) for n, rungs in found if rungs],
-        any_campaign=bool(bench.run_rows()),
+        any_campaign=bool(bench.campaigns()),
         left=waiting_text(waiting(bench.home)),
     )
 
@@ -66,7 +66,7 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     view = reading.view(bench, name, on=on)
     whole = bench.twins.newest(name)
     machine = view.twin.machine
-    campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
+    campaigns = bench.campaigns_of(machine)
     worst = reading.chosen_conditions(view, ())
     return rendered(
         request,
@@ -128,7 +128,7 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
     newest = twins.newest(name)
     right = newest if second is None else twins.newest(name, second)
     left = twins.newest(name, max(1, right.version - 1) if first is None else first)
-    rows = [[row for row in bench.run_rows() if row["campaign"] == campaign] for campaign in newest.campaigns]
+    rows = [bench.lake.runs(campaign, left_out=True) for campaign in newest.campaigns]
     possible = {e.name: e for mine in rows if mine for e in possible_effects(mine, bench.library)}
     return rendered(
         request,
