@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from dtwin.acquire._b5r_limits import tolerances
 from dtwin.acquire._readings import parse_readings
-from dtwin.acquire.xmlsafe import parse_vendor_xml, read_bounded
+from dtwin.acquire.xmlsafe import child_text, number_or_none, parse_vendor_xml, read_bounded
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.schema import Direction, Floats, Run, RunMeta, standard_plane
@@ -25,6 +26,7 @@ _VENDOR_FIGURES = {
     "AF_CIRCULARITY": ("circularity_um", 1000.0),
     "AF_CALCULATED_FEEDRATE": ("feed_mm_min", 1.0),
 }
+_HOTTEST = 1000.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,8 @@ class BallbarTest:
     runs : tuple of Run
         One per direction; ids are ``ccw`` and ``cw`` (with a counter when there are several).
     instrument : dict
-        model, serial, nominal_mm, calibrated_mm, sample_rate_hz.
+        model, serial, certificate, calibrated_on, operator, nominal_mm, calibrated_mm, sample_rate_hz;
+        expansion_um_per_m_k of the machine and calibrator_temperature_c; ``tolerances`` by the symbol of a test sheet, in µm.
     diagnostics : dict of str to float
         The vendor's own diagnosis of the test, feature names as in the file.
     """
@@ -48,7 +51,7 @@ class BallbarTest:
     operator: str
     started: str
     runs: tuple[Run, ...]
-    instrument: dict[str, str | float] = field(default_factory=dict)
+    instrument: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, float] = field(default_factory=dict)
 
 
@@ -86,14 +89,14 @@ def read_b5r(path: Path) -> BallbarTest:
             where=str(path),
             hint="save the test after it was measured",
         )
-    started = _started(_text(root, "DATE_STARTED"))
+    started = _started(child_text(root, "DATE_STARTED"))
     runs = [_read_run(element, bar, started, path) for element in elements]
     machine = root.find("MACHINE_TESTED")
     spec = root.find("TEST_SPEC")
     return BallbarTest(
         name=spec.get("NAME", "") if spec is not None else "",
         machine=machine.get("NAME", "") if machine is not None else "",
-        operator=_text(root, "OPERATOR"),
+        operator=child_text(root, "OPERATOR"),
         started=started,
         runs=_named_by_direction(runs),
         instrument=_instrument(root, bar, str(path)),
@@ -102,7 +105,7 @@ def read_b5r(path: Path) -> BallbarTest:
 
 
 def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
-    stated = _text(element, "RUN_DIRECTION").upper()
+    stated = child_text(element, "RUN_DIRECTION").upper()
     where = f"{path} BALLBAR_RUN {stated or '?'}"
     if stated not in ("CCW", "CW"):
         raise InputError(
@@ -112,7 +115,7 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
             got=stated[:40] or "nothing",
             allowed="CCW or CW",
         )
-    readings_mm = parse_readings(_text(element, "READINGS"), where)
+    readings_mm = parse_readings(child_text(element, "READINGS"), where)
     if not 3 <= readings_mm.size <= MAX_READINGS:
         raise InputError(
             "unusable number of readings",
@@ -272,31 +275,40 @@ def _named_by_direction(runs: list[Run]) -> tuple[Run, ...]:
     return tuple(named)
 
 
-def _instrument(root: Element, bar: Element, where: str) -> dict[str, str | float]:
+def _instrument(root: Element, bar: Element, where: str) -> dict[str, Any]:
     ballbar = root.find("EQUIPMENT/BALLBAR")
     calibrator = root.find("EQUIPMENT/CALIBRATOR")
-    found: dict[str, str | float] = {}
+    found: dict[str, Any] = {}
     if ballbar is not None:
-        found["model"] = _text(ballbar, "MODEL")
-        found["serial"] = _text(ballbar, "SERIAL_NUMBER")
-        found["certificate"] = _text(ballbar, "CERTIFICATE_NUMBER")
-        found["calibrated_on"] = _day(_text(ballbar, "LAST_CALIBRATED"))
-    found["operator"] = _text(root, "OPERATOR")
+        found["model"] = child_text(ballbar, "MODEL")
+        found["serial"] = child_text(ballbar, "SERIAL_NUMBER")
+        found["certificate"] = child_text(ballbar, "CERTIFICATE_NUMBER")
+        found["calibrated_on"] = _day(child_text(ballbar, "LAST_CALIBRATED"))
+    found["operator"] = child_text(root, "OPERATOR")
     found = {name: value for name, value in found.items() if value}
     for key, element, tag in (
         ("nominal_mm", bar, "NOMINAL_LENGTH"),
         ("calibrated_mm", calibrator, "CALIBRATED_LENGTH"),
         ("sample_rate_hz", bar, "SAMPLE_RATE"),
     ):
-        if element is not None and _text(element, tag):
+        if element is not None and child_text(element, tag):
             found[key] = _number(element, tag, where, low=0.1, high=1e6)
-    return found
+    # What a test can do without is left away when it is no number.
+    for key, parent, tag in (
+        ("expansion_um_per_m_k", bar, "TEMP_MATERIAL_COEFFICIENT"),
+        ("calibrator_temperature_c", calibrator, "TEMPERATURE"),
+    ):
+        stated = None if parent is None else number_or_none(child_text(parent, tag))
+        if stated is not None and 0.0 <= stated < _HOTTEST:
+            found[key] = stated
+    limits = tolerances(bar)
+    return {**found, "tolerances": limits} if limits else found
 
 
 def _features(parent: Element | None) -> dict[str, float]:
     if parent is None:
         return {}
-    pairs = ((f.get("NAME", ""), _maybe_float(f.text or "")) for f in parent.findall("FEATURE"))
+    pairs = ((f.get("NAME", ""), number_or_none(f.text or "")) for f in parent.findall("FEATURE"))
     return {name: value for name, value in pairs if name and value is not None}
 
 
@@ -306,12 +318,8 @@ def _vendor_figures(element: Element) -> dict[str, float]:
 
 
 def _temperature(element: Element) -> dict[str, float]:
-    value = _maybe_float(_text(element, "RUN_TEMPERATURE"))
+    value = number_or_none(child_text(element, "RUN_TEMPERATURE"))
     return {} if value is None else {"temperature_c": value}
-
-
-def _text(element: Element, tag: str) -> str:
-    return (element.findtext(tag) or "").strip()
 
 
 def _day(text: str) -> str:
@@ -319,22 +327,14 @@ def _day(text: str) -> str:
     return f"{text[:4]}-{text[4:6]}-{text[6:]}" if len(text) == 8 and text.isdigit() else text
 
 
-def _maybe_float(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
 def _number(element: Element, tag: str, where: str, *, low: float, high: float) -> float:
-    value = _maybe_float(_text(element, tag))
+    value = number_or_none(child_text(element, tag))
     if value is None or not low <= value <= high:
         raise InputError(
             f"{tag} is missing or impossible",
             code="b5r.field",
             where=where,
-            got=_text(element, tag)[:40] or "nothing",
+            got=child_text(element, tag)[:40] or "nothing",
             allowed=f"{low:g} to {high:g}",
         )
     return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -127,3 +128,17 @@ def _refuse_absurd_structure(data: bytes, where: str) -> None:
                 got=f"{count} tags, {deepest} levels, a tag of {tag.end() - tag.start()} characters",
                 allowed=f"{_MAX_ELEMENTS} tags, {_MAX_DEPTH} levels, {_MAX_TAG_CHARS} characters a tag",
             )
+
+
+def child_text(element: Element, tag: str) -> str:
+    """Return the text of a child, empty when there is none."""
+    return (element.findtext(tag) or "").strip()
+
+
+def number_or_none(text: str) -> float | None:
+    """Return a finite number, None when the text is none."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

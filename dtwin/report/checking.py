@@ -21,7 +21,7 @@ from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import table
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Floats, Run
-from dtwin.tolerances import Limits
+from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
 """A file of both directions is told run by run; more runs as a table."""
@@ -46,11 +46,19 @@ def sheet_of(
     limits: Mapping[str, Limits],
     variation: Variation | None = None,
 ) -> dict[str, Any]:
-    """Return the test sheet of runs with their findings, JSON-ready; ``variation`` is that of the machine's place."""
+    """Return the test sheet of runs with their findings, JSON-ready.
+
+    ``limits``: of the machine; they go before those of the file.
+    ``variation``: that of the machine's place.
+    """
     written = [t for run in runs if (t := run.meta.covariates.get("temperature_c")) is not None]
     warm = sum(written) / len(written) if written else math.nan
     under = Circumstances(campaign.instrument, warm, variation, f"{campaign.name}: instrument")
-    return judged(kind.sheet(runs, under), limits).as_dict()
+    stated = campaign.instrument.get("tolerances", {})
+    # Something that is no table of limits is refused as a limit that is none.
+    table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
+    own = limits_from(table_of, f"{under.where}.tolerances")
+    return judged(kind.sheet(runs, under), {**own, **limits}).as_dict()
 
 
 def check_source(

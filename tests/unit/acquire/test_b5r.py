@@ -29,7 +29,42 @@ def test_real_file_is_read_as_it_states(real_recording: Path) -> None:
         }
     )
     assert test.instrument["calibrated_mm"] == 100.0015
+    assert test.instrument["calibrated_on"] == "2021-10-11"
+    assert test.instrument["expansion_um_per_m_k"] == 11.7
+    assert test.instrument["calibrator_temperature_c"] == 20.0
+    # The file limits the best radius to 99.95 to 100.05 mm.
+    assert test.instrument["tolerances"] == {"D": {"low": -50.0, "high": 50.0}}
     assert test.diagnostics["AF_BACKLASH_B_GLOBAL"] == -66.1
+
+
+def _with_limits(source: Path, path: Path, limits: str) -> Path:
+    """Write the file with other limits of the best radius."""
+    text = source.read_text(encoding="utf-8")
+    begin = text.index('<FEATURE_SPEC NAME="AF_BEST_RADIUS"')
+    path.write_text(text[:begin] + limits + text[text.index("</RUN_SPEC>", begin) :], encoding="utf-8")
+    return path
+
+
+def test_of_several_levels_the_widest_is_the_tolerance(real_recording: Path, tmp_path: Path) -> None:
+    levels = "".join(
+        f'<TOLERANCE LEVEL="{name}"><LOWER_LIMIT>0</LOWER_LIMIT><UPPER_LIMIT>{high}</UPPER_LIMIT></TOLERANCE>'
+        for name, high in (("WARNING", 0.02), ("FAIL", 0.03))
+    )
+    limits = f'<FEATURE_SPEC NAME="AF_CIRCULARITY" DT="UT_LENGTH_MM">{levels}</FEATURE_SPEC>'
+    found = read_b5r(_with_limits(real_recording, tmp_path / "a.b5r", limits)).instrument["tolerances"]
+    assert found == {"G(CCW)": {"high": 30.0}, "G(CW)": {"high": 30.0}}
+
+
+@pytest.mark.parametrize(
+    ("unit", "low", "high"),
+    [("UT_LENGTH_MM", "50.0", "nan"), ("UT_LENGTH_MM", "100.1", "99.9"), ("UT_ANGLE", "99.9", "100.1")],
+)
+def test_a_tolerance_that_is_none_is_left_away(
+    real_recording: Path, tmp_path: Path, unit: str, low: str, high: str
+) -> None:
+    level = f'<TOLERANCE LEVEL="WARNING"><LOWER_LIMIT>{low}</LOWER_LIMIT><UPPER_LIMIT>{high}</UPPER_LIMIT></TOLERANCE>'
+    limits = f'<FEATURE_SPEC NAME="AF_BEST_RADIUS" DT="{unit}">{level}</FEATURE_SPEC>'
+    assert "tolerances" not in read_b5r(_with_limits(real_recording, tmp_path / "a.b5r", limits)).instrument
 
 
 def test_angles_follow_the_indices_and_the_direction(real_recording: Path) -> None:

@@ -195,3 +195,19 @@ def test_what_nobody_stated_is_said() -> None:
     assert [c["source"] for c in of_symbol["H"]] == ["repeatability", "instrument"]
     assert of_symbol["D"][-1]["standard_um"] == pytest.approx(0.1 * 3.0 * 1.0)
     assert "Budget of G(b), XY R100 F2000" in "\n".join(sheet_lines(sheet))
+
+
+def test_the_tolerance_of_the_machine_goes_before_that_of_the_file(real_recording: Path) -> None:
+    def shown(limits: dict[str, Limits]) -> dict[str, str]:
+        sheet = check_source(real_recording, tolerances=lambda machine: limits)["sheet"]
+        return {c["symbol"]: c["shown"]["limit"] for c in sheet["parts"][0]["characteristics"]}
+
+    assert shown({})["D"] == "-50 to 50"
+    assert shown({"D": Limits(None, 9.0), "H": Limits(None, 3.0)}) == {**shown({}), "D": "≤ 9", "H": "≤ 3"}
+
+
+def test_a_tolerance_of_a_campaign_that_is_none_is_refused() -> None:
+    runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2) for way in ("CCW", "CW")]
+    for wrong in (3.0, {"H": "much"}):
+        with pytest.raises(InputError, match="tolerance"):
+            sheet_of(kind_named("circular"), Campaign("c", "m", instrument={"tolerances": wrong}), runs, {})
