@@ -19,6 +19,7 @@ from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.pipeline.measuring import ingest
+from dtwin.report.sheet import budget_rows
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._jobs import Tell
@@ -100,6 +101,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         sheet=sheet,
         part=part,
         shown=shown,
+        budgets=[(c, budget_rows(c)) for c in (shown or {}).get("characteristics", ()) if c.get("budget")],
         paths=paths,
         effects=possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],

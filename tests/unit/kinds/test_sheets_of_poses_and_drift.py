@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
@@ -17,6 +18,9 @@ from dtwin.pipeline.kept import variation_of
 from dtwin.report.checking import check_source, sheet_of
 from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.tolerances import limits_from
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
 
 ROOT = Path(__file__).parents[3]
 
@@ -92,3 +96,12 @@ def test_a_drift_test_in_the_lake_is_in_the_budget_of_a_circle(tmp_path: Path, m
     assert variation_of(home, "another") is None
     said = CliRunner().invoke(app, ["check", str(ROOT / "data/examples/hidden-effect")]).stdout
     assert "drift test night; what goes beyond the repeatability" in said
+
+
+def test_the_page_of_a_campaign_says_where_its_uncertainty_comes_from(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    ingest(ROOT / "data/examples/hidden-effect", Lake(home.lake))
+    browser = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    said = browser.get("/campaigns/hidden-effect").text
+    assert said.count("<caption>Budget of") == 9
+    assert "calibrated length" in said
