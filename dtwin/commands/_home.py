@@ -28,7 +28,7 @@ def show(as_json: Json = False) -> None:
     parts = home_parts(home())
     where = home()
     payload = {"root": str(where.root), "mlflow": where.mlflow_uri, "engine": where.engine, "parts": parts}
-    rows = [[name, part["files"], f"{part['bytes'] / 1e6:.1f}"] for name, part in parts.items()]
+    rows = [[name, part["files"], f"{part['bytes'] / 1e6:z.1f}"] for name, part in parts.items()]
 
     def text() -> str:
         head = f"home    {where.root}\nMLflow  {where.mlflow_uri}\nengine  {where.engine}"
@@ -63,7 +63,7 @@ def backup(
     from dtwin.pipeline.home_archive import backup as write
 
     made = write(home(), out, ProgressLine("files", quiet=as_json))
-    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:.1f} MB: {made.path}", as_json=as_json)
+    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB: {made.path}", as_json=as_json)
 
 
 @app_home.command()
@@ -75,4 +75,4 @@ def restore(
     from dtwin.pipeline.home_archive import restore as read
 
     made = read(archive, home(), ProgressLine("files", quiet=as_json))
-    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:.1f} MB are back in {made.path}", as_json=as_json)
+    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB are back in {made.path}", as_json=as_json)

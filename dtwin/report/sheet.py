@@ -251,9 +251,9 @@ def headline_budget(sheet: Mapping[str, Any]) -> tuple[str, list[list[str]]] | N
 def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
     """Return the rows of the budget of a figure, the last two its sum and the expanded uncertainty."""
     budget = characteristic["budget"]
-    rows = [[c["source"], f"{c['standard_um']:.3f}", c["basis"]] for c in budget["contributions"]]
-    rows.append(["combined", f"{budget['standard_um']:.3f}", "root of the sum of squares"])
-    return [*rows, [f"U (k = {budget['k']:.2f})", f"{characteristic['expanded_um']:.3f}", ""]]
+    rows = [[c["source"], f"{c['standard_um']:z.3f}", c["basis"]] for c in budget["contributions"]]
+    rows.append(["combined", f"{budget['standard_um']:z.3f}", "root of the sum of squares"])
+    return [*rows, [f"U (k = {budget['k']:z.2f})", f"{characteristic['expanded_um']:z.3f}", ""]]
 
 
 def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:

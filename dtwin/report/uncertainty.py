@@ -177,7 +177,7 @@ class Circumstances:
         reading = self.stated("temperature_uncertainty_k", _TEMPERATURE_K)
         known = math.isfinite(self.temperature_c)
         off = abs(self.temperature_c - _REFERENCE_C) if known else _UNKNOWN_OFF_K
-        place = f"at {self.temperature_c:.1f} °C" if known else f"{off:g} K from 20 °C, assumed, for none was written"
+        place = f"at {self.temperature_c:z.1f} °C" if known else f"{off:g} K from 20 °C, assumed, for none was written"
         return [
             Contribution(
                 "temperature",

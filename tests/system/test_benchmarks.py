@@ -61,6 +61,7 @@ def test_none_is_left_out() -> None:
         assert f"`{name}`" in listed, f"{name} is not described"
 
 
+@pytest.mark.long
 def test_loop() -> None:
     found = short("bench_loop.py", f"--host={free_address()}")
     assert set(found["clients"]) == {"naive", "loop", "loop with priority"}
@@ -79,6 +80,7 @@ def test_flips() -> None:
     assert found["bundles"] == {"noticed": 30}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("script", "ratios"),
     [
@@ -112,12 +114,14 @@ def test_what_is_timed(script: str, ratios: list[str]) -> None:
         assert found["bit_flips"]["silent"] == 0
 
 
+@pytest.mark.long
 def test_analogue() -> None:
     if not (shutil.which("avr-gcc") and Path("/usr/include/simavr").exists()):
         pytest.skip("avr-gcc or simavr is not installed")
     assert [one["output"] for one in short("bench_analogue.py")["measured"]] == ["dac"] * 2 + ["pwm"] * 2
 
 
+@pytest.mark.long
 def test_mechanism_bias() -> None:
     (rows,) = short("mechanism_bias.py").values()
     assert all({"parameter", "set", "found", "bias"} <= set(row) for row in rows)
@@ -145,6 +149,7 @@ def test_next_test() -> None:
     assert 0.0 < row["proposed, min"] <= row["full, min"] * 1.5
 
 
+@pytest.mark.long
 def test_uncertainty_coverage() -> None:
     rows = {(row["kind"], row["figure"]): row["covered"] for row in short("uncertainty_coverage.py")}
     assert set(rows) >= {("linear", "A"), ("linear", "B"), ("circular", "D"), ("circular", "H")}
@@ -152,14 +157,14 @@ def test_uncertainty_coverage() -> None:
     assert min(rows.values()) > 0.86, rows
 
 
-@pytest.mark.long  # test_one_twin has a case of each sort.
+@pytest.mark.long
 def test_two_instruments() -> None:
     for row in short("two_instruments.py"):
         assert row["of these named with both"] == row["not told by the ball bar"]
         assert row["a false name in one twin"] <= row["a false name by one test"]
 
 
-@pytest.mark.long  # test_readme trains, corrects and measures the same robot.
+@pytest.mark.long
 def test_cobot_family() -> None:
     (shipped,) = short("cobot_family.py")
     assert shipped["passed"]
@@ -168,7 +173,7 @@ def test_cobot_family() -> None:
         assert best < after < 0.5 * before
 
 
-@pytest.mark.long  # test_fleet_on_dask has the same engines.
+@pytest.mark.long
 def test_fleet() -> None:
     rows = short("bench_fleet.py")["rows"]
     assert [row["how"] for row in rows] == [
@@ -181,6 +186,7 @@ def test_fleet() -> None:
     assert all(row["of_plain"] > 0.0 for row in rows)
 
 
+@pytest.mark.long
 def test_sister_machines() -> None:
     rows = short("sister_machines.py")
     assert len(rows) == 6

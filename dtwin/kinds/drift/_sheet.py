@@ -44,7 +44,7 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             Characteristic(symbol, name, value, 1, scatter, dof, contributions=(under.reading(_READING_UM),))
             for symbol, name, value in found
         )
-        title = f"{run.meta.run_id}, {(t_s[-1] - t_s[0]) / _HOUR_S:.1f} h"
+        title = f"{run.meta.run_id}, {(t_s[-1] - t_s[0]) / _HOUR_S:z.1f} h"
         parts.append(Part(title, (run.meta.run_id,), figures, sound))
     basis = "what readings of one sample differ by (unit of replication: the reading)"
     return Sheet("ISO 230-3, thermal drift", "d", tuple(parts), basis, tuple(notes))
