@@ -37,9 +37,18 @@ def nightly_flow(folder: Path | None = None, seed: int = 0) -> dict[str, Any]:
         "fleet",
         ("machine", "campaign", "systematic µm", "floor µm", "found"),
         [
-            [m["machine"], m["campaign"], m["systematic_rms_um"], m["noise_floor_um"], ", ".join(m["found"])]
+            [
+                m["machine"],
+                m["campaign"],
+                *map(_um, (m["systematic_rms_um"], m["noise_floor_um"])),
+                ", ".join(m["found"]),
+            ]
             for m in fleet_view(home())
         ],
         "The newest diagnosis of each machine, the largest systematic error over its floor first",
     )
     return night.as_dict()
+
+
+def _um(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

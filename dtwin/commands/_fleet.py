@@ -35,13 +35,11 @@ def register(app: typer.Typer) -> None:
 
 
 @app_fleet.command()
-def diagnose(
-    machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 0, as_json: Json = False
-) -> None:
+def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, as_json: Json = False) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
     from dtwin.fleet import DIAGNOSE
 
-    _run(DIAGNOSE, machine, on, workers, seed, as_json)
+    _run(DIAGNOSE, machine, on, workers, 0, as_json)
 
 
 @app_fleet.command()
@@ -82,7 +80,16 @@ def nightly(
     from dtwin.config import home
     from dtwin.fleet import nightly as night_of
 
-    night = night_of(home(), folder=folder, machines=machine or (), on=on or home().engine, workers=workers, seed=seed)
+    lines = {stage: ProgressLine(stage, quiet=as_json) for stage in ("diagnose", "recheck", "history")}
+    night = night_of(
+        home(),
+        folder=folder,
+        machines=machine or (),
+        on=on or home().engine,
+        workers=workers,
+        seed=seed,
+        progress=lambda stage, *step: lines[stage](*step),
+    )
 
     def text() -> str:
         from dtwin.report.text import table

@@ -12,8 +12,9 @@ from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.fleet._channels import Channel
+from dtwin.locks import locked
 
-SORTS = ("failed", "withdrawn", "drift", "changed", "limit", "overdue")
+SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
 _MOST_DAYS = 3653
 
 
@@ -70,7 +71,11 @@ class Told:
 
 def tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], today: date | None = None) -> Told:
     """Send each channel one message with the alerts that it was not told of; what is over may be told again later."""
-    day = today or datetime.now(UTC).date()
+    with locked(_path(home).with_suffix(".lock"), wait=True):
+        return _tell(home, alerts, channels, today or datetime.now(UTC).date())
+
+
+def _tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], day: date) -> Told:
     state = _state(home)
     silent = {key for key, until in state["silent"].items() if until > day.isoformat()}
     open_now = {alert.key: alert for alert in alerts}
@@ -113,12 +118,16 @@ def silence(home: Home, key: str, days: float, today: date | None = None) -> str
     if not 0 <= days <= _MOST_DAYS:
         raise InputError("not a number of days", code="alert.days", got=f"{days:g}", allowed=f"0 to {_MOST_DAYS}")
     until = ((today or datetime.now(UTC).date()) + timedelta(days=days)).isoformat()
-    state = _state(home)
-    state["silent"] = {name: end for name, end in state["silent"].items() if name != key} | (
-        {key: until} if days else {}
-    )
-    write_document(_path(home), state, "the state of alerts")
+    with locked(_path(home).with_suffix(".lock"), wait=True):
+        _silence(home, key, until if days else "")
     return until
+
+
+def _silence(home: Home, key: str, until: str) -> None:
+    state = _state(home)
+    others = {name: end for name, end in state["silent"].items() if name != key}
+    state["silent"] = others | ({key: until} if until else {})
+    write_document(_path(home), state, "the state of alerts")
 
 
 def sorted_alerts(alerts: Sequence[Alert]) -> list[Alert]:

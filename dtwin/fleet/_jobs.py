@@ -66,10 +66,12 @@ class Job:
 
 def _campaigns(home: Home, machines: Collection[str]) -> _Units:
     """Return campaigns that were not diagnosed since their runs changed."""
-    units, passed = [], {}
+    from dtwin.physics.library import Library
+
+    units, passed, effects = [], {}, " ".join(Library())
     for name, rows in _by_campaign(home, machines).items():
         kind = kind_named(str(rows[0]["kind"]))
-        stamp = stamp_of(rows)
+        stamp = f"{stamp_of(rows)} {effects}"
         if all(row["left_out"] for row in rows):
             passed[name] = "all its runs are left out"
         elif not kind.offers("rows"):
@@ -151,6 +153,7 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
 
 def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
     """Return machines whose champion was not checked for some days."""
+    from dtwin.lifecycle.train import geometry_of
     from dtwin.train.registry import Registry
 
     registry = Registry(home)
@@ -162,6 +165,8 @@ def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
         champion = registry.champion(machine)
         if champion is None:
             passed[machine] = "no champion"
+        elif not geometry_of(registry, champion).get("virtual", False):
+            passed[machine] = "a real machine has to be measured: dtwin campaign --with champion, then dtwin recheck"
         elif (last := champion.tags.get("recheck", "").partition(" ")[0]) > limit:
             passed[machine] = f"checked {last}"
         else:

@@ -140,7 +140,7 @@ def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
         Number of all tests that are made, for Holm.
     """
     # Few repeats tell little of their own noise: half of it is what the sisters' runs show.
-    errors = np.sqrt((errors**2 + np.mean(errors**2)) / 2.0)
+    own, errors = errors, np.sqrt((errors**2 + np.mean(errors**2)) / 2.0)
     differs = _differing(values, errors, many)
     priors = [_prior(values, errors, ~differs, i) for i in range(values.size)]
     p_values = holm([p.p_value(values[i], errors[i]) for i, p in enumerate(priors)], many)
@@ -148,7 +148,8 @@ def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
     careful = [_prior(values, errors, ~differs, i, _CAUTION) for i in range(values.size)]
     shares = np.array([1.0 if differs[i] else p.share(errors[i]) for i, p in enumerate(careful)])
     means = np.array([p.mean for p in careful])
-    return Compared(shares * values + (1.0 - shares) * means, np.sqrt(shares) * errors, p_values, differs)
+    spread = np.where(differs, own, np.sqrt(shares) * errors)
+    return Compared(shares * values + (1.0 - shares) * means, spread, p_values, differs)
 
 
 @dataclass(frozen=True)

@@ -279,7 +279,7 @@ class Lake:
         dict
             Files dropped per table, and ``log``: empty log entries that were set aside.
         """
-        with self._writing(alone=True), self._lock():
+        with self.at_rest():
             cut = [
                 f"{name}/_delta_log/{entry}"
                 for name, table in self.tables.items()
@@ -357,10 +357,7 @@ class Lake:
 
     @contextmanager
     def at_rest(self) -> Iterator[None]:
-        """Keep writers waiting while somebody copies the files; nothing is made where there is no lake."""
-        if not self.root.is_dir():
-            yield
-            return
+        """Keep every writer waiting."""
         with self._writing(alone=True), self._lock():
             yield
 

@@ -10,7 +10,7 @@ import sqlite3
 import tarfile
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BytesIO
@@ -68,7 +68,8 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
     if out.exists():
         raise InputError("the file is there already", code="home.exists", where=str(out), hint="give another name")
     entries: dict[str, list[Any]] = {}
-    with Lake(home.lake).at_rest(), whole_file(out, "the backup") as partial:
+    at_rest = Lake(home.lake).at_rest() if home.lake.is_dir() else nullcontext()
+    with at_rest, whole_file(out, "the backup") as partial:
         partial.touch(mode=0o600)
         found = list(_files(home.root, partial))
         with tarfile.open(partial, "w", format=tarfile.PAX_FORMAT) as archive:

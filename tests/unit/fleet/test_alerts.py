@@ -192,14 +192,14 @@ def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
     arriving = tmp_path / "arriving"
     arriving.mkdir()
     (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")
-    night = nightly(where, folder=arriving, workers=1, today=DAY)
+    night = nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
     assert sorted(night.diagnosed.done) == ["c00", "c01", "c02", "c03"]
     assert [(alert.sort, alert.about) for alert in night.alerts] == [("failed", "spoilt.b5r"), ("overdue", "mill-0")]
     assert "due on 2026-04-02" in night.alerts[1].text
     (told,) = hook[0]
     assert [alert["key"] for alert in told["alerts"]] == ["failed:spoilt.b5r", "overdue:mill-0"]
     # The next night: nothing new, nothing told again; the spoilt file is looked at again when it changes.
-    again = nightly(where, folder=arriving, workers=1, today=DAY)
+    again = nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
     assert not again.diagnosed.done
     assert [alert.key for alert in again.alerts] == ["overdue:mill-0"]
     assert len(hook[0]) == 1
