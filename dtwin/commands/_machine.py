@@ -98,7 +98,7 @@ def show(
     from dtwin.atomic import write_text
     from dtwin.commands._output import ProgressLine
     from dtwin.config import home
-    from dtwin.pipeline.machine_history import machine_history
+    from dtwin.pipeline.machine_history import machine_history, with_sheets
     from dtwin.pipeline.machine_series import calendar_of
 
     history = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
@@ -111,7 +111,8 @@ def show(
                 hint=f"dtwin machine add {name} --test-every 30",
             )
         write_text(ics, calendar_of(name, history["next_test"], datetime.now(UTC)), "the calendar file")
-    emit(history, lambda: _history_text(history), as_json=as_json)
+    shown = with_sheets(home(), history) if as_json else history
+    emit(shown, lambda: _history_text(history), as_json=as_json)
 
 
 @app_machine.command()

@@ -29,10 +29,7 @@ TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
 class RejectedRows:
     """Rows of a source file that hold no usable value.
 
-    Attributes
-    ----------
-    rows : sequence of dict
-        Each with ``row``, ``reason`` and ``values``.
+    ``rows``: each with ``row``, ``reason`` and ``values``.
     """
 
     run_id: str
@@ -111,18 +108,15 @@ class Lake:
         return {row["run_id"]: row for row in self.runs(campaign.name, left_out=True)}
 
     def amend(self, campaign: str, records: Sequence[Mapping[str, Any]]) -> int:
-        """Keep records of what is stated anew of runs; the runs themselves are not touched.
+        """Keep records of what is stated anew of runs, and return the version of the campaign's metadata.
+
+        The runs themselves are not touched.
 
         Parameters
         ----------
         records : sequence of mapping
             ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row,
             or ``left_out``.
-
-        Returns
-        -------
-        int
-            Version of the campaign's metadata.
         """
         with self._lock():
             version = 1 + max((r["metadata_version"] for r in self.runs(campaign, True)), default=0)
@@ -173,8 +167,7 @@ class Lake:
             if wanted is not None:
                 files = [f for f in files if _campaign_of(f) in wanted]
             if machines is not None and anew is not None:
-                # What was stated anew of a campaign may be its machine.
-                files = [f for f in files if _machine_of(f) in {*machines, None} or _campaign_of(f) in anew]
+                files = _of_machines(files, machines, anew)
             return unsealed(table.read(files), schema, str(self.root / name))
 
         told = rows_of("amendments", AMENDMENT_SCHEMA)
@@ -189,15 +182,7 @@ class Lake:
         return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
 
     def load(self, row: Mapping[str, Any], *, signals: bool = True) -> Run:
-        """Return a run with its samples, and its signals when asked.
-
-        Parameters
-        ----------
-        row : mapping
-            A row from :meth:`runs`.
-        signals : bool
-            Whether to read the high-rate signals as well.
-        """
+        """Return a run with its samples, and its high-rate signals when asked; ``row`` is one from :meth:`runs`."""
         samples = self.tables["samples"].read_file(row["samples_file"])
         groups = json.loads(row["signals_json"]) if signals else []
         window = None if row["window_start"] is None else (row["window_start"], row["window_end"])
@@ -219,10 +204,17 @@ class Lake:
         """Return the names of all campaigns that have visible runs."""
         return sorted({_campaign_of(file) for file in self.tables["runs"].files()})
 
-    def files_by_campaign(self) -> dict[str, list[str]]:
-        """Return the files that say what the runs of each campaign are: others say the same only of the same rows."""
+    def files_by_campaign(self, machine: str | None = None) -> dict[str, list[str]]:
+        """Return the files that say what the runs of each campaign are: others say the same only of the same rows.
+
+        ``machine``: without other campaigns than those that are, or may be, of this one.
+        """
         found: dict[str, list[str]] = {}
-        for file in (f for name in ("runs", "amendments") for f in self.tables[name].files()):
+        told = self.tables["amendments"].files()
+        runs = self.tables["runs"].files()
+        if machine is not None:
+            runs = _of_machines(runs, {machine}, {_campaign_of(file) for file in told})
+        for file in [*runs, *told]:
             found.setdefault(_campaign_of(file), []).append(file)
         return found
 
@@ -394,6 +386,11 @@ def _names(told: str | Collection[str] | None) -> set[str] | None:
 def _campaign_of(file: str) -> str:
     """Return the campaign whose rows a file holds."""
     return stem_of(file).split("/")[0]
+
+
+def _of_machines(files: Sequence[str], machines: Collection[str], anew: Collection[str]) -> list[str]:
+    """Return the files of runs of machines; what was stated ``anew`` of a campaign may be its machine."""
+    return [f for f in files if _machine_of(f) in {*machines, None} or _campaign_of(f) in anew]
 
 
 def _machine_of(file: str) -> str | None:

@@ -1,7 +1,8 @@
-"""What the lake holds, one line a campaign, kept until its runs change; nothing here reads samples."""
+"""Campaigns and twins of a home, a line each, kept until they change; nothing here reads samples."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +14,7 @@ from dtwin.errors import StoreError
 from dtwin.lake.store import Lake
 from dtwin.pipeline.findings import SEVERITIES, campaign_findings, findings_of
 from dtwin.pipeline.kept import keep, kept_already
+from dtwin.twins.of_kind import every_shelf
 
 # Rows of so many campaigns are in memory at once.
 _TOGETHER = 100
@@ -65,6 +67,52 @@ def catalogue(home: Home) -> list[Overview]:
     return sorted(
         (Overview(**kept["line"]) for kept in lines.values()), key=lambda c: (c.ingested, c.name), reverse=True
     )
+
+
+@dataclass(frozen=True)
+class TwinLine:
+    """A twin in one line.
+
+    ``changed``: when its folder was last written, as ``twins_stamp`` tells it.
+    ``newest``: its newest version, as ``history`` of its shelf gives it.
+    """
+
+    name: str
+    machine: str
+    changed: int
+    newest: Mapping[str, Any]
+
+    @property
+    def campaigns(self) -> list[str]:
+        """Campaigns that the newest version was fitted to."""
+        return list(self.newest.get("campaigns", [self.newest["campaign"]]))
+
+
+def twins_stamp(home: Home) -> dict[str, int]:
+    """Return what changes when a twin gets a version, a diagnosis or a receipt: when its folder was last written, by name."""
+    try:
+        with os.scandir(home.root / "twins") as entries:
+            return {entry.name: entry.stat().st_mtime_ns for entry in entries if entry.is_dir()}
+    except FileNotFoundError:
+        return {}
+
+
+def twin_lines(home: Home) -> list[TwinLine]:
+    """Return the twins of every kind, by name; files are read of those alone that changed since their line was kept."""
+    stamps = twins_stamp(home)
+    before = kept_already(home, "catalogue", "twins", "") or {}
+    lines = {name: before[name] for name in stamps if name in before and before[name]["changed"] == stamps[name]}
+    changed = sorted(set(stamps) - set(lines))
+    for shelf in every_shelf(home) if changed else ():
+        for name in shelf.names(changed):
+            rungs = shelf.history(name)
+            if rungs:  # Else nothing was stored yet in its folder.
+                machine = str(shelf.newest_document(name)[0]["machine"])
+                lines[name] = asdict(TwinLine(name, machine, stamps[name], rungs[-1]))
+    if changed or len(lines) != len(before):
+        with suppress(StoreError):  # A home that cannot be written is read all the same.
+            keep(home, "catalogue", "twins", "", lines)
+    return [TwinLine(**lines[name]) for name in sorted(lines)]
 
 
 def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:

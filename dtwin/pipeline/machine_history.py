@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from hashlib import sha256
 from typing import Any
 
 from dtwin.config import Home
@@ -15,39 +16,48 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record, recorded
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.catalogue import Overview, catalogue
+from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
 from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
 from dtwin.progress import Progress
 from dtwin.report.faults import sizes_of
 from dtwin.serve.pointer import resolve
 from dtwin.twins.measured import load
-from dtwin.twins.of_kind import every_shelf
 from dtwin.twins.verbs import Twins
 
 
-def machine_overviews(home: Home, campaigns: Sequence[Overview] | None = None) -> list[dict[str, Any]]:
+def machine_overviews(
+    home: Home, campaigns: Sequence[Overview] | None = None, twins: Sequence[TwinLine] | None = None
+) -> list[dict[str, Any]]:
     """Return every machine that has a record or a campaign, JSON-ready, by name.
 
-    ``campaigns``: the catalogue, where it was read before.
+    ``campaigns``, ``twins``: the catalogue, where it was read before.
     """
     of_machine: dict[str, list[Overview]] = {name: [] for name in recorded(home)}
     for one in catalogue(home) if campaigns is None else campaigns:
         if one.used:
             of_machine.setdefault(one.machine, []).append(one)
-    twins = _twins(home)
+    of_it = _by_machine(twin_lines(home) if twins is None else twins)
     return [
-        _overview(home, name, {c.name for c in mine}, max((c.last for c in mine), default=""), twins.get(name, []))
+        _overview(home, name, {c.name for c in mine}, max((c.last for c in mine), default=""), of_it.get(name, []))
         for name, mine in sorted(of_machine.items())
     ]
 
 
 def machine_history(
-    home: Home, machine: str, progress: Progress | None = None, library: Mapping[str, Effect] | None = None
+    home: Home,
+    machine: str,
+    progress: Progress | None = None,
+    library: Mapping[str, Effect] | None = None,
+    twins: Sequence[TwinLine] | None = None,
+    files: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Any]:
     """Return what is known of a machine, its tests, and how its figures and the sizes of its faults went, JSON-ready.
+
+    It is kept until a run, the record or a twin of the machine changes.
 
     Parameters
     ----------
@@ -55,36 +65,59 @@ def machine_history(
         Of the lake, the records, the twins and the bundles; what is made of a campaign is kept there.
     library : mapping of str to Effect, optional
         Of the effects of twins; the built-in ones without.
+    twins : sequence of TwinLine, optional
+        The catalogue, where it was read before.
+    files : mapping of str to sequence of str, optional
+        Of its runs in the lake by campaign, where they were listed before.
 
     Raises
     ------
     InputError
         When there is neither a record nor a campaign of it.
     """
+    effects = Library() if library is None else library
+    mine = [twin for twin in (twin_lines(home) if twins is None else twins) if twin.machine == machine]
+    record = read_record(home, machine)
+    made_of = [
+        Lake(home.lake).files_by_campaign(machine) if files is None else files,
+        None if record is None else record.as_dict(),
+        [(twin.name, twin.changed) for twin in mine],
+        sorted(effects),
+    ]
+    made: dict[str, Any] = kept(
+        home,
+        "histories",
+        machine,
+        sha256(repr(made_of).encode()).hexdigest(),
+        lambda: _history(home, machine, [twin.name for twin in mine], effects, progress),
+    )
+    return made | {"champion": _champion(home, machine)}
+
+
+def _history(
+    home: Home, machine: str, names: Sequence[str], library: Mapping[str, Effect], progress: Progress | None
+) -> dict[str, Any]:
+    """Return the same without the champion, made anew; ``names``: its twins."""
     lake = Lake(home.lake)
     # Runs that are left out belong to the stamp of a campaign: taken in again, they change its figures.
     rows = lake.runs(left_out=True, machine=machine)
     record = record_of(home, machine, rows)
-    of_campaign: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        of_campaign.setdefault(row["campaign"], []).append(row)
+    of_campaign = _of_campaign(rows)
     measured = ((name, mine) for name, mine in of_campaign.items() if not all(row["left_out"] for row in mine))
     ordered = sorted(measured, key=lambda item: (item[1][0]["started"] or "", item[1][0]["kind"]))
     shelf = Twins(home, library)
-    names = _twins(home).get(machine, [])
-    twins = [twin for name in names if name in shelf.names() and (twin := _readable(shelf, name)) is not None]
+    twins = [twin for name in shelf.names(names) if (twin := _readable(shelf, name)) is not None]
     variation = variation_of(home, machine, rows)
     tests = []
     series: dict[tuple[str, ...], Series] = {}
     for done, (name, mine) in enumerate(ordered, start=1):
         kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
-        test: dict[str, Any] = {"campaign": name, "kind": kind, "started": started, "sheet": None}
-        if kind_named(kind).offers("sheet"):
-            test["sheet"] = sheet_of_campaign(home, name, machine, stamp, variation)
-        tests.append(test | _headline(test["sheet"]))
+        offered = kind_named(kind).offers("sheet")
+        sheet = sheet_of_campaign(home, name, machine, stamp, variation) if offered else None
+        tests.append({"campaign": name, "kind": kind, "started": started, **_headline(sheet)})
         if started:
             point = Point(name, started, 0.0, 0.0, _instrument(mine))
-            _with_figures(series, test["sheet"], kind, record, point)
+            _with_figures(series, sheet, kind, record, point)
             _with_sizes(series, _sizes(home, name, stamp, twins), point)
         if progress is not None:
             progress(done, len(ordered), name)
@@ -101,8 +134,28 @@ def machine_history(
         "tests": tests,
         "series": judged,
         "next_test": next_test(judged, record, overview["last_test"]),
-        "champion": _champion(home, machine),
     }
+
+
+def with_sheets(home: Home, history: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a history with the whole test sheet of every test, as ``sheet``; None where its kind has none."""
+    rows = Lake(home.lake).runs(left_out=True, machine=history["machine"])
+    variation, of_campaign = variation_of(home, history["machine"], rows), _of_campaign(rows)
+
+    def sheet(test: Mapping[str, Any]) -> dict[str, Any] | None:
+        if not kind_named(test["kind"]).offers("sheet"):
+            return None
+        stamp = stamp_of(of_campaign[test["campaign"]])
+        return sheet_of_campaign(home, test["campaign"], history["machine"], stamp, variation)
+
+    return {**history, "tests": [{**test, "sheet": sheet(test)} for test in history["tests"]]}
+
+
+def _of_campaign(rows: Iterable[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(row["campaign"], []).append(row)
+    return found
 
 
 def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> MachineRecord:
@@ -247,11 +300,10 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def _twins(home: Home) -> dict[str, list[str]]:
+def _by_machine(twins: Sequence[TwinLine]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for shelf in every_shelf(home):
-        for name in shelf.names():
-            found.setdefault(str(shelf.newest_document(name)[0]["machine"]), []).append(name)
+    for twin in twins:
+        found.setdefault(twin.machine, []).append(twin.name)
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,9 +79,10 @@ class TwinShelf:
         """Folder of all twins."""
         return self.home.root / "twins"
 
-    def names(self) -> list[str]:
-        """Return the twins of this kind."""
-        return sorted(p.name for p in self.root.glob("*") if p.is_dir() and self._is_ours(p))
+    def names(self, among: Collection[str] | None = None) -> list[str]:
+        """Return the twins of this kind; with ``among``, those of these names."""
+        folders = [p for p in self.root.glob("*") if among is None or p.name in among]
+        return sorted(p.name for p in folders if p.is_dir() and self._is_ours(p))
 
     def newest_document(self, name: str, version: int | None = None) -> tuple[dict[str, Any], Path]:
         """Return a version as it was stored, the newest one without a number, and its file.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -27,6 +28,7 @@ from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
 from dtwin.twins._formulas import WithFormulas
 from dtwin.twins._learn import learn_formula, learn_law
+from dtwin.twins._recorded import with_record
 from dtwin.twins._stored import twin_from
 from dtwin.twins.measured import Comparison, Loaded, load
 from dtwin.twins.several import SeveralComparison, fitted_together, require_together
@@ -46,8 +48,13 @@ class Twins(TwinShelf):
 
     def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
         super().__init__(home, PATHS)
-        others = Library() if library is None else library
-        self.library = WithFormulas(others, home.root / "formulas")
+        self._others = library
+
+    @cached_property
+    def library(self) -> WithFormulas:
+        """Effects, and the formulas that were learned; looking for those of entry points takes longer than a page may."""
+        others = Library() if self._others is None else self._others
+        return WithFormulas(others, self.home.root / "formulas")
 
     def fit(self, campaign: str | Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
         """Fit a twin to campaigns of a machine; an existing twin of that name gets a new version.
@@ -239,7 +246,7 @@ class Twins(TwinShelf):
             When its file is damaged.
         """
         document, path = self.newest_document(name, version)
-        return twin_from(document, self.library, str(path))
+        return with_record(self.home, twin_from(document, self.library, str(path)))
 
     def _load(self, campaigns: Sequence[str]) -> list[Loaded]:
         if len(campaigns) > 1:
@@ -268,4 +275,4 @@ class Twins(TwinShelf):
             found = fit(one.obs, terms, robust=robust)
             twin = twin_of(found, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict())
-        return twin
+        return with_record(self.home, twin)

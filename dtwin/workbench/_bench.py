@@ -15,9 +15,10 @@ from dtwin.kinds.volumetric import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
-from dtwin.pipeline.catalogue import Overview, catalogue
+from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines, twins_stamp
 from dtwin.pipeline.kept import stamp_of
-from dtwin.twins.of_kind import every_shelf, twins_with
+from dtwin.pipeline.machine_history import machine_history
+from dtwin.twins.of_kind import twins_with
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._cache import Cache
@@ -75,9 +76,14 @@ class Bench:
         """Return whether a twin is of ball arrays."""
         return isinstance(self.twins_with(name), HeatTwins)
 
-    def twin_names(self) -> list[str]:
-        """Return the twins of every kind."""
-        return sorted(name for shelf in every_shelf(self.home) for name in shelf.names())
+    def twin_lines(self) -> Sequence[TwinLine]:
+        """Return the twins of every kind, by name."""
+        return self.cache.get(("twins", self.twins_version), lambda: twin_lines(self.home))
+
+    @property
+    def twins_version(self) -> tuple[tuple[str, int], ...]:
+        """What changes with every twin."""
+        return tuple(sorted(twins_stamp(self.home).items()))
 
     def own_files(self) -> list[Path]:
         """Return the user's effect files that are switched on."""
@@ -97,6 +103,12 @@ class Bench:
     def campaigns_of(self, machine: str) -> list[str]:
         """Return the names of the campaigns of a machine, sorted."""
         return sorted(one.name for one in self.campaigns() if one.machine == machine)
+
+    def history(self, machine: str) -> dict[str, Any]:
+        """Return what is known of a machine, its tests, and how its figures went."""
+        version = self.lake_version
+        files = self.cache.get(("files", machine, *version), lambda: self.lake.files_by_campaign(machine))
+        return machine_history(self.home, machine, library=self.library, twins=self.twin_lines(), files=files)
 
     def run_rows(self, campaign: str) -> Sequence[Mapping[str, Any]]:
         """Return the rows of the runs of a campaign, left out ones too, read once for each version.

@@ -15,6 +15,7 @@ from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.kinds.volumetric import FAMILIES
+from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
@@ -28,6 +29,7 @@ from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
+_ON_A_PAGE = 100
 _SHUT_OFF = (
     "sandbox allow-scripts allow-modals; default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "img-src data: blob:"
@@ -66,11 +68,24 @@ class _Reason(BaseModel):
 
 
 @router.get("/campaigns")
-def campaign_list(request: Request) -> Response:
-    """Show all campaigns."""
-    bench = bench_of(request)
-    found = bench.campaigns()
-    return rendered(request, "campaigns.html", title="Campaigns", campaigns=found, limit_mb=MAX_TRAY_BYTES // 1024**2)
+def campaign_list(request: Request, find: str = "", page: int = 1) -> Response:
+    """Show campaigns, so many on a page; ``find`` is a part of their name, machine or kind."""
+    every, wanted = bench_of(request).campaigns(), find.strip().casefold()
+    found = [one for one in every if wanted in f"{one.name} {one.machine} {one.kind}".casefold()] if wanted else every
+    pages = max(-(-len(found) // _ON_A_PAGE), 1)
+    page = min(max(page, 1), pages)
+    return rendered(
+        request,
+        "campaigns.html",
+        title="Campaigns",
+        campaigns=found[(page - 1) * _ON_A_PAGE : page * _ON_A_PAGE],
+        find=find,
+        page=page,
+        pages=pages,
+        found=len(found),
+        there=len(every),
+        limit_mb=MAX_TRAY_BYTES // 1024**2,
+    )
 
 
 @router.get("/campaigns/{name}")
@@ -81,10 +96,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     version = bench.lake_version
     line = bench.cache.get(("overview", name, version), lambda: overview(name, rows))
     findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows))
-    rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
-    fitted = [
-        twin for twin, found in rungs.items() if found and name in found[-1].get("campaigns", [found[-1]["campaign"]])
-    ]
+    twins = bench.twin_lines()
     kind = kind_named(line.kind)
     paths = kind.offers("rows")
     sheet = campaign_sheet_of(bench, name, line.machine) if kind.offers("sheet") else None
@@ -97,7 +109,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         runs=rows,
         findings=findings,
         kind=kind,
-        instrument=bench.lake.campaign(name).instrument,
+        instrument=campaign_of(rows).instrument,
         sheet=sheet,
         part=part,
         shown=shown,
@@ -105,8 +117,8 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         paths=paths,
         effects=possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],
-        suggested=_free_name(list(rungs), line.machine),
-        fitted=fitted,
+        suggested=_free_name([twin.name for twin in twins], line.machine),
+        fitted=[twin.name for twin in twins if name in twin.campaigns],
     )
 
 

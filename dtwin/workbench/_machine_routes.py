@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.machine_record import EVENTS, MachineRecord, read_record, record_from, with_event, write_record
-from dtwin.pipeline.machine_history import machine_history, machine_overviews
+from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
@@ -52,14 +52,14 @@ class ScheduleTold(BaseModel):
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
     bench = bench_of(request)
-    overviews = machine_overviews(bench.home, bench.campaigns())
+    overviews = machine_overviews(bench.home, bench.campaigns(), bench.twin_lines())
     return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
 @router.get("/machines/{name}")
 def machine_page(request: Request, name: str) -> Response:
     """Show one machine."""
-    history = _history(bench_of(request), name)
+    history = bench_of(request).history(name)
     changes = [change for one in history["series"] for change in one["changes"]]
     return rendered(
         request,
@@ -121,7 +121,7 @@ def next_files(request: Request, name: str, test: str, ending: Literal["toml", "
 @router.get("/machines/{name}/next-test.ics")
 def next_test_file(request: Request, name: str) -> Response:
     """Return the next test as a calendar file."""
-    due = _history(bench_of(request), name)["next_test"]
+    due = bench_of(request).history(name)["next_test"]
     if not due:
         raise InputError("no next test is known", code="page.unknown", where=name, hint="state how often it is tested")
     return download(calendar_of(name, due, datetime.now(UTC)), f"{name}.ics", "text/calendar")
@@ -130,37 +130,32 @@ def next_test_file(request: Request, name: str) -> Response:
 @router.get("/api/machines/{name}/summary")
 def summary(request: Request, name: str) -> dict[str, Any]:
     """Return what the last test of a machine says, its values so far, its newest change, and whether a test is due."""
-    history = _history(bench_of(request), name)
+    history = bench_of(request).history(name)
     tests = [test for test in history["tests"] if test["figure"]]
     last = tests[-1] if tests else None
     values = [test["value_um"] for test in tests if last is not None and test["figure"] == last["figure"]]
     current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
-    return {
-        "last": None if last is None else {**last, "sheet": None},
-        "values_um": values,
-        "changed": current[0] if current else "",
-        "overdue": _overdue(history),
-    }
+    return {"last": last, "values_um": values, "changed": current[0] if current else "", "overdue": _overdue(history)}
 
 
 @router.get("/api/machines/{name}/series")
 def series(request: Request, name: str, of: str) -> Response:
     """Return the picture of a figure over time."""
-    history = _history(bench_of(request), name)
+    history = bench_of(request).history(name)
     return drawn(series_figure(_series(history, of), history["events"]))
 
 
 @router.get("/api/machines/{name}/chart")
 def control_chart(request: Request, name: str, of: str) -> Response:
     """Return the control chart of a figure."""
-    return drawn(chart_figure(_series(_history(bench_of(request), name), of)))
+    return drawn(chart_figure(_series(bench_of(request).history(name), of)))
 
 
 @router.post("/api/machines/{name}/event")
 def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
     """Note what happened to a machine."""
     bench = bench_of(request)
-    _history(bench, name)
+    bench.history(name)
 
     def work(tell: Any) -> str:
         with_event(bench.home, name, told.what, told.on, told.note)
@@ -194,10 +189,6 @@ def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JS
         return f"/machines/{name}"
 
     return accepted(bench.jobs.start(f"{what} of {name}", work))
-
-
-def _history(bench: Bench, name: str) -> dict[str, Any]:
-    return machine_history(bench.home, name, library=bench.library)
 
 
 def _series(found: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from dtwin.documents import read_document
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kinds
 from dtwin.physics import localise
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
@@ -98,7 +99,10 @@ def observed(bench: Bench, campaign: str) -> Observations:
 
 def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, Any]:
     """Return the test sheet of a campaign of this machine."""
-    variation = variation_of(bench.home, machine)
+    # Rows are read of those tests alone that can tell it.
+    telling = {kind.name for kind in kinds() if kind.offers("variation")}
+    drifts = [one.name for one in bench.campaigns() if one.machine == machine and one.kind in telling]
+    variation = variation_of(bench.home, machine, [row for name in drifts for row in bench.run_rows(name)])
     return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign), variation)
 
 

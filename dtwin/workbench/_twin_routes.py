@@ -46,14 +46,13 @@ _Words = Annotated[list[str], Query()]
 def twin_list(request: Request) -> Response:
     """Show all twins."""
     bench = bench_of(request)
-    found = [(name, bench.twins.history(name)) for name in bench.twin_names()]
     return rendered(
         request,
         "twins.html",
         title="Twins",
-        twins=[(n, rungs) for n, rungs in found if rungs],
+        twins=bench.twin_lines(),
         any_campaign=bool(bench.campaigns()),
-        left=waiting_text(waiting(bench.home)),
+        left=bench.cache.get(("waiting", bench.twins_version), lambda: waiting_text(waiting(bench.home))),
     )
 
 

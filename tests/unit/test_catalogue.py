@@ -1,16 +1,25 @@
 from __future__ import annotations
 
+import os
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 from test_store import CAMPAIGN, make_run
 
 from dtwin.config import Home
+from dtwin.documents import write_document
 from dtwin.errors import StoreError
 from dtwin.lake.store import Lake
-from dtwin.pipeline.catalogue import catalogue
+from dtwin.pipeline.catalogue import catalogue, twin_lines
 from dtwin.pipeline.machine_history import machine_overviews
+from dtwin.workbench import _campaign_routes
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
 
 
 def committed(lake: Lake, name: str, machine: str, days: list[str]) -> None:
@@ -78,3 +87,50 @@ def test_a_machine_whose_runs_are_all_left_out_is_not_listed(home: Home) -> None
     amended(Lake(home.lake), "b", "r0", {"left_out": True})
     (only,) = machine_overviews(home)
     assert (only["machine"], only["campaigns"], only["last_test"]) == ("m1", ["a"], "2024-03-03")
+
+
+def test_a_line_of_a_twin_is_its_newest_version_and_others_are_not_read(home: Home) -> None:
+    def stored(name: str, version: int, kind: str = "paths") -> None:
+        figures = {"rms_before_um": 3.0, "rms_after_um": 2.0 - version / 10}
+        document = {"twin": name, "version": version, "machine": "m1", "campaign": "a", "action": "fit", "kind": kind}
+        write_document(home.root / "twins" / name / f"v{version:03d}.json", {**document, "figures": figures}, "twin")
+
+    def told() -> list[tuple[str, int, str | None]]:
+        return [(line.name, line.newest["version"], line.newest["verdict"]) for line in twin_lines(home)]
+
+    assert twin_lines(home) == []
+    stored("old", 1)
+    stored("heat", 1, "volumetric")
+    (home.root / "twins" / "empty").mkdir()
+    assert told() == [("heat", 1, None), ("old", 1, None)]
+    (home.root / "twins/heat/v001.json").write_text("{")
+    os.utime(home.root / "twins/heat", ns=(0, twin_lines(home)[0].changed))
+    stored("old", 2)
+    assert told() == [("heat", 1, None), ("old", 2, None)]
+    verdict = {"verdict": "nothing_missing", "candidates": []}
+    write_document(home.root / "twins/old/v002.diagnosis.json", verdict, "diagnosis")
+    assert told()[1] == ("old", 2, "nothing_missing")
+    shutil.rmtree(home.root / "twins/old")
+    assert told() == [("heat", 1, None)]
+    assert machine_overviews(home)[0]["twins"] == ["heat"]
+    stored("heat", 2, "volumetric")
+    (home.root / "twins/heat/v002.json").write_text("{")
+    with pytest.raises(StoreError):
+        twin_lines(home)
+
+
+def test_the_list_of_campaigns_is_found_in_and_paged(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_campaign_routes, "_ON_A_PAGE", 1)
+    access = Access("127.0.0.1", 8765)
+    cookie = {"dtwin_8765": access.address.partition("token=")[2]}
+    browser = TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765", cookies=cookie)
+
+    def shown(query: str) -> list[str]:
+        return re.findall(r'href="/campaigns/(\w+)"', browser.get(f"/campaigns?{query}").text)
+
+    assert sorted(shown("page=1") + shown("page=2")) == ["a", "b"]
+    assert shown("page=99") == shown("page=2")
+    assert shown("page=-3") == shown("page=1")
+    assert shown("find=M2") == ["b"]
+    assert shown("find=nix") == []
+    assert browser.get("/campaigns?page=x").status_code == 400

@@ -12,12 +12,14 @@ from laser_axis import write_laser
 from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
 
+from dtwin.acquire.amending import amend, leave_out
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, read_record, tolerances_of
+from dtwin.pipeline.machine_history import machine_history
 from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series
 from dtwin.tolerances import Limits
 from dtwin.twins.verbs import Twins
@@ -123,6 +125,33 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     spoilt = next((home.root / "kept" / "sheets").glob("t03.json"))
     spoilt.write_text("{")
     assert said("machine", "show", "mill-7") == shown
+
+
+def test_a_kept_history_follows_runs_record_twins_and_amendments(home: Home) -> None:
+    for folder in write_tests(home.root / "made", 3, steady(2.0), steady(3.0)):
+        ingest(folder, Lake(home.lake))
+
+    def told() -> dict[str, Any]:
+        known = machine_history(home, "mill-7")
+        assert machine_history(home, "mill-7") == known
+        return known
+
+    first = told()
+    assert {one["figure"] for one in first["series"]} == {"G(b)"}
+    said("machine", "add", "mill-7", "--tolerance", "G(b)=4")
+    assert {one["high"] for one in told()["series"]} == {4.0}
+    Twins(home).fit("t00", ["squareness"], "mill-7")
+    squareness = [one for one in told()["series"] if one["title"] == "Squareness, XY"]
+    assert (told()["twins"], len(squareness[0]["points"])) == (["mill-7"], 3)
+    Twins(home).fit("t00", ["backlash:X"], "mill-7")
+    assert not any(one["title"] == "Squareness, XY" for one in told()["series"])
+    lake = Lake(home.lake)
+    runs = [row["run_id"] for row in lake.runs("t02")]
+    leave_out(lake, "t02", runs, "the bar slipped", out=True)
+    assert [test["campaign"] for test in told()["tests"]] == ["t00", "t01"]
+    amend(lake, "t01", ["machine=mill-8"], "it was the other one", runs=[])
+    assert [test["campaign"] for test in told()["tests"]] == ["t00"]
+    assert [test["campaign"] for test in machine_history(home, "mill-8")["tests"]] == ["t01"]
 
 
 def test_an_instrument_that_changes_and_an_event_raise_no_alarm() -> None:
