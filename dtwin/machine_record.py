@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -32,6 +32,10 @@ class Event:
     on: date
     what: str
     note: str = ""
+
+    def as_dict(self) -> dict[str, str]:
+        """Return what the file holds; the day is ISO 8601 text."""
+        return {"on": self.on.isoformat(), "what": self.what, "note": self.note}
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class MachineRecord:
             **({"test_every_days": self.test_every_days} if self.test_every_days else {}),
             "axes": {axis: dict(known) for axis, known in self.axes.items()},
             "tolerances": {symbol: limits.stated() for symbol, limits in self.tolerances.items()},
-            "events": [{"on": e.on.isoformat(), "what": e.what, "note": e.note} for e in self.events],
+            "events": [event.as_dict() for event in self.events],
         }
 
 
@@ -135,6 +139,17 @@ def tolerances_of(home: Home, machine: str) -> Mapping[str, Limits]:
     """Return the limits that the record of a machine states, by symbol."""
     known = read_record(home, machine)
     return {} if known is None else known.tolerances
+
+
+def events_of(home: Home, machine: str) -> tuple[Event, ...]:
+    """Return what the record of a machine says that happened to it."""
+    known = read_record(home, machine)
+    return () if known is None else known.events
+
+
+def events_between(events: Iterable[Event], first: str, last: str) -> list[Event]:
+    """Return the events from one day to another, both included; days are ISO 8601, times of day do not count."""
+    return [event for event in events if first[:10] <= event.on.isoformat() <= last[:10]]
 
 
 def recorded(home: Home) -> list[str]:

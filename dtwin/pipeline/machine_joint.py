@@ -11,6 +11,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
+from dtwin.machine_record import events_of
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Effect
 from dtwin.physics.joint import MachineTest, joint
@@ -74,7 +75,8 @@ def compared(
     made: dict[str, Any] = kept(
         home, "joint", machine, stamp, lambda: _compared(home, machine, list(chosen), library, progress)
     )
-    return made
+    # What happened may be recorded after the tests were compared.
+    return {**made, "lines": joint_lines(made, library, events_of(home, machine))}
 
 
 def _compared(
@@ -98,7 +100,7 @@ def _compared(
         }
         for test in tests
     ]
-    return {"machine": machine, "tests": told, **found.as_dict(), "lines": joint_lines(found, library)}
+    return {"machine": machine, "tests": told, **found.as_dict()}
 
 
 def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dtwin.control_chart import Chart, Regime, chart, crossing
 from dtwin.documents import finite
-from dtwin.machine_record import Event, MachineRecord
+from dtwin.machine_record import Event, MachineRecord, events_between
 from dtwin.report.text import decimals
 from dtwin.units import shown_unit
 
@@ -207,7 +207,7 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
                 f"{series.name} changed by {_signed(alarm.step, alarm.expanded)} {unit} between {began} "
                 f"and {points[alarm.first].started[:10]}"
             )
-            noted = [e for e in events if began <= e.on.isoformat() <= points[alarm.first].started[:10]]
+            noted = events_between(events, began, points[alarm.first].started)
             text += "".join(f"; noted then: {e.what}{e.note and ', '}{e.note}" for e in noted)
         out.append(
             {

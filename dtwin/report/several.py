@@ -9,6 +9,7 @@ from dtwin.physics.several_twin import SeveralTwin
 from dtwin.report import twins
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Section, Table
+from dtwin.report.recorded import contradiction_words
 from dtwin.report.text import micrometres, table
 from dtwin.report.twins import history_section as history_section
 from dtwin.report.twins import number
@@ -17,11 +18,6 @@ if TYPE_CHECKING:
     from dtwin.twins.several import SeveralComparison
 
 _HEAD = ("campaign", "kind", "begun", "left, µm RMS", "of it repeats agree on, µm", "noise floor, µm")
-_WHAT = {
-    "change": "the machine changed then",
-    "mistake": "tests before and after agree with each other, so that this one is mistaken",
-    "change or mistake": "the machine changed, or one of them is mistaken",
-}
 
 
 def twin_text(twin: SeveralTwin) -> str:
@@ -99,7 +95,7 @@ def _said_table(result: Mapping[str, Any]) -> Table:
 
 
 def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return what campaigns do not agree on: by how much, since when, and what that may be."""
+    """Return what campaigns do not agree on: by how much, since when, what was recorded then, and what that may be."""
     out = []
     for one in document.get("contradictions", ()):
         size = with_k2(one["difference"], one["k2"], one["unit"])
@@ -107,7 +103,8 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
         where = f"{one['effect']} {one['axis']}".rstrip()
         out.append(
             f"contradiction{since}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
-            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}): {_WHAT[one['what']]}"
+            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}): "
+            + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
         )
     return out
 

@@ -138,6 +138,13 @@ def test_a_laser_that_contradicts_the_ball_bar_is_named_on_command_and_page(home
     assert abs(told["difference"]) == pytest.approx(4.0, abs=1.0)
     assert "contradiction since 2026-03-02" in run("twin", "show", "apart")
     assert "contradiction since 2026-03-02" in client(home).get("/twins/apart").text
+    shown = (("twin", "show", "apart"), ("twin", "compare", "apart"), ("twin", "diagnose", "apart"))
+    for words in shown:
+        assert "nothing is recorded between 2025-01-01 and 2026-03-02" in run(*words)
+    run("machine", "event", "mill-7", "crash", "--on", "2025-06-07", "--note", "vice")
+    for words in shown:
+        assert "since the crash of 2025-06-07 (vice)" in run(*words)
+    assert "since the crash of 2025-06-07 (vice)" in client(home).get("/twins/apart").text
 
 
 def client(home: Home) -> TestClient:
