@@ -21,12 +21,14 @@ from bench_features import usual_script
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
+from dtwin.serve.band import COVARIANCE, Band
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Input, Output
 from dtwin.serve.realtime import realtime
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.train.twin_band import half_width
 
 CHANNELS = tuple(f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz")
 FEATURES = (
@@ -44,8 +46,11 @@ FEATURES = (
 CONTRACT = WindowContract(25_600.0, 1500, 51, CHANNELS, FEATURES, (500.0, 2000.0))
 
 
-def compiled() -> CompiledBundle:
-    """Four harmonics of the path, joint levers times speeds, and six sensor features."""
+def compiled(*, banded: bool = False) -> CompiledBundle:
+    """Four harmonics of the path, joint levers times speeds, and six sensor features.
+
+    ``banded``: with the half width of ten parameters that are not independent of each other.
+    """
     g = GraphBuilder()
     angle = g.input("path_angle_rad")
     terms = [3.0 / k * g.apply("sin", angle * k + 0.1 * k) for k in range(1, 5)]
@@ -54,6 +59,10 @@ def compiled() -> CompiledBundle:
         terms.append(0.002 * g.input(f"lever_{j}_mm_rad") * reversal)
     terms += [g.input(name) * 0.5 for name in CONTRACT.columns[2::10]]
     graph = g.graph({"radial_error_um": g.total(terms)})
+    band = None
+    if banded:
+        factor = np.random.default_rng(1).standard_normal((10, 10))
+        band = Band(COVARIANCE, g.graph({"radial_error_um": half_width(g, terms[:10], factor)}))
     inputs = [
         Input(name, PATH_INPUT_UNITS[name], "path", 500.0, "path", -2000.0, 2000.0)
         for name in PATH_INPUTS
@@ -69,6 +78,7 @@ def compiled() -> CompiledBundle:
             window=CONTRACT,
             outputs=[Output("radial_error_um", "path_radial")],
             tick_graph=graph,
+            band=band,
         )
     )
 
@@ -117,6 +127,8 @@ def main() -> None:
         model.tick(tick)
 
     decision = Decision(model, np.array([0.0, 0.0, 158.3]), sensors=sensors)
+    banded = compiled(banded=True)
+    with_band = Decision(banded, np.array([0.0, 0.0, 158.3]), sensors=OneWindow())
     state = layout.empty_state()
     state[layout.RUNTIME_RUNNING] = state[layout.SAFETY_OK] = 1.0
     stages = np.zeros(6, dtype=np.int64)
@@ -124,18 +136,23 @@ def main() -> None:
     def whole_decision() -> None:
         decision.decide(state, age_s=0.0, elapsed_s=0.002, enabled=True, stages=stages)
 
-    def all_four() -> dict[str, Any]:
+    def decision_with_band() -> None:
+        with_band.decide(state, age_s=0.0, elapsed_s=0.002, enabled=True, stages=stages)
+
+    def all_of_them() -> dict[str, Any]:
         return {
             "equation": microseconds(model.evaluate, 50_000 // fewer),
             "features_and_equation": microseconds(features_and_equation, 5_000 // fewer),
             "whole_decision_with_path_and_guard": microseconds(whole_decision, 5_000 // fewer),
+            "equation_with_band_and_fading": microseconds(banded.evaluate, 50_000 // fewer),
+            "whole_decision_with_band": microseconds(decision_with_band, 5_000 // fewer),
             "usual_script": microseconds(lambda: usual_script(sensors.block), 500 // fewer),
         }
 
     result: dict[str, Any] = {"load_before": os.getloadavg()[0], "nodes": len(bundle.tick_graph.nodes)}
-    result["as any process"] = all_four()
+    result["as any process"] = all_of_them()
     with realtime() as allowed:
-        result["as the loop, by default"] = all_four()
+        result["as the loop, by default"] = all_of_them()
     result["allowed"] = allowed
     for how in ("as any process", "as the loop, by default"):
         times = result[how]

@@ -58,6 +58,14 @@ def serve(
     states_hz: Annotated[float, typer.Option(help="How often that feed sends a state.")] = 500.0,
     calibration: Annotated[Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")] = None,
     watchdog_ms: Annotated[int, typer.Option(help="Silence after which the board goes neutral by itself.")] = 100,
+    fade: Annotated[
+        bool | None,
+        typer.Option(
+            "--fade/--no-fade",
+            help="Whether a correction smaller than its own uncertainty fades out; by default where the model tells it.",
+            show_default=False,
+        ),
+    ] = None,
     expired: Annotated[str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")] = "refuse",
     as_json: Json = False,
 ) -> None:
@@ -85,6 +93,7 @@ def serve(
         wiring,
         axes,
         _when_expired(expired),
+        fade,
     )
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)

@@ -16,6 +16,7 @@ from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.train.dataset import require_uncorrected
 from dtwin.train.gates import Verdict
+from dtwin.train.held_out_band import with_held_out_band
 from dtwin.train.promotion import check_version, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import CONDITIONS_FILE, worse_in_sample
@@ -57,7 +58,8 @@ def trained(
     training = kind_named(known.kind).training()(lake, campaign, seed=seed, engine=engine, progress=progress)
     amended = [f.message for f in amendment_findings(lake.runs(campaign, left_out=True))]
     told = *training.report.told, *worse_in_sample(training.report.candidates), *amended
-    return replace(training, report=replace(training.report, told=told))
+    candidates = tuple(with_held_out_band(c) for c in training.report.candidates)
+    return replace(training, report=replace(training.report, told=told, candidates=candidates))
 
 
 def registered(home: Home, training: Training, progress: StageProgress | None = None) -> Registered:

@@ -16,8 +16,8 @@ _BINS = 180
 _NEAR = 0.01
 
 
-def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go.Figure:
-    """Return the corrections of the newest ticks with their limit.
+def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_um: Floats) -> go.Figure:
+    """Return the corrections of the newest ticks with their limit and their uncertainty.
 
     Parameters
     ----------
@@ -27,12 +27,17 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go
         What was sent, along the axes of the robot's base.
     clamp_um : float
         Longest correction that is allowed.
+    band_um : ndarray, shape (n, 3)
+        Half width (k = 2) of what the model asked for; NaN where it does not tell.
     """
     step = max(1, len(t_s) // _MOST_DRAWN)
     figure = go.Figure()
+    known = bool(np.isfinite(band_um).any())
     for column, (name, colour) in enumerate(
         (("X", COLOURS["measured"]), ("Y", COLOURS["second"]), ("Z", COLOURS["third"]))
     ):
+        if known:
+            figure.add_trace(_strip(t_s[::step], correction_um[::step, column], band_um[::step, column], name, colour))
         figure.add_trace(
             go.Scatter(
                 x=t_s[::step].round(3).tolist(),
@@ -44,10 +49,28 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go
         )
     for limit in (-clamp_um, clamp_um):
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
+    told = "shaded: its uncertainty, k = 2" if known else "the model does not tell its uncertainty"
     figure.update_layout(
-        title="Correction of each axis; dashed: its limit", xaxis_title="s before now", yaxis_title="µm"
+        title=f"Correction of each axis; dashed: its limit; {told}", xaxis_title="s before now", yaxis_title="µm"
     )
     return styled(figure)
+
+
+def _strip(t_s: Floats, correction_um: Floats, band_um: Floats, name: str, colour: str) -> go.Scatter:
+    """Return the area between correction minus and plus its half width; none where that is not known."""
+    half = np.nan_to_num(band_um)
+    around = np.concatenate([correction_um + half, (correction_um - half)[::-1]])
+    return go.Scatter(
+        x=np.concatenate([t_s, t_s[::-1]]).round(3).tolist(),
+        y=around.round(3).tolist(),
+        name=f"{name} ± U",
+        fill="toself",
+        mode="lines",
+        line={"width": 0, "color": colour},
+        opacity=0.3,
+        hoverinfo="skip",
+        showlegend=False,
+    )
 
 
 def circle_figure(position_mm: Floats, centre_mm: Floats, radius_mm: Floats, correction_um: Floats) -> go.Figure | None:

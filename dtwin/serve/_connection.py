@@ -166,9 +166,8 @@ def _axis_of(frame: str) -> str:
 
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
     """Return the model with a quarter of its clamp."""
-    bundle = compiled.bundle
-    safety = dataclasses.replace(bundle.safety, clamp_um=_TRIAL_SHARE * bundle.safety.clamp_um)
-    return CompiledBundle(dataclasses.replace(bundle, safety=safety))
+    safety = compiled.bundle.safety
+    return compiled.limited(dataclasses.replace(safety, clamp_um=_TRIAL_SHARE * safety.clamp_um))
 
 
 def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:

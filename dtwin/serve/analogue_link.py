@@ -165,8 +165,7 @@ def within_travel(compiled: CompiledBundle) -> CompiledBundle:
     safety = compiled.bundle.safety
     if safety.clamp_um <= TRAVEL_UM:
         return compiled
-    tight = dataclasses.replace(safety, clamp_um=TRAVEL_UM)
-    return CompiledBundle(dataclasses.replace(compiled.bundle, safety=tight))
+    return compiled.limited(dataclasses.replace(safety, clamp_um=TRAVEL_UM))
 
 
 NO_TOOL_MM: Floats = np.zeros(3)

@@ -12,6 +12,7 @@ from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
 from dtwin.serve._fields import only_fields, record, text, whole
+from dtwin.serve.band import Band, read_band
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import (
     Input,
@@ -48,6 +49,8 @@ class Bundle:
         From tick inputs, intermediate values and feature inputs to outputs, every tick.
     corrects : str
         Kind of campaign that it was made of; empty in bundles from before 2026-11.
+    band : Band or None
+        How uncertain the outputs are; None where nobody knows, as in bundles from before 2026-12.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Bundle:
     provenance: Provenance
     vectors: TestVectors
     corrects: str = ""
+    band: Band | None = None
 
     def __post_init__(self) -> None:
         """Refuse an interface that does not fit together."""
@@ -73,6 +77,8 @@ class Bundle:
             require_name(self.corrects, "what the bundle corrects")
         self._check_interface()
         self._check_window()
+        if self.band is not None:
+            self.band.check([*(i.name for i in self.inputs), *self.intermediates], [o.name for o in self.outputs])
 
     @property
     def tick_inputs(self) -> tuple[str, ...]:
@@ -129,7 +135,8 @@ class Bundle:
     def body(self) -> dict[str, Any]:
         """Return the JSON-ready content without the checksum."""
         # Left away where it is not known, so that the checksum of an older bundle still holds.
-        told = {"corrects": self.corrects} if self.corrects else {}
+        told: dict[str, Any] = {"corrects": self.corrects} if self.corrects else {}
+        told |= {"band": self.band.as_dict()} if self.band else {}
         return told | {
             "format": _FORMAT,
             "version": _VERSION,
@@ -185,7 +192,7 @@ class Bundle:
                 got=repr(data.get("version"))[:40],
                 allowed=str(_VERSION),
             )
-        told = ("corrects",) if "corrects" in data else ()
+        told = tuple(name for name in ("corrects", "band") if name in data)
         fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")
         body = {k: v for k, v in fields.items() if k != "sha256"}
         if fields["sha256"] != checksum(body):
@@ -211,7 +218,8 @@ class Bundle:
             safety=read_safety(body["safety"]),
             provenance=read_provenance(body["provenance"]),
             vectors=read_vectors(body["vectors"]),
-            corrects=text(body["corrects"], "corrects") if told else "",
+            corrects=text(body["corrects"], "corrects") if "corrects" in told else "",
+            band=read_band(body["band"]) if "band" in told else None,
         )
 
 

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.features.windows import WindowContract
+from dtwin.serve.band import Band
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State, TestVectors
@@ -36,6 +37,7 @@ def create_bundle(
     provenance: Provenance | None = None,
     seed: int = 1,
     corrects: str = "",
+    band: Band | None = None,
 ) -> Bundle:
     """Return a bundle with its test vectors, proved on this host.
 
@@ -62,6 +64,7 @@ def create_bundle(
         provenance or Provenance(),
         TestVectors((), (), ()),
         corrects,
+        band,
     )
     proved = with_vectors(bundle, seed)
     prove(proved)

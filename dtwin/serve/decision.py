@@ -119,11 +119,17 @@ class Decision:
         box = np.array([boxes[name] for name in order]).reshape(-1, 2)
         self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
         self.direction = Direction(bundle.outputs)
+        self._banded = bundle.band is not None
         self.window_age_s = 0.0
         self.hold = self._windowed = False
         self.sensor_trouble = ""
         self._prepare_window(sensors)
         self._warm_up()
+
+    @property
+    def band_um(self) -> Floats:
+        """Half width (3,) of the newest wanted correction, k = 2, along base x, y, z; NaN where nobody knows it."""
+        return self.direction.band_um
 
     @property
     def trouble(self) -> str:
@@ -224,6 +230,8 @@ class Decision:
             self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
+        if self._banded:
+            self.direction.apply_band(self.compiled.band_um, self._pool[0], state[layout.PLANE_ID])
         device_ok = not self.hold and state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
         safe = self.guard.step(
             wanted,

@@ -56,6 +56,39 @@ def _kernel_many(
         _correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
 
 
+@compiled
+def _band_kernel(
+    half_um: Floats, frames: NDArray[np.int64], angle_rad: float, plane_id: float, band_um: Floats
+) -> None:
+    """Write the half widths along base x, y, z: those of several outputs add as independent ones.
+
+    ``half_um``, (n_outputs,): half width of each output.
+    ``band_um``, (3,): receives them.
+    Others as in ``_correction_kernel``.
+    """
+    band_um[:] = 0.0
+    if not (plane_id == 0.0 or plane_id == 1.0 or plane_id == 2.0):
+        band_um[:] = np.nan
+        return
+    first = int(plane_id)
+    second, normal = (first + 1) % 3, (first + 2) % 3
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    for k in range(half_um.shape[0]):
+        square, frame = half_um[k] ** 2, frames[k]
+        if frame == 0:
+            band_um[first] += square * cosine**2
+            band_um[second] += square * sine**2
+        elif frame == 1:
+            band_um[first] += square * sine**2
+            band_um[second] += square * cosine**2
+        elif frame == 2:
+            band_um[normal] += square
+        else:
+            band_um[frame - 3] += square
+    for i in range(3):
+        band_um[i] = np.sqrt(band_um[i])
+
+
 class Direction:
     """Maps the outputs of one bundle to the base frame.
 
@@ -72,11 +105,17 @@ class Direction:
         self._frames = np.array([OUTPUT_FRAMES.index(o.frame) for o in outputs], dtype=np.int64)
         self._signs = np.array([_ERROR_SIGN[o.role] for o in outputs])
         self.vector_um = np.zeros(3)
+        self.band_um = np.full(3, np.nan)
+        """Half width of the newest correction along base x, y, z; NaN before the first ``apply_band``."""
 
     def apply(self, outputs: Floats, angle_rad: float, plane_id: float) -> Floats:
         """Return the correction vector (3,) in um; the next call overwrites it."""
         _correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
         return self.vector_um
+
+    def apply_band(self, half_um: Floats, angle_rad: float, plane_id: float) -> None:
+        """Write the half widths (n_outputs,) of the outputs into ``band_um``."""
+        _band_kernel(half_um, self._frames, angle_rad, plane_id, self.band_um)
 
     def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
         """Return the correction vectors of successive ticks, shape (n, 3) in um.

@@ -41,10 +41,13 @@ COLUMNS = (
     "centre_z_mm",
     "radius_mm",
     "segment",
+    "band_x_um",
+    "band_y_um",
+    "band_z_um",
 )
 """Columns of a row, in their order."""
 
-_FORMAT = 2027.0
+_FORMAT = 2028.0
 _CAPACITY = 16384
 _HEADER = 32
 _FORMAT_AT, _PID, _STARTED, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
@@ -115,6 +118,7 @@ class LiveBoard:
         reason: int,
         times_s: tuple[float, float, float],
         counts: tuple[int, int],
+        band_um: Floats,
     ) -> None:
         """Show a tick.
 
@@ -122,6 +126,7 @@ class LiveBoard:
         ``correction_um``, (3,): what was sent for it.
         ``times_s``: interval since the tick before, age of the state, age of the window.
         ``counts``: late and missed ticks so far.
+        ``band_um``, (3,): half width of the correction that the model asked for; NaN where it has none.
         """
         row = self._row
         row[0] = state[layout.TIMESTAMP]
@@ -132,6 +137,7 @@ class LiveBoard:
         row[11:14] = state[layout.CENTRE : layout.CENTRE + 3]
         row[14] = state[layout.RADIUS]
         row[15] = state[layout.SEGMENT_ID]
+        row[16:19] = band_um
         self._rows[self._count % _CAPACITY] = row
         self._count += 1
         head = self._head

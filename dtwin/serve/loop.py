@@ -268,6 +268,7 @@ class ServingLoop:
                 self.decision.guard.reason,
                 (interval_s, age_s, window_age_s),
                 (self.timing.late, self.timing.missed),
+                self.decision.band_um,
             )
         self._last_s, self._last_stamp_s = now_s, stamp_s
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from dtwin.errors import GateRefusal, InputError
 from dtwin.features.windows import WindowContract, batch_features
 from dtwin.schema import Floats
+from dtwin.serve.band import Band
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.interface import TestVectors
 from dtwin.serve.runtime import CompiledBundle
@@ -61,7 +63,32 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
         found = batch_features(_test_window(bundle.window, seed), bundle.window)
         window_values = tuple(found.values[0].reshape(-1).tolist())
     vectors = TestVectors(inputs, features, outputs, seed, window_values)
-    return dataclasses.replace(bundle, vectors=vectors)
+    band = bundle.band
+    if band is not None:
+        halves = _reference_band(bundle, band, inputs, features)
+        if not all(0.0 <= half < np.inf for row in halves for half in row):
+            raise InputError("the band is not finite everywhere inside the validity box", code="bundle.not_finite")
+        band = dataclasses.replace(band, vectors=halves)
+    return dataclasses.replace(bundle, vectors=vectors, band=band)
+
+
+def _reference_band(
+    bundle: Bundle, band: Band, inputs: tuple[tuple[float, ...], ...], features: tuple[tuple[float, ...], ...]
+) -> tuple[tuple[float, ...], ...]:
+    rows = []
+    for given, windowed in zip(inputs, features, strict=True):
+        told = band.graph.evaluate(_values(bundle, given, windowed), {})[0]
+        rows.append(tuple(told[o.name] for o in bundle.outputs))
+    return tuple(rows)
+
+
+def _values(bundle: Bundle, given: tuple[float, ...], windowed: tuple[float, ...]) -> dict[str, float]:
+    """Return inputs and intermediate values of a tick by name."""
+    values = dict(zip(bundle.tick_inputs, given, strict=True))
+    values |= dict(zip(bundle.feature_inputs, windowed, strict=True))
+    if bundle.window_graph is not None:
+        values |= bundle.window_graph.evaluate(values, {})[0]
+    return values
 
 
 def _reference_outputs(
@@ -74,11 +101,7 @@ def _reference_outputs(
     state = bundle.initial_state
     rows = []
     for given, windowed in zip(inputs, features, strict=True):
-        values = dict(zip(bundle.tick_inputs, given, strict=True))
-        values |= dict(zip(bundle.feature_inputs, windowed, strict=True))
-        if bundle.window_graph is not None:
-            values |= bundle.window_graph.evaluate(values, {})[0]
-        out, state = bundle.tick_graph.evaluate(values, state)
+        out, state = bundle.tick_graph.evaluate(_values(bundle, given, windowed), state)
         rows.append(tuple(out[o.name] for o in bundle.outputs))
     return tuple(rows)
 
@@ -92,21 +115,28 @@ def prove(bundle: Bundle) -> None:
         When the equation differs by more than 1e-12, or a feature by a single bit.
     """
     vectors = bundle.vectors
-    compiled = CompiledBundle(bundle)
-    found = []
+    compiled = CompiledBundle(bundle, fades=False)
+    found, halves = [], []
     for given, windowed in zip(vectors.inputs, vectors.features, strict=True):
         if len(given) != len(bundle.tick_inputs) or len(windowed) != len(bundle.feature_inputs):
             raise _unproved("a test vector has the wrong length", f"{len(given)}, {len(windowed)}")
         compiled.window(np.array(windowed))
         found.append(compiled.tick(np.array(given)).tolist())
-    expected, actual = np.array(vectors.outputs), np.array(found)
-    if not len(found) or actual.shape != expected.shape:
-        raise _unproved("the test vectors are missing or of the wrong shape", str(actual.shape))
-    error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
-    if not (error <= _TOLERANCE).all():
-        raise _unproved("the equation gives other values here", f"difference {error.max():.3g}")
+        halves.append(compiled.band_um.tolist())
+    _prove_values(vectors.outputs, found, "equation")
+    if bundle.band is not None:
+        _prove_values(bundle.band.vectors, halves, "band")
     if bundle.window is not None:
         _prove_features(bundle.window, vectors)
+
+
+def _prove_values(told: Sequence[Sequence[float]], found: Sequence[Sequence[float]], what: str) -> None:
+    expected, actual = np.array(told), np.array(found)
+    if not len(found) or actual.shape != expected.shape:
+        raise _unproved(f"the test vectors of the {what} are missing or of the wrong shape", str(actual.shape))
+    error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
+    if not (error <= _TOLERANCE).all():
+        raise _unproved(f"the {what} gives other values here", f"difference {error.max():.3g}")
 
 
 def _prove_features(contract: WindowContract, vectors: TestVectors) -> None:

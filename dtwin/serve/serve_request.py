@@ -43,6 +43,9 @@ class ServeRequest:
         a robot at ``host``.
     expired : {"refuse", "warn"}
         What to do with a champion whose evidence is older than its bundle allows.
+    fade : bool or None
+        Whether a correction smaller than its own uncertainty fades out; None: where the bundle says how uncertain
+        it is.
     """
 
     model: str = "latest"
@@ -57,6 +60,7 @@ class ServeRequest:
     analogue: AnalogueWiring | None = None
     axes: str | None = None
     expired: WhenExpired = "refuse"
+    fade: bool | None = None
 
     @property
     def place(self) -> str:
@@ -124,6 +128,10 @@ class Served:
         Whether the driver process was given real-time priority.
     log : str
         Path of the session log, or why there is none.
+    band : str
+        What the uncertainty of the correction is from; empty when the bundle does not tell it.
+    fades : bool
+        Whether a correction smaller than its uncertainty fades out.
     """
 
     request: ServeRequest
@@ -134,6 +142,8 @@ class Served:
     status: ServeStatus
     driver_realtime: bool
     log: str = ""
+    band: str = ""
+    fades: bool = False
 
     @property
     def exit_code(self) -> int:
@@ -162,6 +172,8 @@ class Served:
             "device": self.device,
             "trial": self.trial,
             "clamp_um": self.clamp_um,
+            "band": self.band,
+            "fades": self.fades,
             "driver_realtime": self.driver_realtime,
             "log": self.log,
             **self.status.as_dict(),

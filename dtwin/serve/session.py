@@ -23,6 +23,7 @@ from dtwin.serve._journal import NOT_RELEASED, RELEASED, SERVING, journal
 from dtwin.serve._lease import lease
 from dtwin.serve._machine_serving import MachineServing, Stop
 from dtwin.serve.analogue_link import NO_TOOL_MM, within_travel
+from dtwin.serve.band import require_fading
 from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
@@ -31,6 +32,7 @@ from dtwin.serve.live_board import live_board
 from dtwin.serve.loop import ServeStatus
 from dtwin.serve.pointer import Resolved, read_machine, resolve
 from dtwin.serve.proved import require_proof
+from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import Served, ServeRequest
 from dtwin.serve.served_time import events_path
 from dtwin.serve.signals import stop_on_signals
@@ -94,8 +96,11 @@ def _serve_resolved(
         announce(f"trial: the correction is limited to {limit_um:z.1f} µm, a quarter of its clamp")
     elif request.mode == "live":
         announce(require_proof(resolved, compiled.bundle, request.expired))
+    if request.fade is not None:
+        compiled = _with_fading(compiled, request.fade)
     if request.analogue is not None:
         compiled = within_travel(compiled)
+    announce(_uncertainty_said(compiled))
     bundle = compiled.bundle
     _require_control(request, bundle)
     robot = request.analogue is None and request.axes is None
@@ -157,7 +162,33 @@ def _serve_resolved(
         if connection.finished and status.ended == "stopped":
             status = dataclasses.replace(status, ended="finished")
         events.note(RELEASED if status.released else NOT_RELEASED, why=status.ended)
-        return Served(request, resolved, connection.device, trial, bundle.safety.clamp_um, status, connection.realtime)
+        return Served(
+            request,
+            resolved,
+            connection.device,
+            trial,
+            bundle.safety.clamp_um,
+            status,
+            connection.realtime,
+            band=bundle.band.basis if bundle.band else "",
+            fades=compiled.fades,
+        )
+
+
+def _with_fading(compiled: CompiledBundle, fade: bool) -> CompiledBundle:
+    if fade:
+        require_fading(compiled.bundle.band)
+    return CompiledBundle(compiled.bundle, fades=fade)
+
+
+def _uncertainty_said(compiled: CompiledBundle) -> str:
+    """Say whether the bundle tells the uncertainty of its correction, and what comes of it."""
+    band = compiled.bundle.band
+    if band is None:
+        return "the model does not say how uncertain its correction is: nothing fades out"
+    told = f"the model says how uncertain its correction is (k = 2, from {band.basis})"
+    what = "what is smaller than that fades out" if compiled.fades else "nothing fades out"
+    return f"{told}: {what}"
 
 
 def _connection(request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> Connection:

@@ -117,7 +117,7 @@ class TargetCorrection:
         bundle = compiled.bundle
         # From one clamp to the opposite one within a step.
         safety = dataclasses.replace(bundle.safety, slew_um_s=2.0 * bundle.safety.clamp_um / _STEP_S)
-        self._decision = Decision(CompiledBundle(dataclasses.replace(bundle, safety=safety)), tcp_mm, covariates)
+        self._decision = Decision(compiled.limited(safety), tcp_mm, covariates)
         plane_axes(frame.plane)
         self._frame, self._tcp_mm = frame, np.asarray(tcp_mm, dtype=float)
         self._joints_rad = np.asarray(frame.joints_rad, dtype=float)

@@ -9,12 +9,15 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.schema import Floats
-from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.band import COVARIANCE, Band
+from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.statistics import t_quantile
 
 JOINT_MOTION = "joint_motion"
+_COVERAGE = 0.9545
 _AXES = ("base_x", "base_y", "base_z")
 
 
@@ -55,6 +58,7 @@ def placement_bundle(
         f"{axis}_um": float(means[0][i]) + float(means[1][i] - means[0][i]) * joint + 0.0 * feed
         for i, axis in enumerate(_AXES)
     }
+    band = _band(g, placements, joint)
     largest = max(float(np.linalg.norm(mean)) for mean in means)
     return create_bundle(
         corrects="placement",
@@ -69,4 +73,26 @@ def placement_bundle(
         tick_graph=g.graph(outputs),
         safety=SafetyLimits(clamp_um=1.25 * largest),
         provenance=Provenance(code_version=__version__),
+        band=band,
+    )
+
+
+def _band(g: GraphBuilder, placements: Sequence[TrainingPlacement], joint: Expression) -> Band | None:
+    """Return how uncertain the means are, by Student's t; None when a motion was placed once only."""
+    halves = []
+    for motion in ("MoveL", "MoveJ"):
+        errors = np.array([p.error_um for p in placements if p.motion == motion])
+        if len(errors) < 2:
+            return None
+        factor = t_quantile(0.5 + _COVERAGE / 2.0, len(errors) - 1.0)
+        halves.append(factor * errors.std(axis=0, ddof=1) / np.sqrt(len(errors)))
+    return Band(
+        COVARIANCE,
+        g.graph(
+            {
+                # The motion is 0 or 1; a rounding below 0 must not be a half width below 0.
+                f"{axis}_um": abs(float(halves[0][i]) + float(halves[1][i] - halves[0][i]) * joint)
+                for i, axis in enumerate(_AXES)
+            }
+        ),
     )

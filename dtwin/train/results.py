@@ -16,6 +16,8 @@ CONDITIONS_FILE = "conditions.json"
 """Artifact of a version: the conditions that it was trained on."""
 FRESH_RUN = "fresh_run.rms_um"
 """Metric: RMS error on runs that only the coefficients were fitted without, in um."""
+OUTPUT_RMS = "held_out_output_um"
+"""Number of a candidate: RMS error of what its bundle tells, held out, where its scores are of something else."""
 # Rounding is no harm.
 _SAME = 1.0 + 1e-6
 

@@ -140,7 +140,7 @@ def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> 
     NotTraceable
         When the effect does what a bundle cannot.
     """
-    columns = expressions_of(_regressors(term, state), builder, len(weights))
+    columns = traced_columns(term, state, builder)
     # Columns that are zero need no node.
     return builder.total(
         [
@@ -149,6 +149,17 @@ def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> 
             if not (builder.node(c).op == "const" and builder.node(c).value == 0.0)
         ]
     )
+
+
+def traced_columns(term: Term, state: Any, builder: GraphBuilder) -> list[Expression]:
+    """Return the regressors of an effect at a traced state, one for each parameter.
+
+    Raises
+    ------
+    NotTraceable
+        When the effect does what a bundle cannot.
+    """
+    return expressions_of(_regressors(term, state), builder, len(term.instance.effect.parameters))
 
 
 def _regressors(term: Term, state: Any) -> Any:

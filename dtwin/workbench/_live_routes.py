@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import time
@@ -31,6 +32,7 @@ _NEWEST = 20
 _TAIL_BYTES = 2_000_000
 _EVENTS = ".events.jsonl"
 _SHOWN_S = 20.0
+_BAND = slice(COLUMNS.index("band_x_um"), COLUMNS.index("band_z_um") + 1)
 _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
 
 
@@ -99,6 +101,7 @@ def now(request: Request, machine: str) -> dict[str, Any]:
         "age_ms": [1e3 * float(v) for v in np.percentile(age, (50, 99))],
         "jitter_us_p99": 1e6 * float(np.percentile(np.abs(interval - seen.period_s), 99)) if len(interval) else None,
         "correction_um": seen.rows[-1, _CORRECTION].tolist(),
+        "band_um": [v if math.isfinite(v) else None for v in seen.rows[-1, _BAND].tolist()],
         "clamp_um": seen.clamp_um,
         "reasons": {n: c for n, c in seen.reasons.items() if n not in ("ok", "disabled")},
     }
@@ -110,7 +113,8 @@ def correction(request: Request, machine: str) -> Response:
     seen = _board(request, machine)
     t_s = seen.column("stamp_s") - seen.column("stamp_s")[-1]
     kept = t_s >= -_SHOWN_S
-    return drawn(correction_figure(t_s[kept], seen.rows[kept][:, _CORRECTION], seen.clamp_um))
+    rows = seen.rows[kept]
+    return drawn(correction_figure(t_s[kept], rows[:, _CORRECTION], seen.clamp_um, rows[:, _BAND]))
 
 
 @router.get("/api/live/{machine}/circle")

@@ -47,6 +47,7 @@ def test_none_is_left_out() -> None:
         "bench_workbench.py",
         "bench_growth.py",
         "cobot_family.py",
+        "correction_band.py",
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
@@ -69,6 +70,23 @@ def test_loop() -> None:
         assert one["ticks"] > 0
         assert 0.0 <= one["late_share"] <= 1.0
     assert found["clients"]["loop"]["own_status"]["fault"] is None
+
+
+@pytest.mark.long
+def test_correction_band() -> None:
+    found = short("correction_band.py")
+    for kind in ("circular", "linear"):
+        whole, *parts = [row for row in found if row["kind"] == kind]
+        assert whole["machines"] == sum(row["machines"] for row in parts) == 30
+        # 30 machines tell a share of 95 % to some 8 %.
+        assert 0.82 <= whole["covered"] <= 1.0
+        # What fading takes away is small beside the band, whatever the size of the error.
+        for row in (whole, *parts):
+            assert abs(row["left_faded_um"] - row["left_um"]) < 0.26 * row["half_um"]
+            assert row["held_out_faded_um"] < 1.01 * row["held_out_um"]
+    # Where there is next to nothing to correct, it helps.
+    nothing = next(r for r in found if (r["kind"], r["error_over_band"]) == ("circular", "0 to 0.5"))
+    assert nothing["left_faded_um"] < nothing["left_um"]
 
 
 def test_flips() -> None:

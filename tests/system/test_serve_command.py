@@ -33,6 +33,7 @@ from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.features.windows import WindowContract
 from dtwin.serve._connection import require_evidence
+from dtwin.serve.band import COVARIANCE, constant_band
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.controller_kind import is_virtual
@@ -225,6 +226,22 @@ def test_a_champion_whose_evidence_has_expired(robot: VirtualRobot, home: Home) 
     assert (code, "expired" in err) == (0, False)
     code, answer, _ = served(f"--host={robot.host}", "--expired=ignore")
     assert (code, answer["error"]["code"]) == (1, "serve.expired_option")
+
+
+def test_a_small_correction_fades_unless_told_otherwise(robot: VirtualRobot, home: Home) -> None:
+    promote(home, band=constant_band({"radial_error_um": 48.0}, COVARIANCE))
+    _, by_default, said = served(f"--host={robot.host}", "--duration=1")
+    assert "(k = 2, from covariance): what is smaller than that fades out" in said
+    assert (by_default["band"], by_default["fades"]) == ("covariance", True)
+    # Half of its half width: half is left.
+    assert by_default["largest_um"] == pytest.approx(12.0, rel=0.01)
+    _, whole, said = served(f"--host={robot.host}", "--duration=1", "--no-fade")
+    assert "nothing fades out" in said
+    assert whole["largest_um"] == pytest.approx(24.0, rel=0.01)
+    promote(home)
+    code, _, err = Server(f"--host={robot.host}", "--duration=1", "--fade").end()
+    assert code == 3
+    assert "does not say how uncertain its correction is" in err
 
 
 def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:

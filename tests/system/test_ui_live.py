@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import signal
 import statistics
 import subprocess
@@ -20,6 +21,7 @@ from virtual_robot import virtual_robot
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import home as dtwin_home
+from dtwin.serve.band import COVARIANCE, constant_band
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -109,7 +111,7 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
 ) -> None:
     """Real server, real ur-rtde client, virtual controller on the wall clock."""
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
-    promote(dtwin_home())
+    promote(dtwin_home(), band=constant_band({"radial_error_um": 3.0}, COVARIANCE))
     with (
         virtual_robot("--feed-mm-min=12000", "--radius-mm=50") as robot,
         running_workbench(tmp_path) as workbench,
@@ -138,6 +140,11 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
             if math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01):
                 break
             assert time.monotonic() < until, seen["correction_um"]
+        # 3 um along the radius, k = 2, whatever its direction in the plane.
+        assert math.hypot(*(seen["band_um"])) == pytest.approx(3.0)
+        expect(now.locator("[data-key=band]")).to_have_text(re.compile(r"^\d\.\d\d  \d\.\d\d  0\.00$"))
+        strips = "document.querySelectorAll('[data-moving] .canvas')[0].data.filter(d => d.fill === 'toself').length"
+        page.wait_for_function(f"() => {strips} === 3")
         drawn = "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
         page.wait_for_function(f"() => {drawn}.length === 2")
         # A circle in which the loop stalled, or the program began anew, begins at zero; each next

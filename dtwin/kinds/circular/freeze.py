@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,15 @@ from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state
 from dtwin.physics.twin import Twin, predict_um
 from dtwin.schema import PLANES, Floats, RunMeta
+from dtwin.serve.band import Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.traced import NotTraceable, Traced
-from dtwin.train.twin_terms import TwinBundle, carried, weighted
+from dtwin.train.twin_band import band, half_width, parameter_factor
+from dtwin.train.twin_terms import TwinBundle, carried, traced_columns, weighted
 
 _ANGLE, _DIRECTION, _SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
 _RADIUS, _PLANE = "radius_mm", "plane_id"
@@ -53,7 +55,8 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
     """
     builder = GraphBuilder()
     logged = _Logged(builder, obs)
-    reduced = carried(twin, lambda term: _traced(term, twin, builder, logged, horizon_s))
+    path = _Path(twin, builder, logged, horizon_s)
+    reduced = carried(twin, path.error)
     parts: dict[str, list[Expression]] = {plane: [] for plane in twin.box.planes}
     for made in reduced.traced:
         for plane, expression in made.items():
@@ -74,6 +77,7 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
         provenance=Provenance(
             code_version=__version__, table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)}
         ),
+        band=_band(path, reduced.twin, obs),
     )
     return TwinBundle(bundle, reduced.choices, reduced.twin)
 
@@ -125,39 +129,74 @@ def _mean(obs: Observations, name: str) -> float:
     return float((values * weights).sum() / weights.sum())
 
 
-def _traced(term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float) -> dict[str, Expression]:
-    """Return the predicted radial error of a term in every plane in which it acts."""
-    weights = twin.values(term)
-    speed, radius = Traced([builder.input(_SPEED)]), Traced([builder.input(_RADIUS)])
-    sign = builder.input(_DIRECTION)
-    angle = builder.input(_ANGLE)
-    if horizon_s:
-        ahead = speed.columns[0] / radius.columns[0]
-        angle = angle + sign * ahead * horizon_s
-    forward = builder.apply("step", sign)
-    joints = traced_joints(builder, horizon_s)
-    out: dict[str, Expression] = {}
-    for plane in twin.box.planes:
-        ways = []
-        for direction in ("CCW", "CW"):
-            meta: Any = RunMeta("traced", plane=plane, direction=direction, radius_mm=radius)  # type: ignore[arg-type]
-            state = circular_state(
-                meta,
-                Traced([angle]),  # type: ignore[arg-type]
-                feed_mm_s=speed,  # type: ignore[arg-type]
-                columns=logged,
-                geometry={},
-            )
-            # What a robot's joints do is an input here, not computed from its geometry.
-            state.__dict__["joints"] = joints
-            ways.append(weighted(term, state, builder, weights))
-        ccw, cw = ways
-        if any(builder.node(way).op != "const" for way in ways):
-            same = ccw.index == cw.index
-            out[plane] = ccw if same else cw + forward * (ccw - cw)
-    if not out:
-        raise NotTraceable("it acts in none of the planes that were measured")
-    return out
+@dataclass(frozen=True)
+class _Path:
+    """A twin's effects along a traced path, by plane."""
+
+    twin: Twin
+    builder: GraphBuilder
+    logged: _Logged
+    horizon_s: float
+
+    def error(self, term: Term) -> dict[str, Expression]:
+        """Return the predicted radial error of a term in every plane in which it acts."""
+        weights = self.twin.values(term)
+        found = self._along(lambda state: [weighted(term, state, self.builder, weights)])
+        out = {plane: both[0] for plane, both in found.items() if not self._constant(both[0])}
+        if not out:
+            raise NotTraceable("it acts in none of the planes that were measured")
+        return out
+
+    def regressors(self, term: Term) -> dict[str, list[Expression]]:
+        """Return the regressors of a term in every plane."""
+        return self._along(lambda state: traced_columns(term, state, self.builder))
+
+    def _along(self, make: Callable[[Any], list[Expression]]) -> dict[str, list[Expression]]:
+        """Return what is made of the state in every plane, of the direction in which the machine goes."""
+        builder, logged = self.builder, self.logged
+        speed, radius = Traced([builder.input(_SPEED)]), Traced([builder.input(_RADIUS)])
+        sign = builder.input(_DIRECTION)
+        angle = builder.input(_ANGLE)
+        if self.horizon_s:
+            ahead = speed.columns[0] / radius.columns[0]
+            angle = angle + sign * ahead * self.horizon_s
+        forward = builder.apply("step", sign)
+        joints = traced_joints(builder, self.horizon_s)
+        out: dict[str, list[Expression]] = {}
+        for plane in self.twin.box.planes:
+            ways = []
+            for direction in ("CCW", "CW"):
+                meta: Any = RunMeta("traced", plane=plane, direction=direction, radius_mm=radius)  # type: ignore[arg-type]
+                state = circular_state(
+                    meta,
+                    Traced([angle]),  # type: ignore[arg-type]
+                    feed_mm_s=speed,  # type: ignore[arg-type]
+                    columns=logged,
+                    geometry={},
+                )
+                # What a robot's joints do is an input here, not computed from its geometry.
+                state.__dict__["joints"] = joints
+                ways.append(make(state))
+            out[plane] = [
+                ccw if ccw.index == cw.index else cw + forward * (ccw - cw) for ccw, cw in zip(*ways, strict=True)
+            ]
+        return out
+
+    def _constant(self, term: Expression) -> bool:
+        return self.builder.node(term).op == "const"
+
+
+def _band(path: _Path, kept: Twin, obs: Observations) -> Band | None:
+    """Return how uncertain the error along the path is; None when the runs do not tell."""
+    factor = parameter_factor(path.twin, kept, obs)
+    if factor is None:
+        return None
+    found = [path.regressors(term) for term in kept.terms]
+    halves = {
+        plane: half_width(path.builder, [column for by_plane in found for column in by_plane[plane]], factor)
+        for plane in kept.box.planes
+    }
+    return band(path.builder, OUTPUT, _by_plane(path.builder, halves, kept.box.planes))
 
 
 def _by_plane(builder: GraphBuilder, errors: Mapping[str, Expression], measured: Sequence[str]) -> Expression:

@@ -16,6 +16,7 @@ from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN, Averages, DualNet
 from dtwin.kinds.linear._small_net import SmallNet
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, Layer
 from dtwin.schema import Floats
+from dtwin.serve.band import COVARIANCE, Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
@@ -202,6 +203,7 @@ def remembering_bundle(
     safety: SafetyLimits = SAFETY,
     table_versions: Mapping[str, int] | None = None,
     axis: str = "Z",
+    half_um: Expression | None = None,
 ) -> Bundle:
     """Return an equation with a memory for the play: no flag, no seam, ends held.
 
@@ -214,6 +216,7 @@ def remembering_bundle(
     ``limits``: lower and upper limit of slide minus screw in inches, as a term of the graph, at a position of the screw
     in inches. They hold their ends.
     ``travel_in``: travel of the axis, the validity box.
+    ``half_um``: half width (k = 2) of the error, as a term of the graph; None when it is not known.
     """
     position = builder.input(POSITION) / MM_PER_IN
     output = _output(axis)
@@ -232,6 +235,7 @@ def remembering_bundle(
         tick_graph=graph,
         safety=safety,
         provenance=Provenance(code_version=__version__, evidence="none", table_versions=dict(table_versions or {})),
+        band=None if half_um is None else Band(COVARIANCE, builder.graph({output.name: half_um})),
     )
 
 

@@ -23,7 +23,8 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import SafetyLimits
 from dtwin.train.traced import NotTold, NotTraceable, TracedAlong
-from dtwin.train.twin_terms import TwinBundle, carried, weighted
+from dtwin.train.twin_band import parameter_factor, squared
+from dtwin.train.twin_terms import TwinBundle, carried, traced_columns, weighted
 
 _CLAMP_SHARE = 1.25
 _LEAST_CLAMP_UM = 1.0
@@ -54,6 +55,7 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
         _safety(kept.twin, obs),
         {k: v for k, v in twin.data.items() if isinstance(v, int)},
         obs.axes[0],
+        flanks.half_um(parameter_factor(twin, kept.twin, obs)),
     )
     return TwinBundle(replace(bundle, model_version=0), kept.choices, kept.twin)
 
@@ -116,6 +118,21 @@ class _Flanks:
         """Return slide minus screw in inches with the screw at a position in inches."""
         terms = [self._effect_um(term, position, way) for term in self.twin.terms]
         return self.builder.total(terms) * (1.0 / UM_PER_IN)
+
+    def half_um(self, factor: Floats | None) -> Expression | None:
+        """Return the half width (k = 2) of the error at a position: that of the less certain flank.
+
+        ``factor``: from ``parameter_factor``.
+        """
+        if factor is None:
+            return None
+        position = self.builder.input(POSITION) / MM_PER_IN
+        squares = []
+        for way in WAYS:
+            state = _traced_state(self.builder, position, self.obs, way, 1.0)
+            columns = [c for term in self.twin.terms for c in traced_columns(term, state, self.builder)]
+            squares.append(squared(self.builder, columns, factor))
+        return self.builder.apply("sqrt", self.builder.apply("max", *squares))
 
     def _effect_um(self, term: Term, position: Expression, way: str, faster: float = 1.0) -> Expression:
         state = _traced_state(self.builder, position, self.obs, way, faster)

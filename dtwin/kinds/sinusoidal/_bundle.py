@@ -11,6 +11,7 @@ from dtwin import __version__
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, TONE_FEATURES, tone_columns
 from dtwin.kinds.sinusoidal._groups import SENT_RMS, ToneGroups
 from dtwin.kinds.sinusoidal._laws import Law
+from dtwin.serve.band import Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
@@ -20,7 +21,7 @@ from dtwin.units import unit_of
 
 SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
-_OUTPUT = "correction_z_um"
+OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
 _FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
@@ -73,6 +74,7 @@ def two_rate_bundle(
     machine: str,
     action: Action = "inverse",
     table_versions: Mapping[str, int] | None = None,
+    band: Band | None = None,
 ) -> Bundle:
     """Freeze a window that tells gain and lag with the tick that makes the sine of them.
 
@@ -81,6 +83,7 @@ def two_rate_bundle(
     ``groups``: give the window and the highest frequency.
     ``reach_um``: largest correction that is expected, um.
     ``name``, ``machine``, ``action``, ``table_versions``: as for :func:`tone_bundle`.
+    ``band``: of the correction; None when it is not known.
     """
     clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
@@ -89,7 +92,7 @@ def two_rate_bundle(
         machine=machine,
         model_version=0,
         inputs=inputs,
-        outputs=[Output(_OUTPUT, "base_z", "correction")],
+        outputs=[Output(OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],
         window=groups.contract,
         window_graph=window_graph,
@@ -101,6 +104,7 @@ def two_rate_bundle(
             window_stale_s=1.5,
         ),
         provenance=Provenance(code_version=__version__, table_versions=dict(table_versions or {})),
+        band=band,
     )
 
 
@@ -161,7 +165,7 @@ def _tick_graph(action: Action) -> Graph:
     if action == "printed":
         wave = builder.apply("sin", angle - lag)
         memory = {name: builder.state(name) for name in ("sent_re_1", "sent_im_1")}
-        return builder.graph({_OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
+        return builder.graph({OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
     cosine, sine = builder.apply("cos", lag), builder.apply("sin", lag)
     if action == "inverse":
         real, imaginary = cosine / gain, sine / gain
@@ -175,4 +179,4 @@ def _tick_graph(action: Action) -> Graph:
         updates[name] = before + share * (wanted - before)
     waves = builder.apply("sin", angle), builder.apply("cos", angle)
     added = (updates["sent_re_1"] - 1.0) * waves[0] + updates["sent_im_1"] * waves[1]
-    return builder.graph({_OUTPUT: size * added}, updates)
+    return builder.graph({OUTPUT: size * added}, updates)

@@ -21,7 +21,7 @@ from dtwin.serve.export import to_text
 from dtwin.statistics import rms
 from dtwin.train.candidates import RECIPES, Recipe, fitted
 from dtwin.train.latency import bundle_latency
-from dtwin.train.results import Candidate, Scores
+from dtwin.train.results import OUTPUT_RMS, Candidate, Scores
 from dtwin.train.symbolic import Engine
 
 # Amplitude error in um and lag in degrees of groups, from a fit to others.
@@ -55,7 +55,8 @@ def judged(groups: ToneGroups, predict: Predict) -> Judged:
 
     ``predict``: given groups to fit to and groups to predict, returns amplitude and phase errors.
     """
-    scores, numbers = {}, {}
+    scores: dict[str, Scores] = {}
+    numbers: dict[str, float] = {OUTPUT_RMS: 0.0}
     for name in HELD_OUT:
         label = groups.label(name)
         amplitude, phase = np.zeros(groups.n), np.zeros(groups.n)
@@ -66,6 +67,9 @@ def judged(groups: ToneGroups, predict: Predict) -> Judged:
         rest = groups.phase_error_deg - phase
         numbers[f"leave_{name}_out.phase_r2"] = _r2(groups.phase_error_deg, phase)
         numbers[f"leave_{name}_out.phase_mae_deg"] = float(np.mean(np.abs(rest)))
+        # Of the wave: half of the squared error vector.
+        square = (groups.amplitude_error_um - amplitude) ** 2 + (np.radians(rest) * groups.amplitude_um) ** 2
+        numbers[OUTPUT_RMS] = max(numbers[OUTPUT_RMS], float(np.sqrt(square.mean() / 2.0)))
     return Judged(scores, numbers)
 
 

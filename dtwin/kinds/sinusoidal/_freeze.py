@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, MOST_CREST, ROOM, command_inputs, two_rate_bundle
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, MOST_CREST, OUTPUT, PHASE, ROOM, command_inputs, two_rate_bundle
 from dtwin.kinds.sinusoidal._gates import MOST_ERROR_UM
 from dtwin.kinds.sinusoidal._grid import ToneCondition
 from dtwin.kinds.sinusoidal._groups import SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups
@@ -18,17 +18,20 @@ from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, predict_um
 from dtwin.schema import Floats
+from dtwin.serve.band import Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import Input
 from dtwin.train.traced import NotTold, NotTraceable, Traced
-from dtwin.train.twin_terms import TwinBundle, carried, weighted
+from dtwin.train.twin_band import band, half_width, parameter_factor
+from dtwin.train.twin_terms import TwinBundle, carried, traced_columns, weighted
 from dtwin.units import UM_PER_MM
 
 # Share of an effect's power beside the fundamental that a sine may leave.
 _NOT_A_SINE = 1e-6
 _BETWEEN = 20
 _MARGIN = 1e-6
+_LEAST_GAIN = 1e-3
 
 
 def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinBundle:
@@ -56,7 +59,17 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
     _require_smooth(graph, twin.name, groups)
     reach = float(np.abs(predict_um(kept.twin, obs)).max())
     versions = {k: v for k, v in twin.data.items() if isinstance(v, int)}
-    bundle = two_rate_bundle(graph, inputs, groups, reach, f"twin-{twin.name}", twin.machine, table_versions=versions)
+    factor = parameter_factor(twin, kept.twin, obs)
+    bundle = two_rate_bundle(
+        graph,
+        inputs,
+        groups,
+        reach,
+        f"twin-{twin.name}",
+        twin.machine,
+        table_versions=versions,
+        band=None if factor is None else tone.band(kept.twin, factor),
+    )
     return TwinBundle(bundle, kept.choices, kept.twin)
 
 
@@ -92,6 +105,28 @@ class _Tone:
             for sine, cosine in ((1.0, 0.0), (0.0, 1.0))
         ]
         return found[0], found[1]
+
+    def band(self, kept: Twin, factor: Floats) -> Band:
+        """Return how uncertain the correction is, tick by tick.
+
+        The correction is the command times 1 / G - 1, G being tool over sent command: a change g of G changes it by
+        -g / G^2, and what is in step with the sine and with the cosine of that acts at the command's phase.
+
+        ``factor``: from ``parameter_factor``.
+        """
+        builder = self.builder
+        lag, gain = builder.input("phase_error_rad"), builder.input("gain_1")
+        angle = builder.input(PHASE) + lag * 2.0
+        waves = builder.apply("sin", angle), builder.apply("cos", angle)
+        in_step = [
+            [c for term in kept.terms for c in traced_columns(term, self._state(sine, cosine), builder)]
+            for sine, cosine in ((1.0, 0.0), (0.0, 1.0))
+        ]
+        acting = [sine * waves[0] + cosine * waves[1] for sine, cosine in zip(*in_step, strict=True)]
+        # Before the first window it is zero.
+        square = builder.apply("max", builder.apply("square", gain), _LEAST_GAIN**2)
+        share = abs(builder.input(AMPLITUDE)) / self.amplitude / square
+        return band(builder, OUTPUT, half_width(builder, acting, factor) * share)
 
     def _state(self, sine: float, cosine: float) -> Any:
         """Return the state where the command's phase has that sine and cosine."""

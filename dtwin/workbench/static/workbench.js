@@ -325,6 +325,7 @@ function tellNow(list, now) {
     age: now.age_ms.map((ms) => plain(ms, 2)).join(" / "),
     jitter: plain(now.jitter_us_p99, 3),
     correction: now.correction_um.map((um) => fixed(um, 1)).join("  "),
+    band: now.band_um.map((um) => (um === null ? "–" : fixed(um, 2))).join("  "),
     limits: Object.entries(now.reasons).map(([name, n]) => `${name.replaceAll("_", " ")} ${n}`).join(", ") || "none",
   };
   for (const field of all("[data-key]", list)) field.textContent = said[field.dataset.key];

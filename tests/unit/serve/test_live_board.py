@@ -38,7 +38,9 @@ def test_another_process_sees_the_newest_tick(home: Home) -> None:
         for tick in range(5):
             state[layout.TIMESTAMP] = 0.002 * tick
             reason = CLAMPED if tick == 3 else OK
-            board.show(state, np.array([0.0, 2.5, 0.0]), reason, (0.002, 0.0003, 0.0), (1, 0))
+            board.show(
+                state, np.array([0.0, 2.5, 0.0]), reason, (0.002, 0.0003, 0.0), (1, 0), np.array([0.1, 0.2, np.nan])
+            )
         done = subprocess.run([sys.executable, "-c", READ, str(home.root)], capture_output=True, text=True, check=True)
         assert done.stdout == "5 1 {'ok': 4, 'clamped': 1} 2.5\n"
         assert read_board("mill-b", home) is None
@@ -52,7 +54,7 @@ def test_a_full_board_keeps_the_newest_in_order(home: Home, monkeypatch: pytest.
         assert board is not None
         for tick in range(20_000):
             state[layout.TIMESTAMP] = tick
-            board.show(state, np.zeros(3), OK, (0.002, 0.0, 0.0), (0, 0))
+            board.show(state, np.zeros(3), OK, (0.002, 0.0, 0.0), (0, 0), np.full(3, np.nan))
         seen = read_board("mill-a", home)
         assert seen is not None
         assert seen.ticks == 20_000

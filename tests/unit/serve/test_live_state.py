@@ -22,7 +22,7 @@ def told(home: Home, reasons: list[int], later_s: float = 0.0) -> tuple[str, str
         for n, reason in enumerate(reasons):
             state = np.zeros(layout.N)
             state[layout.TIMESTAMP] = n * 0.01
-            board.show(state, np.zeros(3), reason, (0.01, 0.001, 0.0), (0, 0))
+            board.show(state, np.zeros(3), reason, (0.01, 0.001, 0.0), (0, 0), np.full(3, np.nan))
         found = live_state(read_board("mill", home), time.monotonic() + later_s)
     return found.word, found.said
 
