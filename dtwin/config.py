@@ -103,6 +103,11 @@ class Home:
         return self.root / "machines"
 
     @property
+    def plans(self) -> Path:
+        """Plans of tests whose measurement is waited for."""
+        return self.root / "plans"
+
+    @property
     def bundles(self) -> Path:
         """Promoted models, frozen for serving."""
         return self.root / "bundles"

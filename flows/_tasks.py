@@ -20,6 +20,8 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.fleet import Night, nightly
+from dtwin.kinds.machine import Request, Simulated
+from dtwin.kinds.registry import machine_named
 from dtwin.lifecycle import drift, schedule
 from dtwin.lifecycle import evidence as closed_loop
 from dtwin.lifecycle import recheck as rechecking
@@ -70,6 +72,12 @@ def check(source: Path) -> dict[str, Any]:
 def measure(plan: Plan, folder: Path, seed: int) -> CampaignRun:
     """Measure a plan on the virtual cobot; tests that are in the folder already are kept."""
     return measuring.simulate(plan, folder, seed=seed, progress=logged("measure"))
+
+
+@task(name="simulate", task_run_name="measure on the virtual {machine}", **_ONCE)
+def simulated(machine: str, request: Request) -> Simulated:
+    """Measure a plan on a virtual machine."""
+    return machine_named(machine).simulate(request, logged("measure"))
 
 
 @task(name="campaign", task_run_name="measure {request.plan.name}", **_ONCE)

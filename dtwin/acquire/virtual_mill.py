@@ -14,6 +14,7 @@ from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.plan import Plan
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
@@ -104,8 +105,23 @@ def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[Circu
     return out
 
 
+def planned_tests(plan: Plan) -> list[CircularTest]:
+    """Return the circles of a plan in its order."""
+    return [
+        CircularTest(test.plane, direction, test.radius_mm, test.feed_mm_min, test.repeat, test.setup)
+        for test in plan.tests
+        for direction in plan.directions
+    ]
+
+
 def simulate_mill(
-    folder: Path, *, seed: int = 0, quick: bool = False, hidden: str = "backlash", progress: Progress | None = None
+    folder: Path,
+    *,
+    seed: int = 0,
+    quick: bool = False,
+    hidden: str = "backlash",
+    plan: Plan | None = None,
+    progress: Progress | None = None,
 ) -> list[Run]:
     """Measure the virtual mill and write a campaign folder.
 
@@ -117,22 +133,24 @@ def simulate_mill(
         One plane instead of three.
     hidden : str
         Fault that nobody is told of.
+    plan : Plan, optional
+        Circles to measure, under its names of campaign and machine; the recommended set without.
 
     Raises
     ------
     InputError
         When the folder holds another campaign.
     """
-    name = f"mill-{hidden}"
     file = folder / "campaign.toml"
     if file.exists():
         raise InputError(
             "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
         )
     mill = virtual_mill(hidden, seed=seed)
-    tests = standard_tests(seed, planes=PLANES[:1] if quick else PLANES)
-    runs = mill.measure(tests)
-    campaign = Campaign(name=name, machine="virtual-mill", machine_geometry=geometry_of_mill(hidden))
+    usual = PLANES[:1] if quick else PLANES
+    runs = mill.measure(standard_tests(seed, planes=usual) if plan is None else planned_tests(plan))
+    name, machine = (f"mill-{hidden}", "virtual-mill") if plan is None else (plan.name, plan.machine)
+    campaign = Campaign(name=name, machine=machine, machine_geometry=geometry_of_mill(hidden))
     write_campaign(folder, campaign, runs, mill.parameters, progress)
     return runs
 

@@ -52,6 +52,7 @@ class NotOffered(InputError):
 VERBS: Mapping[str, tuple[str, str]] = {
     "plan": ("a plan", "settings that a plan file states, and rules for them"),
     "usual_plan": ("a plan without a file", "a usual campaign"),
+    "draft": ("a form for a plan", "usual settings of a plan of a machine"),
     "programs": ("writing motion programs", "motion that a control runs by itself"),
     "foreseen": ("telling what a plan could detect", "a grid on which runs are compared"),
     "proposals": ("proposing a test", "plans for the axes of a machine"),
@@ -233,6 +234,13 @@ class Kind:
     def usual_plan(self) -> Planned:
         """Return the plan of the usual campaign."""
         raise self.lacks("usual_plan")
+
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
+        """Return a plan file, as TOML is read, with usual settings for a machine, to be changed setting by setting.
+
+        ``axes``: its axes, with ``travel_mm`` and ``pitch_mm`` where they are known.
+        """
+        raise self.lacks("draft")
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
         """Return the motion programs of a plan by file name; ``control`` is one of ``controls``."""

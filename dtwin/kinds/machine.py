@@ -92,6 +92,8 @@ class VirtualMachine:
         Options of ``dtwin simulate`` that it has, with their values, the usual first.
     clocks : tuple of str
         On which it can be corrected while it is measured, the usual first.
+    seeds_measuring : bool
+        Whether a seed is of noise and set-ups alone, so that another one is another test of the same machine.
     robot : bool
         Whether what serves it must know a kinematic chain and a tool.
     """
@@ -101,6 +103,7 @@ class VirtualMachine:
     kind: ClassVar[str]
     options: ClassVar[Options] = {}
     clocks: ClassVar[tuple[Clock, ...]] = ()
+    seeds_measuring: ClassVar[bool] = False
     robot: ClassVar[bool] = False
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:

@@ -44,7 +44,7 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
     record = read_record(home, known.machine) or MachineRecord(known.machine)
     told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
-    earlier = _earlier(home, every, mine, variation)
+    earlier = earlier_test(home, every, mine, variation)
     return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
 
 
@@ -73,21 +73,24 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
     }
 
 
-def _earlier(
+def earlier_test(
     home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mapping[str, Any]], variation: Variation | None
 ) -> dict[str, Any] | None:
     """Return name and sheet of the last test of the same kind and machine before this one."""
-    first = min((row["started"] for row in mine if row["started"]), default="")
+    dated = [row for row in rows if row["started"] and row["kind"] == mine[0]["kind"]]
+    first = min((when(row) for row in mine if row["started"]), default=("", "", ""))
     same = [
         row
-        for row in rows
-        if (row["machine"], row["kind"]) == (mine[0]["machine"], mine[0]["kind"])
-        and row["started"]
-        and row["started"] < first
-        and row["campaign"] != mine[0]["campaign"]
+        for row in dated
+        if row["machine"] == mine[0]["machine"] and row["campaign"] != mine[0]["campaign"] and when(row) < first
     ]
     if not same:
         return None
-    name = max(same, key=lambda row: str(row["started"]))["campaign"]
+    name = max(same, key=when)["campaign"]
     stamp = stamp_of([row for row in rows if row["campaign"] == name])
     return {"campaign": name, "sheet": sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)}
+
+
+def when(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return what orders runs in time: of tests that state the same, as virtual machines do, the one that came in first is earlier."""
+    return str(row["started"] or ""), str(row["ingested"]), str(row["campaign"])

@@ -116,7 +116,7 @@ def sheet_of_campaign(
         home,
         "sheets",
         campaign,
-        f"budget {stamp} {limits} {variation}",
+        f"zero {stamp} {limits} {variation}",
         lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
     return made

@@ -29,7 +29,7 @@ def contradiction_words(what: str, between: Sequence[str] = (), events: Sequence
     days = [day[:10] for day in between]
     if what != "mistake":
         if events[0]:
-            return f"since the {_listed(events[0])}, which is recorded between these tests"
+            return f"since the {events_words(events[0])}, which is recorded between these tests"
         nothing = f"nothing is recorded between {days[0]} and {days[1]}"
         if what == "change":
             return f"{nothing}: a change that was not recorded, for later tests agree with it"
@@ -37,16 +37,17 @@ def contradiction_words(what: str, between: Sequence[str] = (), events: Sequence
     before, after = (events[0], events[1]) if len(events) > 1 else (events[0], ())
     if before and after:
         return (
-            f"tests before and after agree with each other, and the {_listed(before)} and the {_listed(after)} are "
+            f"tests before and after agree with each other, and the {events_words(before)} and the {events_words(after)} are "
             "recorded before and after it: a change that was undone, or a mistake of measuring"
         )
     if before or after:
-        said = f"though the {_listed(before or after)} is recorded {'before' if before else 'after'} it"
+        said = f"though the {events_words(before or after)} is recorded {'before' if before else 'after'} it"
         return f"{_UNDATED[what]}, {said}"
     return f"{_UNDATED[what]}; nothing is recorded between {days[0]} and {days[-1]}"
 
 
-def _listed(events: _Events) -> str:
+def events_words(events: _Events) -> str:
+    """Return events with their days and notes, in a line; empty without any."""
     return ", ".join(f"{_what(e)} of {e['on']}" + (f" ({e['note']})" if e["note"] else "") for e in events)
 
 

@@ -42,6 +42,8 @@ class Contribution:
         Whether nobody stated it.
     within : str
         Source of another contribution that has this one in it: only what goes beyond that one counts.
+    zero : bool
+        Whether the figure has its zero by this alone: where it is assumed, two tests have no common zero.
     """
 
     source: str
@@ -50,6 +52,7 @@ class Contribution:
     dof: float = math.inf
     assumed: bool = False
     within: str = ""
+    zero: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,13 @@ class Budget:
         """Return a JSON-ready mapping."""
         return {
             "contributions": [
-                {"source": c.source, "standard_um": c.standard_um, "basis": c.basis, "assumed": c.assumed}
+                {
+                    "source": c.source,
+                    "standard_um": c.standard_um,
+                    "basis": c.basis,
+                    "assumed": c.assumed,
+                    "zero": c.zero,
+                }
                 for c in self.contributions
             ],
             "standard_um": self.standard_um,

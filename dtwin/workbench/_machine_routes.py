@@ -22,6 +22,7 @@ from dtwin.report.joint import title_of
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._pages import accepted, download, drawn, rendered
+from dtwin.workbench._plan_routes import planned_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
@@ -70,6 +71,7 @@ def machine_page(request: Request, name: str) -> Response:
         overdue=_overdue(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
+        plans=planned_of(bench_of(request), name),
     )
 
 

@@ -28,6 +28,7 @@ from dtwin.workbench import _machine_routes as machine_routes
 from dtwin.workbench import _measuring_routes as measuring_routes
 from dtwin.workbench import _model_routes as model_routes
 from dtwin.workbench import _models as models
+from dtwin.workbench import _plan_routes as plan_routes
 from dtwin.workbench import _reading as reading
 from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
@@ -46,6 +47,7 @@ def application(bench: Bench) -> Guarded:
     app.state.bench = bench
     for part in (
         machine_routes,
+        plan_routes,
         campaign_routes,
         twin_routes,
         heat_pages,

@@ -95,7 +95,7 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
         "run.unknown": (lambda: home.samples("rounds", "z"), "a, bb, ccc"),
         "notebook.signals": (lambda: home.signals("rounds", "ccc"), "wrist, base"),
         "notebook.figure": (lambda: home.plot("rounds", "a", "histogram"), "polar, angle, time, spectrum"),
-        "simulate.option": (lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--hidden"),
+        "simulate.option": (lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--plan, --hidden"),
         "twin.unknown": (lambda: home.compare("nobody"), "none yet"),
     }
     for code, (verb, allowed) in refusals.items():

@@ -56,14 +56,15 @@ class _Mill(VirtualMachine):
     name = "mill"
     type = "mill"
     kind = "circular"
-    options: ClassVar[Options] = {"hidden": ("backlash", "wobble", "servo", "none")}
+    options: ClassVar[Options] = {PLAN: (), "hidden": ("backlash", "wobble", "servo", "none")}
+    seeds_measuring = True
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
         from dtwin.acquire.virtual_mill import simulate_mill
 
-        out, hidden = request.out, request.options["hidden"]
-        runs = simulate_mill(out, seed=request.seed, quick=request.quick, hidden=hidden, progress=progress)
-        payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}"}
+        out, hidden, plan = request.out, request.options["hidden"], request.plan
+        runs = simulate_mill(out, seed=request.seed, quick=request.quick, hidden=hidden, plan=plan, progress=progress)
+        payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}" if plan is None else plan.name}
         return Simulated(payload, [f"{len(runs)} runs in {out}", f"next: dtwin ingest {out}"])
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:

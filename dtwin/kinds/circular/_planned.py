@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from dtwin.acquire.programs import gcode, urscript
@@ -66,8 +66,7 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
     for plane, pair in AXES_OF.items():
         if not set(pair) <= set(axes):
             continue
-        travel_mm = min(axes[axis].get("travel_mm", _TRAVEL_MM) for axis in pair)
-        radius = max((r for r in _BARS_MM if 2.0 * r + _ROOM_MM <= travel_mm), default=_BARS_MM[0])
+        radius = _radius_mm(axes, pair)
         for feeds, radii in (
             ([1000.0], [radius]),
             ([500.0, 1500.0, 4000.0], [radius]),
@@ -77,3 +76,22 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
             grid = {"radius_mm": radii, "feed_mm_min": feeds, "plane": [plane], "repeats": REPEATS}
             out.append({"plan": {"name": name, "machine": machine, "seed": 1}, "grid": grid})
     return out
+
+
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """Return a plan of one radius and three feeds in the first plane of the machine, both ways."""
+    plane, pair = next(((p, pair) for p, pair in AXES_OF.items() if set(pair) <= set(axes)), ("XY", ()))
+    grid = {
+        "plane": [plane],
+        "radius_mm": [_radius_mm(axes, pair)],
+        "feed_mm_min": [500.0, 1500.0, 4000.0],
+        "directions": ["CCW", "CW"],
+        "repeats": REPEATS,
+    }
+    return {"plan": {"name": "circles", "machine": machine, "seed": 1}, "grid": grid}
+
+
+def _radius_mm(axes: Mapping[str, Mapping[str, float]], pair: Iterable[str]) -> float:
+    """Return the longest usual bar that has room on both axes."""
+    travel_mm = min((axes[axis].get("travel_mm", _TRAVEL_MM) for axis in pair), default=_TRAVEL_MM)
+    return max((r for r in _BARS_MM if 2.0 * r + _ROOM_MM <= travel_mm), default=_BARS_MM[0])

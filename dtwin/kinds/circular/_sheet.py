@@ -89,7 +89,9 @@ def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstance
         length = under.stated("calibration_um", _LENGTH_UM)
         aslant = under.stated("height_difference_mm", _ASLANT_MM)
         found += [
-            Contribution("calibrated length", length.value / 2, length.basis("µm (k = 2)"), assumed=length.assumed),
+            Contribution(
+                "calibrated length", length.value / 2, length.basis("µm (k = 2)"), assumed=length.assumed, zero=True
+            ),
             Contribution(
                 "set-up",
                 off_line_um(aslant.value, radius_mm),

@@ -58,6 +58,11 @@ class _Circular(Kind):
 
         return planned(training_plan())
 
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
+        from dtwin.kinds.circular._planned import draft
+
+        return draft(machine, axes)
+
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
         from dtwin.kinds.circular._planned import programs
 

@@ -65,6 +65,12 @@ def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dic
     return [_proposal(machine, axis, axes[axis], *size) for axis in "XYZ" if axis in axes for size in _SIZES]
 
 
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """Return a full plan of the first axis."""
+    axis = next((axis for axis in "XYZ" if axis in axes), "X")
+    return _proposal(machine, axis, axes.get(axis, {}), *_SIZES[-1])
+
+
 def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: int, runs: int) -> dict[str, Any]:
     travel_mm = known.get("travel_mm", _TRAVEL_MM)
     step = max(1.0, math.floor((travel_mm - 2.0 * _OVERSHOOT_MM) / intervals))

@@ -73,6 +73,11 @@ class _Linear(Kind):
 
         return planned(document, where)
 
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
+        from dtwin.kinds.linear._planned import draft
+
+        return draft(machine, axes)
+
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
         from dtwin.kinds.linear._planned import programs
 

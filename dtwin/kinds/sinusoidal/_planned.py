@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.kind import Planned
-from dtwin.kinds.sinusoidal._plan import ToneGroup, TonePlan, duration_s, tone_advice, tone_plan
+from dtwin.kinds.sinusoidal._plan import LEARNED_S, ToneGroup, TonePlan, duration_s, tone_advice, tone_plan
 from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import plan_settings
 from dtwin.schema import Campaign, Run, RunMeta
@@ -44,6 +44,23 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
         ),
         order=tuple(vars(group) for group in groups),
     )
+
+
+def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """Return a plan of three frequencies and two amplitudes of the last axis, each three times."""
+    stated: dict[str, Any] = {
+        "name": "tones",
+        "machine": machine,
+        "axis": next((axis for axis in "ZYX" if axis in axes), "Z"),
+        "frequencies_hz": [2.0, 5.0, 10.0],
+        "amplitudes_um": [50.0, 100.0],
+        "repeats": 3,
+        "seconds": LEARNED_S,
+        "sample_hz": 1000.0,
+        "bandwidth_hz": 0.0,
+        "seed": 1,
+    }
+    return {"plan": {"kind": "sinusoidal", **stated}}
 
 
 def foreseen(plan: TonePlan) -> Observations:

@@ -46,6 +46,11 @@ class _Sinusoidal(Kind):
 
         return planned(document, where)
 
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
+        from dtwin.kinds.sinusoidal._planned import draft
+
+        return draft(machine, axes)
+
     def foreseen(self, planned: Planned) -> Observations:
         from dtwin.kinds.sinusoidal._planned import foreseen
 

@@ -30,3 +30,19 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
             f"every {plan.every_h:g} h, {plan.touches} balls in each, {plan.hours:g} h in all",
         ),
     )
+
+
+def draft(machine: str) -> dict[str, Any]:
+    """Return a plan of a day, with a cycle each hour."""
+    stated: dict[str, Any] = {
+        "name": "ball-array",
+        "machine": machine,
+        "hours": 24.0,
+        "every_h": 1.0,
+        "balls": 15,
+        "poses": 8,
+        "table_balls": 3,
+        "ball_s": 27.0,
+        "drift_um_h": 0.0,
+    }
+    return {"plan": {"kind": "volumetric", **stated}}

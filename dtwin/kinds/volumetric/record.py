@@ -41,6 +41,11 @@ class _Volumetric(Kind):
 
         return planned(document, where)
 
+    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
+        from dtwin.kinds.volumetric._planned import draft
+
+        return draft(machine)
+
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.volumetric._check import judge_volumetric_run
 

@@ -1,0 +1,182 @@
+"""Commands about the tests of a machine: plan one, measure it or wait for it, and compare it with the last one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dtwin.commands._effects import Paths
+from dtwin.commands._machine import Name, app_machine
+from dtwin.commands._output import Json, emit
+from dtwin.errors import InputError
+
+
+def register(_app: typer.Typer) -> None:
+    """Add the commands of this module to those about machines."""
+    for command in (plan, measure, changes):
+        app_machine.command()(command)
+
+
+def plan(
+    name: Name,
+    kind: Annotated[str | None, typer.Option(help="Kind of test; the usual one without.")] = None,
+    told: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="SETTING=VALUE of the plan, such as radius_mm=50,100; may be repeated."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the plan file here.")] = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Plan a test of a machine: how long it takes, what it would show, and what it could not tell apart."""
+    from dtwin.atomic import write_toml
+    from dtwin.commands._effects import library_with
+    from dtwin.config import home
+    from dtwin.pipeline.planned_tests import draft_of, foretold, with_settings
+    from dtwin.schema import DEFAULT_KIND
+
+    document = with_settings(draft_of(home(), name, kind or DEFAULT_KIND), dict(map(_setting, told or [])))
+    found = foretold(home(), document, library_with(effects_path))
+    if out is not None:
+        found["plan_file"] = str(write_toml(out, document, "the plan file"))
+    emit(found, lambda: _foretold_text(found), as_json=as_json)
+
+
+def measure(
+    name: Name,
+    file: Annotated[
+        Path | None, typer.Argument(help="Plan file (TOML); without it the plans that wait are listed.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Of a virtual machine; a fresh one where that is of noise alone.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Have a planned test measured: at once, as a flow, on a virtual machine; else the plan waits for its campaign.
+
+    A campaign that comes in later, of the name or with all conditions of the plan, answers it, and is compared with the last
+    such test of the machine.
+    """
+    from dtwin.config import home
+    from dtwin.pipeline.planned_tests import keep_plan, kept_plans, measured_by
+    from dtwin.plan_file import planned_document, read_plan_file
+
+    if file is None:
+        waiting = kept_plans(home(), name)
+        emit({"machine": name, "plans": waiting}, lambda: _plans_text(name, waiting), as_json=as_json)
+        return
+    document = read_plan_file(file)
+    planned = planned_document(document, str(file))
+    if planned.summary["machine"] != name:
+        raise InputError(
+            "the plan is of another machine",
+            code="plan.machine",
+            where=str(file),
+            got=str(planned.summary["machine"]),
+            allowed=name,
+        )
+    how = measured_by(home(), document)
+    kept = keep_plan(home(), document)
+    if how is None:
+        emit({"plan": kept, "waits": True}, lambda: _waits_text(kept, planned.kind), as_json=as_json)
+        return
+    from flows._runtime import delivered
+    from flows._runtime import run as run_flow
+    from flows.simulate import simulate_flow
+
+    machine, options, fresh = how
+    with delivered():
+        done = run_flow(
+            simulate_flow,
+            plan_file=home().plans / f"{kept}.toml",
+            machine=machine,
+            options=options,
+            seed=fresh if seed is None else seed,
+        )
+    emit({"plan": kept, "waits": False, **done}, lambda: _changes_text(home(), kept), as_json=as_json)
+
+
+def changes(
+    name: Name,
+    campaign: Annotated[
+        str | None, typer.Option(help="A test of it; the newest one that has an earlier one without.")
+    ] = None,
+    earlier: Annotated[
+        str | None, typer.Option("--with", help="The test to compare with; the last one of its kind without.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare the figures of two tests of a machine: changed, not changed, or cannot be said."""
+    from dtwin.config import home
+    from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+
+    chosen = campaign or newest_with_sheet(home(), name)
+    found = sheet_changes(home(), chosen, earlier or "", machine=name)
+    emit(found, lambda: _table_text(found), as_json=as_json)
+
+
+def _setting(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise InputError(
+            "not a setting", code="plan.setting", got=text[:60], allowed="SETTING=VALUE, such as repeats=3"
+        )
+    return key.strip(), value
+
+
+def _foretold_text(found: Mapping[str, Any]) -> str:
+    from dtwin.report.text import table
+    from dtwin.units import shown_unit
+
+    lines = [*found["lines"], f"and {found['mounting_minutes']:z.0f} min to mount the instrument"]
+    lines += [f"{one['severity']}: {one['message']}" for one in found["findings"]]
+    if found["detectable"] is not None:
+        shown = [one for one in found["detectable"] if one["amplitude"] is not None]
+        rows = [
+            [one["label"], f"{one['amplitude']:.2g} {shown_unit(one['unit'])}", f"{one['typical']:g}"] for one in shown
+        ]
+        head = ("effect", f"seen from (80 %, noise {found['noise_um']:g} µm)", "ordinary size")
+        hidden = [one["label"] for one in found["detectable"] if one["amplitude"] is None]
+        lines += ["", table(head, rows), f"not visible: {', '.join(hidden) or 'none of the others'}"]
+        alike = "; ".join(", ".join(group) for group in found["alike"])
+        lines.append(f"not told apart: {alike or 'nothing'}")
+    lines.append(f"measured at once on the virtual {found['virtual']}" if found["virtual"] else "")
+    if "plan_file" in found:
+        lines.append(f"next: dtwin machine measure {found['machine']} {found['plan_file']}")
+    return "\n".join(lines).rstrip()
+
+
+def _waits_text(name: str, kind: str) -> str:
+    from dtwin.config import home
+
+    file = home().plans / f"{name}.toml"
+    return (
+        f"{name} waits for its {kind} campaign; dtwin plan {file} --out FOLDER writes its programs where its kind has them\n"
+        f"next: dtwin ingest FOLDER, of that name or with all its conditions; dtwin machine changes compares it"
+    )
+
+
+def _plans_text(machine: str, waiting: list[dict[str, Any]]) -> str:
+    from dtwin.report.text import table
+
+    rows = [[one["made"][:16].replace("T", " "), one["name"], one["kind"], one["answer"] or "waits"] for one in waiting]
+    return table(("made", "plan", "kind", "measured"), rows) if rows else f"no test of {machine} is planned"
+
+
+def _changes_text(where: Any, campaign: str) -> str:
+    from dtwin.pipeline.sheet_changes import sheet_changes
+
+    try:
+        return _table_text(sheet_changes(where, campaign))
+    except InputError as error:
+        return f"{campaign} was measured and ingested; not compared: {error.message}"
+
+
+def _table_text(found: Mapping[str, Any]) -> str:
+    from dtwin.report.changes import change_table, changes_text
+    from dtwin.report.text import table
+
+    return "\n".join([*changes_text(found), "", table(*change_table(found))])

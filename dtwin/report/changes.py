@@ -1,0 +1,49 @@
+"""What changed from one test of a machine to the next, as tables and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.report.recorded import events_words
+from dtwin.report.text import decimals
+
+_HEAD = ("figure", "condition", "before, µm", "now, µm", "difference, µm (k = 2)", "said")
+
+
+def change_table(found: Mapping[str, Any]) -> tuple[Sequence[str], list[list[str]]]:
+    """Return head and rows of the figures side by side, ``found`` as ``sheet_changes`` returns it."""
+    return _HEAD, [[c["symbol"], c["condition"], *c["shown"], difference_words(c), c["said"]] for c in found["figures"]]
+
+
+def changes_title(found: Mapping[str, Any]) -> str:
+    """Return what is compared, and how much of it changed."""
+    counts = ", ".join(f"{number} {said}" for said, number in found["counts"].items()) or "no figure in common"
+    days = " and ".join(day or "no day" for day in found["days"])
+    return f"{found['campaign']} beside {found['earlier']} ({days}): {counts}"
+
+
+def changes_text(found: Mapping[str, Any]) -> list[str]:
+    """Return sentences that stand above the table."""
+    lines = [changes_title(found)]
+    if all(found["days"]):
+        between = " and ".join(sorted(found["days"]))
+        lines.append(f"recorded between {between}: {events_words(found['events']) or 'nothing'}")
+    assumed = sorted({source for one in found["figures"] for source in one["assumed"]})
+    if assumed:
+        lines.append(
+            f"assumed, for nobody stated it: {', '.join(assumed)}; it counts twice before a change is claimed, and nothing is said of a zero that was assumed"
+        )
+    if found["alone"]:
+        more = f" and {len(found['alone']) - 6} more" if len(found["alone"]) > 6 else ""
+        lines.append(f"in one of them only: {'; '.join(found['alone'][:6])}{more}")
+    return lines
+
+
+def difference_words(figure: Mapping[str, Any]) -> str:
+    """Return the difference of a figure with its uncertainty."""
+    k2 = figure["difference_k2_um"]
+    if k2 is None:
+        return f"{figure['difference_um']:+z.2f}"
+    digits = decimals(k2)
+    return f"{figure['difference_um']:+z.{digits}f} ± {k2:z.{digits}f}"

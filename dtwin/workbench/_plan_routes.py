@@ -1,0 +1,239 @@
+"""Pages about tests of a machine that are planned, and what changed since the last one."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any, Literal
+from urllib.parse import parse_qsl
+
+import tomli_w
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
+from starlette.responses import JSONResponse, Response
+
+from dtwin.atomic import make_folder, write_text
+from dtwin.errors import DtwinError, InputError
+from dtwin.kinds.registry import kind_named
+from dtwin.machine_record import read_record
+from dtwin.pipeline.planned_tests import (
+    draft_of,
+    drafting_kinds,
+    drop_plan,
+    foretold,
+    keep_plan,
+    kept_plan,
+    kept_plans,
+    measured_by,
+    with_settings,
+)
+from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+from dtwin.plan_file import planned_document
+from dtwin.report.changes import change_table, changes_text, changes_title
+from dtwin.report.joint import title_of
+from dtwin.units import UNITS, shown_unit
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._experiment_files import plans_zip
+from dtwin.workbench._jobs import Tell
+from dtwin.workbench._pages import accepted, download, rendered
+
+router = APIRouter()
+_COMPARED = 3
+_LONGEST = 400
+Ending = Literal["toml", "zip"]
+
+
+class _PlanTold(BaseModel):
+    """A plan as the form's address holds it: ``kind`` and settings."""
+
+    query: str = Field(max_length=4000)
+
+
+@router.get("/machines/{name}/plan")
+def plan_page(request: Request, name: str) -> Response:
+    """Show the form of a test, how long it takes, what it would show, and what it could not tell apart."""
+    bench = bench_of(request)
+    kind, told = _told(request.url.query)
+    draft = draft_of(bench.home, name, kind)
+    found: Mapping[str, Any] | None = None
+    refused = ""
+    try:
+        document = with_settings(draft, told)
+        found = foretold(bench.home, document, bench.library)
+    except DtwinError as error:
+        document, refused = draft, error.render()
+    shown = {} if found is None else _shown(bench, found)
+    return rendered(
+        request,
+        "plan.html",
+        200 if found is not None else 400,
+        title=f"Plan a test of {name}",
+        machine=name,
+        kind=kind,
+        kinds=drafting_kinds(),
+        fields=[
+            _field(key, told.get(key) if refused else None, value)
+            for table in document.values()
+            for key, value in table.items()
+            if key not in ("kind", "machine")
+        ],
+        query=request.url.query or f"kind={kind}",
+        found=found,
+        refused=refused,
+        with_programs=kind_named(kind).offers("programs"),
+        **shown,
+    )
+
+
+@router.get("/machines/{name}/plan.{ending}")
+def plan_files(request: Request, name: str, ending: Ending) -> Response:
+    """Return what the form says as a plan file, or as plan file and programs."""
+    kind, told = _told(request.url.query)
+    return _files(with_settings(draft_of(bench_of(request).home, name, kind), told), ending)
+
+
+@router.get("/machines/{name}/plans/{plan}.{ending}")
+def kept_files(request: Request, name: str, plan: str, ending: Ending) -> Response:
+    """Return a plan that was kept as its file, or as plan file and programs."""
+    return _files(kept_plan(bench_of(request).home, plan), ending)
+
+
+@router.post("/api/machines/{name}/plans")
+def start_test(request: Request, name: str, wanted: _PlanTold) -> JSONResponse:
+    """Have a test measured at once on a virtual machine; else keep its plan until a campaign answers it."""
+    bench = bench_of(request)
+    kind, told = _told(wanted.query)
+    document = with_settings(draft_of(bench.home, name, kind), told)
+    planned_document(document, "the plan")
+    virtual = measured_by(bench.home, document) is not None
+
+    def work(tell: Tell) -> str:
+        if not virtual:
+            keep_plan(bench.home, document)
+            return f"/machines/{name}#planned"
+        tell("measured by the flow simulate, ingested and compared; dtwin up shows its run")
+        campaign = _measured(bench, name, document)
+        return f"/machines/{name}/changes?campaign={campaign}"
+
+    return accepted(bench.jobs.start(f"Test of {name}", work))
+
+
+@router.post("/api/machines/{name}/plans/{plan}/drop")
+def take_back(request: Request, name: str, plan: str) -> JSONResponse:
+    """Take a plan back."""
+    bench = bench_of(request)
+
+    def work(tell: Tell) -> str:
+        drop_plan(bench.home, plan)
+        return f"/machines/{name}#planned"
+
+    return accepted(bench.jobs.start(f"Take back {plan}", work))
+
+
+@router.get("/machines/{name}/changes")
+def changes_page(request: Request, name: str, campaign: str = "") -> Response:
+    """Show the figures of a test beside those of another one of its kind."""
+    bench = bench_of(request)
+    chosen = campaign or newest_with_sheet(bench.home, name)
+    found = sheet_changes(bench.home, chosen, request.query_params.get("with", ""), machine=name)
+    same = [one.name for one in bench.campaigns() if (one.machine, one.kind) == (name, found["kind"])]
+    return rendered(
+        request,
+        "changes.html",
+        title=f"What changed in {name}",
+        machine=name,
+        found=found,
+        told=changes_text(found)[1:],
+        head=change_table(found)[0],
+        rows=list(zip(found["figures"], change_table(found)[1], strict=True)),
+        campaigns=same,
+    )
+
+
+def planned_of(bench: Bench, machine: str) -> list[dict[str, Any]]:
+    """Return the plans of a machine, each with how its campaign compares with the last one."""
+    plans = bench.home.plans
+    stamp = tuple(sorted((path.name, path.stat().st_mtime_ns) for path in plans.glob("*.toml")))
+    if not stamp:
+        return []
+    record = read_record(bench.home, machine)
+    key = ("planned", machine, stamp, repr(record), *bench.lake_version)
+    return bench.cache.get(key, lambda: _compared_plans(bench, machine))
+
+
+def _compared_plans(bench: Bench, machine: str) -> list[dict[str, Any]]:
+    found = kept_plans(bench.home, machine)
+    answered = [one for one in found if one["answer"]][:_COMPARED]
+    for one in answered:
+        try:
+            one["compared"] = changes_title(sheet_changes(bench.home, one["answer"]))
+        except InputError as error:
+            one["compared"] = ""
+            one["not_compared"] = error.message
+    return found
+
+
+def _told(query: str) -> tuple[str, dict[str, str]]:
+    """Return the kind of a test and the settings that the address of its form holds."""
+    told = {key: value[:_LONGEST] for key, value in parse_qsl(query, keep_blank_values=True, max_num_fields=60)}
+    return told.pop("kind", drafting_kinds()[0]), told
+
+
+def _files(document: Mapping[str, Any], ending: Ending) -> Response:
+    name = str(document["plan"]["name"])
+    if ending == "toml":
+        planned_document(document, name)
+        return download(tomli_w.dumps(document), f"{name}.toml", "application/toml")
+    return download(plans_zip([document]), f"{name}.zip", "application/zip")
+
+
+def _measured(bench: Bench, machine: str, document: Mapping[str, Any]) -> str:
+    """Have the command measure a plan: a flow wants a process of its own. Return the campaign."""
+    file = bench.folder / "plans" / f"{secrets.token_hex(8)}.toml"
+    make_folder(file.parent)
+    write_text(file, tomli_w.dumps(dict(document)), "the plan")
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "dtwin", "machine", "measure", machine, str(file), "--json"],
+            env=os.environ | {"DTWIN_HOME": str(bench.home.root)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    finally:
+        file.unlink(missing_ok=True)
+    if done.returncode != 0:
+        raise InputError("the test was not measured", code="plan.measured", where=machine, got=done.stderr[-1500:])
+    return str(document["plan"]["name"])
+
+
+def _field(key: str, typed: str | None, value: Any) -> dict[str, Any]:
+    """Return a setting for the form: its name in words, and what stands in its field."""
+    suffix = next((end for end in UNITS if key.endswith(f"_{end}")), "")
+    words = key.removesuffix(f"_{suffix}").replace("_", " ") + (f", {shown_unit(UNITS[suffix])}" if suffix else "")
+    listed = isinstance(value, list)
+    shown = ", ".join(_plain(part) for part in value) if listed else _plain(value)
+    return {"name": key, "label": words, "value": shown if typed is None else typed, "listed": listed}
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _shown(bench: Bench, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a test would show: effects that are seen at their ordinary size, the others, those hidden, groups alike."""
+    sizes = found["detectable"] or []
+
+    def words(label: str) -> str:
+        return title_of(label, bench.library)
+
+    seen = [{**one, "title": words(one["label"])} for one in sizes if one["amplitude"] is not None]
+    return {
+        "seen": [one for one in seen if one["amplitude"] <= one["typical"]],
+        "larger": [one for one in seen if one["amplitude"] > one["typical"]],
+        "hidden": [words(one["label"]) for one in sizes if one["amplitude"] is None],
+        "alike": [[words(label) for label in group] for group in found["alike"] or []],
+    }

@@ -1,0 +1,213 @@
+"""Tests of a machine that are planned: the form, what they would tell, who measures them, and what changed since the last one."""
+
+from __future__ import annotations
+
+import html
+import io
+import json
+import re
+import time
+import tomllib
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from machine_years import steady, write_tests
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import ingest
+from dtwin.acquire.virtual_mill import planned_tests, simulate_mill
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.kind import NotOffered
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.lake.store import Lake
+from dtwin.physics.library import Library
+from dtwin.pipeline.planned_tests import draft_of, drafting_kinds, foretold, keep_plan, kept_plans, with_settings
+from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+from dtwin.plan_file import planned_document
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
+
+CIRCLES = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "1000", "repeats": "3"}
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Home:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    return Home(tmp_path / "home")
+
+
+def said(*words: str) -> Any:
+    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def browser(home: Home) -> TestClient:
+    access = Access("127.0.0.1", 8765)
+    cookie = {"dtwin_8765": access.address.partition("token=")[2]}
+    return TestClient(application(Bench(home, access)), base_url="http://127.0.0.1:8765", cookies=cookie)
+
+
+@pytest.mark.parametrize("kind", drafting_kinds())
+def test_every_form_is_a_plan_of_its_kind_that_can_be_changed(home: Home, kind: str) -> None:
+    draft = draft_of(home, "mill-7", kind)
+    planned = planned_document(draft, "draft")
+    assert (planned.kind, planned.summary["machine"]) == (kind, "mill-7")
+    assert planned.duration_s > 0.0
+    assert tomllib.loads(browser(home).get(f"/machines/mill-7/plan.toml?kind={kind}").text) == draft
+    other = with_settings(draft, {"name": "mine"})
+    assert planned_document(other, "draft").summary["name"] == "mine"
+
+
+def test_all_kinds_with_a_plan_have_a_form() -> None:
+    assert drafting_kinds() == [kind.name for kind in kinds() if kind.offers("plan")]
+    with pytest.raises(NotOffered):
+        kind_named("drift").draft("m", {})
+
+
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [
+        ({"radius": "100"}, "plan.setting"),
+        ({"machine": "other"}, "plan.setting"),
+        ({"radius_mm": "wide"}, "plan.setting"),
+        ({"repeats": "2.5"}, "plan.setting"),
+        ({"radius_mm": "9000"}, "plan.limits"),
+        ({"radius_mm": ""}, "plan.grid"),
+        ({"plane": "XW"}, "plane.unknown"),
+    ],
+)
+def test_a_wrong_setting_is_refused_with_its_place(home: Home, told: dict[str, str], code: str) -> None:
+    with pytest.raises(InputError) as refused:
+        foretold(home, with_settings(draft_of(home, "mill-7", "circular"), told), Library())
+    assert refused.value.code == code or "plane" in told
+    query = "&".join(f"{key}={value}" for key, value in told.items())
+    page = browser(home).get(f"/machines/mill-7/plan?{query}")
+    assert page.status_code == 400
+    assert refused.value.message in html.unescape(page.text)
+
+
+def test_settings_decide_what_becomes_visible_and_what_looks_alike(home: Home) -> None:
+    def told(**settings: str) -> dict[str, Any]:
+        return foretold(home, with_settings(draft_of(home, "mill-7", "circular"), CIRCLES | settings), Library())
+
+    def size(found: dict[str, Any], label: str) -> float:
+        return next(one["amplitude"] or 1e9 for one in found["detectable"] if one["label"] == label)
+
+    one, some, many = told(), told(repeats="12"), told(repeats="48")
+    # Noise averages: four times the repeats show half the size.
+    assert size(some, "backlash X") / size(many, "backlash X") == pytest.approx(2.0, rel=0.15)
+    assert many["minutes"] == pytest.approx(4.0 * some["minutes"])
+    together = {frozenset(group) for group in one["alike"]}
+    assert any({"scale_mismatch XY", "inertial_compliance"} <= group for group in together)
+    several = told(feed_mm_min="500, 1500; 4000", radius_mm="50 150")
+    assert not any({"scale_mismatch XY", "inertial_compliance"} <= set(group) for group in several["alike"])
+
+
+def test_a_real_machine_waits_and_is_compared_when_its_campaign_comes(home: Home, tmp_path: Path) -> None:
+    first, second, third = write_tests(tmp_path / "made", 3, lambda test: 2.0 if test < 2 else 9.0, steady(3.0))
+    ingest(first, Lake(home.lake))
+    time.sleep(1.1)  # The lake notes the second in which a run came.
+    row = Lake(home.lake).runs("t00")[0]
+    settings = CIRCLES | {
+        "plane": row["plane"],
+        "radius_mm": str(row["radius_mm"]),
+        "feed_mm_min": str(row["feed_mm_min"]),
+    }
+    page = browser(home)
+    query = "kind=circular&" + "&".join(f"{key}={value}" for key, value in settings.items())
+    assert "Keep the plan" in page.get(f"/machines/mill-7/plan?{query}").text
+    posted = page.post(
+        "/api/machines/mill-7/plans", json={"query": query}, headers={"origin": "http://127.0.0.1:8765"}
+    ).json()
+    job: dict[str, Any] = {}
+    while job.get("state") not in ("done", "failed"):
+        job = page.get(f"/api/jobs/{posted['job']}").json()
+    assert job["address"] == "/machines/mill-7#planned", job
+    (waiting,) = said("machine", "measure", "mill-7")["plans"]
+    assert waiting["answer"] == ""
+    shown = page.get("/machines/mill-7").text
+    assert "waits" in shown
+    zipped = zipfile.ZipFile(io.BytesIO(page.get(f"/machines/mill-7/plans/{waiting['name']}.zip").content))
+    assert any(name.endswith(".nc") for name in zipped.namelist())
+    time.sleep(1.1)
+    ingest(second, Lake(home.lake))
+    (answered,) = kept_plans(home, "mill-7")
+    assert answered["answer"] == "t01"
+    assert "t01 beside t00" in page.get("/machines/mill-7").text
+    same = said("machine", "changes", "mill-7")
+    assert (same["campaign"], same["earlier"]) == ("t01", "t00")
+    assert "changed" not in same["counts"]
+    ingest(third, Lake(home.lake))
+    said("machine", "event", "mill-7", "crash", "--on", "2025-02-20")
+    changed = said("machine", "changes", "mill-7")
+    widest = {one["symbol"]: one for one in changed["figures"]}["G(b)"]
+    assert widest["said"] == "changed"
+    assert widest["difference_um"] > 0.0
+    assert [event["what"] for event in changed["events"]] == ["crash"]
+    assert "crash of 2025-02-20" in page.get("/machines/mill-7/changes?campaign=t02").text
+    back = said("machine", "changes", "mill-7", "--campaign", "t01", "--with", "t02")
+    mirrored = {one["symbol"]: one for one in back["figures"]}["G(b)"]
+    assert mirrored["difference_um"] == pytest.approx(-widest["difference_um"])
+    assert [one["answer"] for one in kept_plans(home, "mill-7")] == ["t01"]
+
+
+def test_what_was_assumed_claims_no_change(home: Home, tmp_path: Path) -> None:
+    # Another seed: the same machine, with another zero of a bar of which nobody says that it was calibrated.
+    for seed in (0, 1):
+        folder = tmp_path / f"mill{seed}"
+        simulate_mill(folder, seed=seed, quick=True)
+        text = (folder / "campaign.toml").read_text()
+        (folder / "campaign.toml").write_text(text.replace('"mill-backlash"', f'"mill-{seed}"'))
+        ingest(folder, Lake(home.lake))
+    found = sheet_changes(home, newest_with_sheet(home, "virtual-mill"))
+    assert (found["campaign"], found["earlier"]) == ("mill-1", "mill-0")
+    assert "changed" not in found["counts"]
+    assert found["counts"]["not changed"] > 0
+    moved = max(found["figures"], key=lambda one: abs(one["difference_um"]))
+    assert abs(moved["difference_um"]) > 5.0, "the zero of the bar did not move: the test shows nothing"
+    assert moved["said"] == "cannot be said"
+
+
+def test_what_cannot_be_compared_is_refused(home: Home, tmp_path: Path) -> None:
+    only, other = write_tests(tmp_path / "made", 2, steady(2.0), steady(3.0))
+    ingest(only, Lake(home.lake))
+    for words in (
+        ("changes", "mill-7"),
+        ("changes", "mill-7", "--campaign", "t00"),
+        ("changes", "mill-7", "--campaign", "t00", "--with", "t00"),
+        ("changes", "mill-8", "--campaign", "t00"),
+        ("changes", "nix"),
+    ):
+        refused = CliRunner().invoke(app, ["machine", *words])
+        assert refused.exit_code == 1
+        assert isinstance(refused.exception, InputError), words
+    keep_plan(home, with_settings(draft_of(home, "mill-7", "circular"), {"name": "t01"}))
+    with pytest.raises(InputError, match="there already"):
+        keep_plan(home, with_settings(draft_of(home, "mill-7", "circular"), {"name": "t01"}))
+    ingest(other, Lake(home.lake))
+    assert [one["answer"] for one in kept_plans(home, "mill-7")] == ["t01"]
+    taken = browser(home).post(
+        "/api/machines/mill-7/plans/t01/drop", json={}, headers={"origin": "http://127.0.0.1:8765"}
+    )
+    assert taken.status_code == 202
+
+
+def test_the_virtual_mill_measures_a_plan_in_its_order() -> None:
+    document = {
+        "plan": {"name": "p", "machine": "m"},
+        "grid": {"plane": ["XY"], "radius_mm": [50.0], "feed_mm_min": [1000.0, 2000.0], "repeats": 2},
+    }
+    planned = planned_document(document, "here").plan
+    tests = planned_tests(replace(planned, directions=("CW",)))
+    assert [(t.feed_mm_min, t.repeat, t.direction) for t in tests] == [
+        (t.feed_mm_min, t.repeat, "CW") for t in planned.tests
+    ]
+    assert not re.search("CCW", str(tests))
