@@ -29,6 +29,7 @@ SUFFIX = ".arrows"
 STREAM_KEY = b"dtwin.recording"
 BLOCK_KEY = b"dtwin.block"
 _LONGEST_GAP_S = 3600.0
+_LONGEST_NAME, _LONGEST_TEXT = 80, 200
 
 
 class Recorder:
@@ -108,6 +109,15 @@ class Recorder:
             )
         self._write(self._empty, [], {"lost": int(n_lost), "why": reason[:200]})
         self.n_samples += int(n_lost)
+
+    def say(self, events: Sequence[tuple[float, str, str, bool]]) -> None:
+        """Record what the machine said: time since the first sample, name, text, whether it is an alarm.
+
+        Raises ``StoreError``: as for ``append``.
+        """
+        self._require_open()
+        kept = [[at_s, name[:_LONGEST_NAME], text[:_LONGEST_TEXT], alarm] for at_s, name, text, alarm in events]
+        self._write(self._empty, [], {"events": kept})
 
     def close(self) -> None:
         """Mark the recording as complete; safe to call twice.

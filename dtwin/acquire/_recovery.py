@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dtwin.acquire._machine_events import event_findings
 from dtwin.acquire._recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import columns_of, write_parquet
@@ -76,6 +78,7 @@ class _Content:
     head: dict[str, Any]
     table: pa.Table
     gaps: tuple[_Gap, ...]
+    events: tuple[list[Any], ...]
     blocks: int
     complete: bool
 
@@ -105,6 +108,8 @@ def seal(path: Path, target: Path) -> Sealed:
             "complete": content.complete,
             "gaps": [[g.first_sample, g.n_lost, g.reason] for g in content.gaps],
         }
+        if content.events:
+            head |= {"events": list(content.events), "length_s": content.table.num_rows / head["rate_hz"]}
         table = content.table.replace_schema_metadata({_SIGNALS_KEY: json.dumps(head)})
         size = write_parquet(target, table)
         path.unlink()
@@ -133,6 +138,29 @@ def recover_folder(folder: Path) -> list[Sealed]:
     return sealed
 
 
+def covariates_of(path: Path) -> dict[str, float]:
+    """Return the means of the columns of a sealed signal file that count as covariates of its run.
+
+    Raises ``StoreError`` when the file cannot be read.
+    """
+    try:
+        head = json.loads((pq.read_schema(path).metadata or {}).get(_SIGNALS_KEY, b"{}"))
+        names = [str(name) for name in (head.get("notes") or {}).get("covariates", [])]
+        table = pq.read_table(path, columns=names) if names else None
+    except (OSError, pa.ArrowException, ValueError, TypeError, AttributeError) as error:
+        raise StoreError(
+            "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
+        ) from error
+    found = {}
+    for name in names:
+        assert table is not None
+        values = table.column(name).to_numpy()
+        known = values[np.isfinite(values)]
+        if known.size:
+            found[name] = float(known.mean())
+    return found
+
+
 def signal_findings(path: Path) -> tuple[Finding, ...]:
     """Return what the header of a sealed signal file says is wrong with it.
 
@@ -142,7 +170,8 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
         metadata = pq.read_schema(path).metadata or {}
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
         gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
-        return _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
+        found = _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
+        return (*found, *event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
@@ -193,6 +222,7 @@ def _content(path: Path) -> _Content:
     stream, head = _open(path)
     parts: list[pa.RecordBatch] = []
     gaps: list[_Gap] = []
+    events: list[list[Any]] = []
     blocks, complete, first = 0, False, 0
     for batch, place in _blocks(stream):
         if place["first"] != first:
@@ -203,11 +233,12 @@ def _content(path: Path) -> _Content:
         elif batch.num_rows:
             parts.append(batch)
             blocks += 1
+        events += place.get("events", [])
         first += batch.num_rows + place["lost"]
         complete = place.get("end", False)
     schema = pa.schema([field.with_metadata(_unit(field.name)) for field in stream.schema])
     plain = [pa.RecordBatch.from_arrays(part.columns, schema=schema) for part in parts]
-    return _Content(head, pa.Table.from_batches(plain, schema), tuple(gaps), blocks, complete)
+    return _Content(head, pa.Table.from_batches(plain, schema), tuple(gaps), tuple(events), blocks, complete)
 
 
 def _blocks(stream: pa.ipc.RecordBatchStreamReader) -> Iterator[tuple[pa.RecordBatch, Any]]:

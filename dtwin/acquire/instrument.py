@@ -33,16 +33,32 @@ class Description:
 
 
 @dataclass(frozen=True)
+class Event:
+    """Something that a machine says of itself: it holds until it says something else of the same name.
+
+    ``at_s``: time since the first sample.
+    ``text``: empty when it is over.
+    """
+
+    at_s: float
+    name: str
+    text: str
+    alarm: bool = False
+
+
+@dataclass(frozen=True)
 class Reading:
     """Successive samples.
 
     ``columns``, (n,): the samples; n may be 0.
     ``lost``: samples that were lost just before these.
+    ``events``: what the machine said meanwhile.
     """
 
     columns: Mapping[str, NDArray[Any]]
     lost: int = 0
     reason: str = ""
+    events: tuple[Event, ...] = ()
 
     @property
     def n_samples(self) -> int:
@@ -114,4 +130,6 @@ def record(instrument: Instrument, recorder: Recorder, wanted: Callable[[int], b
             recorder.gap(reading.lost, reading.reason)
         if reading.n_samples:
             recorder.append(reading.columns)
+        if reading.events:
+            recorder.say([(e.at_s, e.name, e.text, e.alarm) for e in reading.events])
     return recorder.n_samples

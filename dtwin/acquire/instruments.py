@@ -87,6 +87,20 @@ def _robot(**settings: Any) -> Instrument:
     return RobotRecorder(**settings)
 
 
+def _mtconnect(**settings: Any) -> Instrument:
+    """Return an ``MTConnectRecorder``."""
+    from dtwin.acquire._mtconnect import MTConnectRecorder
+
+    return MTConnectRecorder(**settings)
+
+
+def _mqtt(**settings: Any) -> Instrument:
+    """Return an ``MqttRecorder``."""
+    from dtwin.acquire._mqtt import MqttRecorder
+
+    return MqttRecorder(**settings)
+
+
 def _virtual_cobot(**settings: Any) -> Bench:
     """Return a ``VirtualCobotBench``."""
     from dtwin.acquire.virtual import VirtualCobotBench
@@ -105,6 +119,14 @@ _ALL = (
     _Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
     _Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
     _Entry(
+        "mtconnect",
+        "instrument",
+        "numbers, programs, modes and alarms of a machine with an MTConnect agent",
+        "the extra lake",
+        _mtconnect,
+    ),
+    _Entry("mqtt", "instrument", "numbers and texts that are published to a broker", "the extra stream", _mqtt),
+    _Entry(
         "virtual-cobot",
         "bench",
         "circular tests with ball bar, accelerometers and controller",
@@ -117,13 +139,15 @@ ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""
 
 
-def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
+def recorders(sensors: Path | None, robot: str | None, streams: Path | None = None) -> list[Instrument]:
     """Return what records a machine while its reference instrument measures, closed.
 
     Parameters
     ----------
     sensors : Path or None
         Channel file of the accelerometers.
+    streams : Path, optional
+        Stream file of an agent or a broker.
     """
     instruments: list[Instrument] = []
     if sensors is not None:
@@ -134,4 +158,8 @@ def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
         from dtwin.acquire._robot import RobotRecorder
 
         instruments.append(RobotRecorder(robot))
+    if streams is not None:
+        from dtwin.acquire.stream_file import read_streams_file
+
+        instruments += read_streams_file(streams)
     return instruments

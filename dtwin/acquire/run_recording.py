@@ -21,7 +21,7 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._recording import SUFFIX, Recorder
-from dtwin.acquire._recovery import Sealed, recover_folder, seal
+from dtwin.acquire._recovery import Sealed, covariates_of, recover_folder, seal
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.instrument import Instrument, record
 from dtwin.atomic import write_text
@@ -219,6 +219,9 @@ def _finish(folder: Path, run_id: str, in_force: InForce) -> tuple[Sealed, ...]:
     names = sorted(path.name for path in folder.glob(f"{run_id}.*.parquet"))
     there = names or (folder / intent["reference"]).exists()
     if there and run_id not in _known_runs(folder):
+        covariates = {k: v for name in names for k, v in covariates_of(folder / name).items()}
+        if covariates:
+            intent["stated"] = dict(intent["stated"]) | {"covariates": covariates}
         _enter(folder, intent, names, in_force(begun, max(begun, ended)))
     intent_path.unlink()
     return tuple(sealed)

@@ -86,7 +86,7 @@ def parse_vendor_xml(data: bytes, where: str) -> Element:
         root: Element = fromstring(mended, forbid_dtd=True)
     except DefusedXmlException as error:
         raise InputError(
-            "the file declares a document type or entities, which no ball-bar file needs",
+            "a document type or entities are declared, which no such file needs",
             code="xml.hostile",
             where=where,
             got=type(error).__name__,
@@ -122,7 +122,7 @@ def _refuse_absurd_structure(data: bytes, where: str) -> None:
             deepest = max(deepest, depth)
         if count > _MAX_ELEMENTS or deepest > _MAX_DEPTH or tag.end() - tag.start() > _MAX_TAG_CHARS:
             raise InputError(
-                "the structure of the file is absurd for a ball-bar test",
+                "the structure is absurd for such a file",
                 code="xml.absurd",
                 where=where,
                 got=f"{count} tags, {deepest} levels, a tag of {tag.end() - tag.start()} characters",

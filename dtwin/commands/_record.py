@@ -29,6 +29,9 @@ def record(
     out: Annotated[Path, typer.Option(help="Campaign folder; the run is added to it.")],
     sensors: Annotated[Path | None, typer.Option(help="Channel file of the accelerometers (TOML).")] = None,
     robot: Annotated[str | None, typer.Option(help="Address of a UR controller to record.")] = None,
+    streams: Annotated[
+        Path | None, typer.Option(help="Stream file (TOML): an MTConnect agent, topics of an MQTT broker.")
+    ] = None,
     duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds; without it until Ctrl-C.")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run; without it r001 on.")] = None,
     machine: Annotated[str, typer.Option(help="Name of the machine.")] = "machine",
@@ -40,7 +43,7 @@ def record(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Record accelerometers and a robot's controller as a run of a campaign folder.
+    """Record accelerometers, a robot's controller, an MTConnect agent or an MQTT broker as a run of a campaign folder.
 
     What a killed recording left in the folder is recovered first.
     """
@@ -51,12 +54,12 @@ def record(
     from dtwin.serve.signals import stop_on_signals
 
     stated = _stated(setting or [])
-    instruments = recorders(sensors, robot)
+    instruments = recorders(sensors, robot, streams)
     if not instruments:
         raise InputError(
             "there is nothing to record",
             code="record.nothing",
-            hint="name a channel file with --sensors, a controller with --robot, or both",
+            hint="name a channel file with --sensors, a controller with --robot, a stream file with --streams",
         )
     in_force = correction_in_force(home(), machine)
     for found in recover_runs(out, in_force):

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
 
 import pytest
-from conftest import require_program
+from mqtt_broker import running_broker
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -23,23 +21,8 @@ pytestmark = pytest.mark.system
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
-    program = require_program("mosquitto", "mosquitto", "/usr/sbin")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = int(free.getsockname()[1])
-    settings = tmp_path / "mosquitto.conf"
-    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
-    with subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL) as process:
-        until = time.monotonic() + 30.0
-        while True:
-            try:
-                socket.create_connection(("127.0.0.1", port), 1.0).close()
-                break
-            except OSError:
-                assert time.monotonic() < until
-                time.sleep(0.05)
+    with running_broker(tmp_path) as port:
         yield port
-        process.terminate()
 
 
 def test_who_subscribes_gets_what_is_new_once(broker: int) -> None:

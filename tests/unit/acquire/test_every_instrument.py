@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
 from serial_peer import serial_peer
+from system.mqtt_broker import running_broker
+from system.mtconnect_agent import Agent, serving
 from system.virtual_daq import virtual_daq
 from system.virtual_robot import free_address, virtual_robot
 
@@ -48,15 +53,66 @@ def robot_settings() -> Iterator[Settings]:
         yield {"host": peer.host}
 
 
+@contextmanager
+def agent_settings() -> Iterator[Settings]:
+    agent, stop = Agent(), threading.Event()
+    agent.now_s = time.time()
+
+    def work() -> None:
+        while not stop.wait(0.01):
+            agent.now_s = time.time()
+            agent.observe("xpos", str(agent.next))
+
+    with serving(agent) as url:
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield {"url": url, "rate_hz": 50.0, "poll_s": 0.01}
+        finally:
+            stop.set()
+            thread.join()
+
+
+@contextmanager
+def broker_settings() -> Iterator[Settings]:
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    with TemporaryDirectory() as folder, running_broker(Path(folder)) as port:
+        machine, stop = Client(CallbackAPIVersion.VERSION2), threading.Event()
+        machine.connect("127.0.0.1", port)
+        machine.loop_start()
+
+        def work() -> None:
+            n = 0
+            while not stop.wait(0.01):
+                n += 1
+                machine.publish("mill/x", str(n), qos=1)
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield {"broker": f"127.0.0.1:{port}", "columns": {"mill/x": "x_mm"}, "rate_hz": 50.0}
+        finally:
+            stop.set()
+            thread.join()
+            machine.disconnect()
+            machine.loop_stop()
+
+
 PEERS: dict[str, Callable[[], AbstractContextManager[Settings]]] = {
     "accelerometers": daq_settings,
     "serial": serial_settings,
     "controller": robot_settings,
+    "mtconnect": agent_settings,
+    "mqtt": broker_settings,
 }
 ABSENT: dict[str, Settings] = {
     "accelerometers": {"channels": CHANNELS, "rate_hz": 5120.0, "grpc_target": "127.0.0.1:1", "timeout_s": 0.2},
     "serial": {"port": "/dev/ttyNotThere", "columns": ("force_n",), "rate_hz": 200.0},
     "controller": {"host": free_address(), "timeout_s": 0.5},
+    "mtconnect": {"url": f"http://{free_address()}:5000", "timeout_s": 0.5},
+    "mqtt": {"broker": f"{free_address()}:1883", "columns": {"mill/x": "x_mm"}, "timeout_s": 0.5},
 }
 INSTRUMENTS = [name for name, entry in ENTRIES.items() if entry.role == "instrument"]
 BENCHES = [name for name, entry in ENTRIES.items() if entry.role == "bench"]

@@ -1,0 +1,307 @@
+"""What is published to a broker as an instrument: topics become columns, nothing is published."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import queue
+import ssl
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from dtwin.acquire._held import Held, Observed
+from dtwin.acquire._mtconnect_documents import seconds
+from dtwin.acquire.instrument import Description, Reading
+from dtwin.errors import DeviceError, InputError, MissingPart
+from dtwin.links.opened import OpenAndClose
+from dtwin.schema import Finding
+from dtwin.units import is_number, require_units
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+_MAX_BYTES = 100_000
+_MOST_WAITING = 200_000
+_AWAY = "the broker could not be reached"
+_BEHIND_S = 0.5
+
+
+class MqttRecorder(OpenAndClose):
+    """Records numbers and texts that machines publish.
+
+    ``broker``: ``HOST:PORT``.
+    ``columns``: topic to column; ``topic#member.of.json`` takes a member of a message of JSON.
+    ``events``: topic to what it tells of: its text holds until the next, an empty one ends it.
+    ``alarms``: topics of ``events`` that are alarms.
+    ``rate_hz``: samples per second; values hold between their messages.
+    ``clock``: ``receiver``: when a message came here; ``sender``: as its member ``time`` says, in seconds or milliseconds
+    since 1970, or as ISO 8601.
+    ``tls``: whether the connection is encrypted, and the broker's certificate checked.
+    ``password_from``: environment variable with the password of ``user``.
+    ``timeout_s``, ``patience_s``: for the broker, and for a first message or one that went away.
+    """
+
+    name = "mqtt"
+
+    def __init__(
+        self,
+        broker: str,
+        columns: Mapping[str, str],
+        rate_hz: float = 1.0,
+        *,
+        events: Mapping[str, str] | None = None,
+        alarms: tuple[str, ...] = (),
+        clock: str = "receiver",
+        time: str = "",
+        tls: bool = False,
+        user: str = "",
+        password_from: str = "",
+        timeout_s: float = 5.0,
+        patience_s: float = 60.0,
+    ) -> None:
+        self._host, self._port = _address(broker)
+        self.broker = broker
+        require_units(columns.values(), f"topics at {broker}")
+        self._columns, self._events, self._alarms = dict(columns), dict(events or {}), set(alarms)
+        _require_topics([*self._columns, *self._events])
+        twice = sorted({c for c in columns.values() if list(columns.values()).count(c) > 1})
+        if twice or clock not in ("receiver", "sender") or (clock == "sender") != bool(time) or not columns:
+            raise InputError(
+                "the settings of [mqtt] do not go together",
+                code="mqtt.settings",
+                where=broker,
+                got=f"clock {clock}, time {time or 'not stated'}, columns named twice: {', '.join(twice) or 'none'}",
+                allowed='clock = "receiver"; or clock = "sender" and time = the member that says when; columns of different names',
+            )
+        self._sender_time = time
+        self._rate_hz, self._tls, self._user, self._password_from = rate_hz, tls, user, password_from
+        self._timeout_s, self._patience_s = timeout_s, patience_s
+        self._client: Client | None = None
+        self._heard: queue.SimpleQueue[tuple[float, str, bytes]] = queue.SimpleQueue()
+        self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
+        self._running, self._away_s, self._refused = False, math.nan, 0
+        self._newest_s = self._monotonic_s = math.nan
+
+    def open(self) -> None:
+        """Connect and subscribe."""
+        if self._client is not None:
+            return
+        try:
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        except ImportError as error:
+            raise MissingPart(
+                "MQTT needs a package that is not installed",
+                code="mqtt.package",
+                got="paho-mqtt",
+                hint="pip install '.[stream]' in a checkout of dtwin",
+            ) from error
+        client = Client(CallbackAPIVersion.VERSION2)
+        client.connect_timeout = self._timeout_s
+        if self._tls:
+            client.tls_set_context(ssl.create_default_context())
+        if self._user:
+            client.username_pw_set(self._user, os.environ.get(self._password_from, ""))
+        refused: list[str] = []
+        ready: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        topics = sorted({key.partition("#")[0] for key in (*self._columns, *self._events)})
+
+        def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
+            if code.is_failure:
+                refused.append(str(code))
+                ready.put(False)
+            else:
+                client.subscribe([(topic, 1) for topic in topics])
+
+        client.on_connect = connected
+        client.on_subscribe = lambda *_: ready.put(True)
+        client.on_message = lambda c, d, message: self._hear(message.topic, bytes(message.payload))
+        try:
+            client.connect(self._host, self._port)
+            client.loop_start()
+            well = ready.get(timeout=self._timeout_s)
+        except (OSError, ValueError, queue.Empty) as error:
+            client.loop_stop()
+            raise self._absent(str(error) or "no answer") from error
+        if not well:
+            client.loop_stop()
+            raise self._absent(", ".join(refused))
+        self._client = client
+
+    def describe(self) -> Description:
+        """Return the columns."""
+        return self._held.description
+
+    def check(self) -> tuple[Finding, ...]:
+        """Return how many messages were refused so far."""
+        if not self._refused:
+            return ()
+        text = f"{self._refused} messages were no numbers, too long, or without their time"
+        return (Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}),)
+
+    def start(self) -> None:
+        """Begin with the first message."""
+        self._require_open()
+        self._held.restart()
+        self._newest_s = self._monotonic_s = self._away_s = math.nan
+        self._running = True
+
+    def read(self) -> Reading:
+        """Return the samples that have become known, waiting for at least one."""
+        client = self._require_open()
+        if not self._running:
+            raise DeviceError("recording was not started", code="mqtt.stopped", where=self.broker)
+        until_s = time.monotonic() + self._patience_s
+        while True:
+            self._take()
+            reading = self._held.reading(self._known_s())
+            if reading.n_samples or reading.lost:
+                return reading
+            if not client.is_connected() and math.isnan(self._away_s):
+                self._away_s = time.monotonic()
+            silent = math.isnan(self._newest_s) or not math.isnan(self._away_s)
+            if silent and time.monotonic() >= until_s:
+                raise DeviceError(
+                    "nothing was heard",
+                    code="mqtt.silent",
+                    where=self.broker,
+                    got=f"{self._patience_s:g} s without a message",
+                    hint="mosquitto_sub -v -t '#' shows what is published",
+                )
+            time.sleep(min(0.05, 0.5 / self._rate_hz))
+
+    def stop(self) -> None:
+        """End recording; what comes is thrown away."""
+        self._running = False
+
+    def close(self) -> None:
+        """Leave the broker; safe to call twice."""
+        self.stop()
+        client, self._client = self._client, None
+        if client is not None:
+            client.disconnect()
+            client.loop_stop()
+
+    def _hear(self, topic: str, payload: bytes) -> None:
+        """Keep a message; called by the thread of the client."""
+        if self._heard.qsize() < _MOST_WAITING:
+            self._heard.put((time.time(), topic, payload[: _MAX_BYTES + 1]))
+        else:
+            self._refused += 1
+
+    def _take(self) -> None:
+        """Turn what was heard into observations."""
+        while True:
+            try:
+                came_s, topic, payload = self._heard.get_nowait()
+            except queue.Empty:
+                return
+            found, wrong = self._observed(came_s, topic, payload)
+            self._refused += wrong
+            if not found:
+                continue
+            if not math.isnan(self._away_s):
+                self._held.lose(found[0].time_s, _AWAY)
+                self._away_s = math.nan
+            self._held.take(found)
+            newest_s = max(one.time_s for one in found)
+            if not newest_s <= self._newest_s:
+                self._newest_s, self._monotonic_s = newest_s, time.monotonic()
+
+    def _known_s(self) -> float:
+        """Return until when everything has been heard: by the sender's clock as far as it is known here."""
+        if math.isnan(self._newest_s) or not math.isnan(self._away_s):
+            return self._newest_s if not math.isnan(self._newest_s) else -math.inf
+        return self._newest_s + max(0.0, time.monotonic() - self._monotonic_s - _BEHIND_S)
+
+    def _observed(self, came_s: float, topic: str, payload: bytes) -> tuple[list[Observed], bool]:
+        """Return the observations of a message, and whether a part of it was refused."""
+        keys = [k for k in (*self._columns, *self._events) if k.partition("#")[0] == topic]
+        if len(payload) > _MAX_BYTES:
+            return [], True
+        try:
+            content = _content(payload)
+            time_s = came_s if not self._sender_time else _time_of(content, self._sender_time, topic)
+        except (ValueError, RecursionError, DeviceError):
+            return [], True
+        found, wrong = [], False
+        for key in keys:
+            value = _member(content, key.partition("#")[2])
+            if key in self._columns:
+                number = _number(value)
+                wrong = wrong or number is None
+                if number is not None:
+                    found.append(Observed(self._columns[key], time_s, number))
+            elif value is not None:
+                text = "" if value is False else "on" if value is True else str(value)[:200]
+                found.append(Observed(self._events[key], time_s, text, key in self._alarms))
+        return found, wrong
+
+    def _absent(self, got: str) -> DeviceError:
+        return DeviceError(
+            "the broker does not answer, or refuses",
+            code="mqtt.absent",
+            where=self.broker,
+            got=got[:200],
+            hint="its address and port; user and password_from where it wants them; tls = true",
+        )
+
+    def _require_open(self) -> Client:
+        if self._client is None:
+            raise DeviceError("the broker is not connected", code="mqtt.closed", where=self.broker)
+        return self._client
+
+
+def _content(payload: bytes) -> Any:
+    """Return JSON, or the text as it is."""
+    text = payload.decode("utf-8").strip()
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _member(content: Any, path: str) -> Any:
+    """Return a member of JSON by its names with points between; None when there is none."""
+    for name in path.split(".") if path else ():
+        content = content.get(name) if isinstance(content, dict) else None
+    return content
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, str):
+        try:
+            value = float(value.replace(",", ".", 1))
+        except ValueError:
+            return None
+    return float(value) if is_number(value) else None
+
+
+def _time_of(content: Any, path: str, where: str) -> float:
+    value = _member(content, path)
+    if isinstance(value, str):
+        return seconds(value, where)
+    if not is_number(value) or value <= 0.0:
+        raise ValueError(path)
+    # Milliseconds since 1970 have been above 1e11 since 1973, seconds are not before the year 5138.
+    return float(value) / 1000.0 if value > 1e11 else float(value)
+
+
+def _address(broker: str) -> tuple[str, int]:
+    host, _, port = broker.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError("not the address of a broker", code="mqtt.broker", got=broker[:80], allowed="HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
+def _require_topics(keys: list[str]) -> None:
+    bad = [key for key in keys if not key.partition("#")[0] or any(c in key.partition("#")[0] for c in "+\0")]
+    if bad:
+        raise InputError(
+            "not a topic",
+            code="mqtt.topic",
+            got=", ".join(bad)[:120],
+            allowed="a whole topic without + and #; after a # the member of a message of JSON",
+        )

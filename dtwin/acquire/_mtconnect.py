@@ -1,0 +1,216 @@
+"""A machine that speaks MTConnect as an instrument: its agent is polled, nothing is written to it."""
+
+from __future__ import annotations
+
+import http.client
+import time
+import urllib.error
+import urllib.request
+from typing import Any
+from urllib.parse import quote, urlencode, urlsplit
+
+from dtwin.acquire._held import Held, replace_time
+from dtwin.acquire._mtconnect_documents import Item, OutOfRange, read_probe, read_streams
+from dtwin.acquire.instrument import Description, Reading
+from dtwin.errors import DeviceError, InputError
+from dtwin.links.opened import OpenAndClose
+from dtwin.schema import Finding
+
+_MAX_BYTES = 16_000_000
+_OVERRUN = "observations that the agent's buffer no longer held"
+_RESTARTED = "the agent was restarted"
+
+
+class MTConnectRecorder(OpenAndClose):
+    """Records the numbers of one device, and what it says of programs, modes and alarms.
+
+    ``url``: of the agent, such as ``http://192.168.0.7:5000``.
+    ``device``: name or uuid; empty when the agent has one only.
+    ``rate_hz``: samples per second; values hold between their observations.
+    ``count``: observations that one answer may bring.
+    ``poll_s``: time between two questions when nothing is new.
+    ``timeout_s``, ``patience_s``: for one answer, and for an agent that does not answer any more.
+    """
+
+    name = "mtconnect"
+
+    def __init__(
+        self,
+        url: str,
+        device: str = "",
+        rate_hz: float = 10.0,
+        *,
+        count: int = 1000,
+        poll_s: float = 0.2,
+        timeout_s: float = 5.0,
+        patience_s: float = 60.0,
+    ) -> None:
+        self.url, self._device = _checked(url), device
+        self._rate_hz, self._count, self._poll_s = rate_hz, count, poll_s
+        self._timeout_s, self._patience_s = timeout_s, patience_s
+        self._items: dict[str, Item] = {}
+        self._left: list[str] = []
+        self._held: Held | None = None
+        self._next, self._instance, self._known_s = 0, "", 0.0
+        self._running = False
+
+    def open(self) -> None:
+        """Ask the agent what it knows."""
+        self._items, self._left, name = read_probe(self._answer("probe"), self.url, self._device)
+        columns = [c for item in self._items.values() for c in item.columns]
+        if not columns:
+            raise DeviceError(
+                "the device tells no number that can be recorded",
+                code="mtconnect.nothing",
+                where=self.url,
+                got="; ".join(self._left)[:200] or "no data items",
+                hint="look at its /probe",
+            )
+        notes = {"agent": self.url, "device": name, "clock": "the agent's", "left_out": self._left[:50]}
+        self._held = Held(self.name, self._rate_hz, columns, notes)
+
+    def describe(self) -> Description:
+        """Return the numbers of the device."""
+        return self._sink().description
+
+    def check(self) -> tuple[Finding, ...]:
+        """Return which data items are left out."""
+        if not self._left:
+            return ()
+        text = f"{len(self._left)} data items are not recorded: {'; '.join(self._left[:8])}"
+        return (Finding("mtconnect.left_out", "info", text, {"items": float(len(self._left))}),)
+
+    def start(self) -> None:
+        """Begin with what holds now."""
+        held = self._sink()
+        held.restart()
+        header, observed = read_streams(self._answer("current"), self.url, self._items)
+        # What has held for hours holds at the beginning.
+        held.begin(header.created_s)
+        held.take(replace_time(one, header.created_s) for one in observed)
+        self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
+        self._running = True
+
+    def read(self) -> Reading:
+        """Return the samples that have become known, waiting for at least one."""
+        held = self._sink()
+        if not self._running:
+            raise DeviceError("recording was not started", code="mtconnect.stopped", where=self.url)
+        while True:
+            reading = held.reading(self._known_s)
+            if reading.n_samples or reading.lost:
+                return reading
+            before = self._next
+            self._ask()
+            if self._next == before:
+                time.sleep(self._poll_s)
+
+    def stop(self) -> None:
+        """End recording."""
+        self._running = False
+
+    def close(self) -> None:
+        """Forget the agent; safe to call twice."""
+        self.stop()
+        self._held = None
+
+    def _ask(self) -> None:
+        """Take the next observations."""
+        held = self._sink()
+        asked = {"from": self._next, "count": self._count}
+        try:
+            header, observed = read_streams(self._patiently("sample", asked), self.url, self._items)
+        except OutOfRange:
+            self._go_on(held)
+            return
+        if header.instance != self._instance or header.first > self._next:
+            self._go_on(held)
+            return
+        held.take(observed)
+        # Behind an answer that is full there may be more of the same time.
+        full = header.next - self._next >= self._count
+        newest_s = max((one.time_s for one in observed), default=self._known_s) if full else header.created_s
+        self._next, self._known_s = max(header.next, self._next), max(self._known_s, newest_s)
+
+    def _go_on(self, held: Held) -> None:
+        """Go on with what holds now, after an agent that counts anew or no longer has what is next; tell the gap."""
+        header, observed = read_streams(self._patiently("current"), self.url, self._items)
+        held.lose(header.created_s, _RESTARTED if header.instance != self._instance else _OVERRUN)
+        held.take(replace_time(one, header.created_s) for one in observed)
+        self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
+
+    def _patiently(self, what: str, query: dict[str, Any] | None = None) -> bytes:
+        """Return an answer; the agent keeps what is observed while it cannot be reached."""
+        until_s = time.monotonic() + self._patience_s
+        while True:
+            try:
+                return self._answer(what, query)
+            except DeviceError as error:
+                if error.code != "mtconnect.absent" or time.monotonic() >= until_s:
+                    raise
+                time.sleep(self._poll_s)
+
+    def _answer(self, what: str, query: dict[str, Any] | None = None) -> bytes:
+        path = f"/{quote(self._device, safe='')}/{what}" if self._device else f"/{what}"
+        address = f"{self.url}{path}" + (f"?{urlencode(query)}" if query else "")
+        request = urllib.request.Request(
+            address, headers={"Accept": "application/xml, text/xml", "User-Agent": "dtwin"}
+        )
+        try:
+            with urllib.request.build_opener(_NoRedirection).open(request, timeout=self._timeout_s) as answer:
+                return _bounded(answer.read(_MAX_BYTES + 1), address)
+        except urllib.error.HTTPError as error:
+            # Newer agents put the reason into the body.
+            with error:
+                body = error.read(_MAX_BYTES + 1)
+            if b"MTConnectError" in body[:4000]:
+                return _bounded(body, address)
+            raise DeviceError(
+                "the agent refuses", code="mtconnect.error", where=address, got=f"HTTP {error.code}"
+            ) from error
+        except (OSError, http.client.HTTPException) as error:
+            raise DeviceError(
+                "the agent does not answer",
+                code="mtconnect.absent",
+                where=self.url,
+                got=str(error)[:200],
+                hint="its address and port; whether it runs: open the address in a browser",
+            ) from error
+
+    def _sink(self) -> Held:
+        if self._held is None:
+            raise DeviceError("the agent was not asked what it knows", code="mtconnect.closed", where=self.url)
+        return self._held
+
+
+class _NoRedirection(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: Any) -> None:
+        """Follow none: another host is another agent."""
+
+
+def _bounded(data: bytes, where: str) -> bytes:
+    if len(data) > _MAX_BYTES:
+        raise DeviceError(
+            "the agent's answer is too large",
+            code="mtconnect.size",
+            where=where,
+            got=f"more than {_MAX_BYTES / 1e6:.0f} MB",
+            hint="a smaller count under [mtconnect]",
+        )
+    return data
+
+
+def _checked(url: str) -> str:
+    parts = urlsplit(url)
+    try:
+        usable = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0
+    except ValueError:
+        usable = False
+    if not usable or parts.username or parts.query or parts.fragment:
+        raise InputError(
+            "not the address of an agent",
+            code="mtconnect.url",
+            got=url[:80],
+            allowed="http://HOST:PORT or https://HOST:PORT",
+        )
+    return url.rstrip("/")

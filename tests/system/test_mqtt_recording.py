@@ -1,0 +1,229 @@
+"""What machines publish, recorded through a real broker by the real client."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mqtt_broker import running_broker
+from mtconnect_agent import Agent, serving
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from typer.testing import CliRunner
+
+from dtwin.acquire._mqtt import MqttRecorder
+from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.signal_files import read_signals
+from dtwin.acquire.stream_file import read_streams_file
+from dtwin.cli import app
+from dtwin.errors import DeviceError, InputError
+
+pytestmark = pytest.mark.system
+T0_S = 1_790_000_000.0
+
+
+@contextmanager
+def machine(port: int) -> Iterator[Callable[[str, Any], None]]:
+    """Yield what publishes, and waits until the broker has it."""
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+
+    def publish(topic: str, what: Any) -> None:
+        text = what if isinstance(what, str | bytes) else json.dumps(what)
+        client.publish(topic, text, qos=1).wait_for_publish(10.0)
+
+    try:
+        yield publish
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+def recorder(port: int, **changes: Any) -> MqttRecorder:
+    settings = {"columns": {"mill/x": "x_mm"}, "rate_hz": 20.0, "timeout_s": 5.0, "patience_s": 5.0}
+    return MqttRecorder(f"127.0.0.1:{port}", **(settings | changes))
+
+
+def until(
+    device: MqttRecorder, enough: Callable[[dict[str, np.ndarray]], bool]
+) -> tuple[dict[str, np.ndarray], list[Any]]:
+    """Return columns and readings until they are enough."""
+    readings = []
+    limit = time.monotonic() + 30.0
+    while True:
+        readings.append(device.read())
+        together = {n: np.concatenate([r.columns[n] for r in readings]) for n in readings[0].columns}
+        if enough(together):
+            return together, readings
+        assert time.monotonic() < limit, together
+
+
+def test_members_of_json_by_the_clock_of_the_sender(tmp_path: Path) -> None:
+    columns = {"mill/axes#x.position": "x_mm", "mill/axes#load": "x_pct", "mill/temp": "spindle_c"}
+    events = {"mill/alarm#text": "drive", "mill/program#name": "program"}
+    with (
+        running_broker(tmp_path) as port,
+        machine(port) as publish,
+        recorder(
+            port, columns=columns, events=events, alarms=("mill/alarm#text",), clock="sender", time="at"
+        ) as device,
+    ):
+        device.start()
+        # Seconds, milliseconds, ISO 8601: all of the same clock, which is years beside this computer's.
+        publish("mill/axes", {"at": T0_S, "x": {"position": 1.5}, "load": "12,5"})
+        publish("mill/program", {"at": T0_S, "name": "O1"})
+        publish("mill/temp", {"at": T0_S, "value": 21.0})
+        publish("mill/axes", {"at": 1000.0 * (T0_S + 0.5), "x": {"position": 2.5}})
+        publish("mill/alarm", {"at": "2026-09-21T14:13:20.700Z", "text": "hot"})
+        publish("mill/alarm", {"at": T0_S + 0.9, "text": ""})
+        publish("mill/axes", {"at": T0_S + 1.0, "x": {"position": 3.5}})
+        found, readings = until(device, lambda c: len(c["x_mm"]) > 0 and c["x_mm"][-1] == 3.5)
+        (refused,) = device.check()
+    t_s = found["timestamp_s"] - T0_S
+    assert t_s[:21] == pytest.approx(np.arange(21) * 0.05, abs=1e-5)
+    assert found["x_mm"][:21].tolist() == [1.5] * 10 + [2.5] * 10 + [3.5]
+    assert set(found["x_pct"]) == {12.5}
+    # A mapping is no number: the topic names no member of it.
+    assert np.isnan(found["spindle_c"]).all()
+    assert refused.code == "mqtt.refused"
+    events_of = [e for r in readings for e in r.events]
+    assert [(e.name, e.text, e.alarm) for e in events_of] == [
+        ("program", "O1", False),
+        ("drive", "hot", True),
+        ("drive", "", True),
+    ]
+    assert [e.at_s for e in events_of] == pytest.approx([0.0, 0.7, 0.9], abs=1e-5)
+
+
+def test_plain_numbers_by_the_clock_of_this_computer(tmp_path: Path) -> None:
+    with running_broker(tmp_path) as port, machine(port) as publish, recorder(port) as device:
+        device.start()
+        before = time.time()
+        publish("mill/x", "1.25")
+        publish("mill/x", "not a number")
+        publish("mill/x", b"\xff\xfe")
+        publish("other", "9")
+        found, _ = until(device, lambda c: len(c["x_mm"]) >= 5)
+        assert device.check()[0].numbers == {"messages": 2.0}
+    assert set(found["x_mm"]) == {1.25}
+    assert before - 0.1 <= found["timestamp_s"][0] <= time.time()
+
+
+def test_a_broker_that_comes_back_leaves_a_gap(tmp_path: Path) -> None:
+    stop = threading.Event()
+
+    def work() -> None:
+        # Until the recorder has subscribed again.
+        with machine(port) as publish:
+            while not stop.wait(0.1):
+                publish("mill/x", "2")
+
+    thread = threading.Thread(target=work)
+    with ExitStack() as held:
+        with running_broker(tmp_path) as port:
+            device = held.enter_context(recorder(port, patience_s=25.0))
+            device.start()
+            with machine(port) as publish:
+                publish("mill/x", "1")
+            until(device, lambda c: len(c["x_mm"]) >= 5)
+        time.sleep(1.0)
+        held.enter_context(running_broker(tmp_path, port))
+        thread.start()
+        held.callback(thread.join)
+        held.callback(stop.set)
+        found, readings = until(device, lambda c: len(c["x_mm"]) > 0 and c["x_mm"][-1] == 2.0)
+    assert [r.reason for r in readings if r.lost] == ["the broker could not be reached"]
+    assert np.diff(found["timestamp_s"]).min() > 0.04
+
+
+def test_silence_is_said(tmp_path: Path) -> None:
+    with running_broker(tmp_path) as port, recorder(port, patience_s=0.3) as device:
+        device.start()
+        with pytest.raises(DeviceError) as caught:
+            device.read()
+    assert caught.value.code == "mqtt.silent"
+
+
+def test_the_command_records_a_run_of_both(tmp_path: Path) -> None:
+    agent = Agent()
+    agent.now_s = time.time()
+    agent.observe("stemp", "23.5")
+    agent.observe("prog", "O7")
+    stop = threading.Event()
+
+    def work() -> None:
+        while not stop.wait(0.02):
+            agent.now_s = time.time()
+            agent.observe("xpos", str(agent.next))
+
+    with running_broker(tmp_path) as port, machine(port) as publish, serving(agent) as url:
+        streams = tmp_path / "streams.toml"
+        streams.write_text(
+            f'[mtconnect]\nurl = "{url}"\nrate_hz = 20\n[mqtt]\nbroker = "127.0.0.1:{port}"\nrate_hz = 20\n'
+            '[mqtt.columns]\n"hall/temperature" = "hall_c"\n',
+            encoding="utf-8",
+        )
+        thread = threading.Thread(target=work)
+        thread.start()
+        told = threading.Timer(0.5, lambda: [publish("hall/temperature", "19.5") for _ in range(3)])
+        told.start()
+        folder = tmp_path / "c"
+        done = CliRunner().invoke(
+            app,
+            [
+                *("record", "--streams", str(streams), "--out", str(folder), "--duration", "2", "--machine", "mill-7"),
+                *("--set", "plane=XY", "--set", "direction=CCW", "--set", "radius_mm=100", "--set", "feed_mm_min=1000"),
+            ],
+        )
+        stop.set()
+        thread.join()
+        told.join()
+    assert done.exit_code == 0, done.output
+    names = sorted(p.name for p in folder.glob("*.parquet"))
+    assert names == ["r001.mqtt.parquet", "r001.mtconnect.parquet"]
+    (agent_group,) = read_signals(folder / "r001.mtconnect.parquet")
+    assert agent_group.n_samples >= 40
+    (entry,) = open_campaign(folder).entries
+    assert entry.stated["covariates"] == {"stemp_c": pytest.approx(23.5), "hall_c": pytest.approx(19.5)}
+    angle = np.linspace(0.0, 6.0, 50)
+    rows = [f"{t:.3f},{np.degrees(a):.4f},{np.sin(a):.4f}" for t, a in enumerate(angle)]
+    (folder / "r001.csv").write_text("\n".join(["t_s,angle_deg,deviation_um", *rows]) + "\n", encoding="utf-8")
+    text = (folder / "campaign.toml").read_text(encoding="utf-8").replace("r001.b5r", "r001.csv")
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    ((run,), _) = next(iter(open_campaign(folder)))
+    assert {g.name for g in run.signals} == {"mqtt", "mtconnect"}
+    assert any(f.message.startswith("program: O7 0.0 to") for f in run.findings)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("", "file.empty"),
+        ("[opcua]\nurl = 'x'\n", "stream.file"),
+        ("[mtconnect]\nrate_hz = 10\n", "stream.setting"),
+        ("[mtconnect]\nurl = 'http://h:1'\nspeed = 10\n", "stream.setting"),
+        ("[mtconnect]\nurl = 'http://h:1'\nrate_hz = 1e9\n", "stream.value"),
+        ("[mtconnect]\nurl = 'http://h:1'\ncount = true\n", "stream.value"),
+        ("[mqtt]\nbroker = 'h:1883'\n", "stream.setting"),
+        ("[mqtt]\nbroker = 'h'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.broker"),
+        ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a' = 'x'\n", "units.unknown"),
+        ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a/+' = 'x_mm'\n", "mqtt.topic"),
+        ("[mqtt]\nbroker = 'h:1'\nclock = 'sender'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.settings"),
+        ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a' = 'x_mm'\n'b' = 'x_mm'\n", "mqtt.settings"),
+        ("[mqtt\n", "stream.file"),
+    ],
+)
+def test_a_stream_file_that_is_wrong_is_said(text: str, code: str, tmp_path: Path) -> None:
+    path = tmp_path / "streams.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_streams_file(path)
+    assert caught.value.code == code
