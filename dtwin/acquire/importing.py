@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import math
-import re
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -21,63 +20,22 @@ from typing import Any
 
 import tomli_w
 
+from dtwin.acquire._foreign_columns import Column, all_units, columns_of, header_row, is_number
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.spreadsheet import table_bytes
-from dtwin.acquire.table_dialect import decoded, encoding_of, mark_of, rows_of
+from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, mark_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.atomic import make_folder, write_text, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.units import UNITS
 
 _MAX_BYTES = 64 * 1024**2
-_MOST_COLUMNS = 512
-_MOST_PREAMBLE = 200
+_SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
 _MARKS = {";": "semicolons", "\t": "tabs", ",": "commas"}
-# What a foreign unit is here, and how many of it.
-_UNITS: Mapping[str, tuple[str, float]] = {
-    **dict.fromkeys(("um", "µm", "μm", "micron"), ("um", 1.0)),
-    "nm": ("um", 1e-3),
-    "mm": ("mm", 1.0),
-    "m": ("mm", 1000.0),
-    **dict.fromkeys(("in", "inch"), ("mm", 25.4)),
-    **dict.fromkeys(("s", "sec", "sek"), ("s", 1.0)),
-    "ms": ("s", 1e-3),
-    "min": ("s", 60.0),
-    **dict.fromkeys(("°", "deg", "grad"), ("deg", 1.0)),
-    "rad": ("deg", 180.0 / math.pi),
-    **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),
-    "mm/min": ("mm_min", 1.0),
-    "mm/s": ("mm_s", 1.0),
-    "hz": ("hz", 1.0),
-    "g": ("g", 1.0),
-    "v": ("v", 1.0),
-    "a": ("a", 1.0),
-}
-_BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
-_HEADS = (
-    (re.compile(r"^(t|time|zeit)$", re.I), "t", "s"),
-    (re.compile(r"^(path )?(angle|winkel|phi)$", re.I), "angle", "deg"),
-    (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
-    (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
-    (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
-)
 _TIME, _ANGLE = "t_s", "angle_deg"
-_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of the file: ``head`` and ``unit`` as they stand there, ``name`` here, and the factor to it; or why not."""
-
-    head: str
-    unit: str
-    name: str
-    factor: float = 1.0
-    why_not: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,8 +50,14 @@ class Understood:
         Conditions that must be told before it can be written.
     runs : tuple of (str, int)
         Name and rows of each run; empty while conditions are missing.
-    remembered : bool
-        Whether answers of an earlier file with this header were used.
+    remembered : str
+        The earlier file with this header whose answers were used; empty without one.
+    unconfirmed : tuple of str
+        Conditions that only that file tells: they must be confirmed, for this one may have been measured otherwise.
+    decimal : str
+        ``comma`` or ``point`` where it was told.
+    first_rows : tuple of tuple of str
+        The first rows as they stand in the file.
     text : str
         The table in the house's form.
     """
@@ -107,7 +71,10 @@ class Understood:
     told: Mapping[str, Any]
     missing: tuple[str, ...]
     runs: tuple[tuple[str, int], ...]
-    remembered: bool
+    remembered: str
+    unconfirmed: tuple[str, ...]
+    decimal: str
+    first_rows: tuple[tuple[str, ...], ...]
     text: str
     header: tuple[str, ...]
     answers: Mapping[str, str]
@@ -124,11 +91,90 @@ class Understood:
             "conditions": dict(self.told),
             "missing": list(self.missing),
             "runs": dict(self.runs),
-            "remembered": self.remembered,
+            "remembered": bool(self.remembered),
+            "remembered_of": self.remembered,
+            "unconfirmed": list(self.unconfirmed),
+            "decimal": self.decimal,
+            "heads": list(self.header),
+            "first_rows": [list(row) for row in self.first_rows],
         }
 
 
-def understand(path: Path, home: Home, told: Mapping[str, Any], answers: Mapping[str, str]) -> Understood:
+@dataclass(frozen=True)
+class Looked:
+    """Heads and rows of a file, before anything is known of them."""
+
+    heads: tuple[str, ...]
+    units: tuple[str, ...] | None
+    body: tuple[tuple[str, ...], ...]
+    begin: int
+    encoding: str
+    mark: str
+    decimal: str
+    stored: Mapping[str, Any]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def look(path: Path, home: Home, decimal: str = "") -> Looked:
+    """Return the table of a file, and what is remembered of an earlier one with its heads.
+
+    Parameters
+    ----------
+    decimal : str
+        ``comma`` or ``point``; empty: as it is remembered, else as the marks between columns tell.
+
+    Raises
+    ------
+    InputError
+        When it is no table.
+    """
+    if decimal not in ("", *DECIMALS):
+        raise InputError(
+            "a decimal sign is a comma or a point", code="import.decimal", got=decimal[:20], allowed=", ".join(DECIMALS)
+        )
+    data = table_bytes(path, _MAX_BYTES)
+    text = decoded(data)
+    rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
+    units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
+    body = rows[begin + (1 if units is None else 2) :]
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    return Looked(
+        heads,
+        None if units is None else tuple(units),
+        tuple(map(tuple, body)),
+        begin,
+        encoding_of(data),
+        mark_of(lines),
+        sign,
+        stored,
+        tuple(map(tuple, rows[begin:])),
+    )
+
+
+def _seen(
+    text: str, path: Path, home: Home, decimal: str
+) -> tuple[list[list[str]], int, tuple[str, ...], Mapping[str, Any], str]:
+    """Return rows, the row of heads, the heads, what is remembered for them, and the decimal sign that is told or remembered."""
+    refused: InputError | None = None
+    for sign in (decimal,) if decimal else ("", *DECIMALS):
+        rows = rows_of(text, sign)
+        try:
+            begin = header_row(rows, path)
+        except InputError as error:
+            # Numbers of another sign look like words.
+            refused = refused or error
+            continue
+        heads = tuple(cell.strip() for cell in rows[begin])
+        stored = _recipe(home, heads)
+        if decimal or stored.get("decimal", "") == sign:
+            return rows, begin, heads, stored, sign
+    assert refused is not None
+    raise refused
+
+
+def understand(
+    path: Path, home: Home, told: Mapping[str, Any], answers: Mapping[str, str], decimal: str = ""
+) -> Understood:
     """Return what a table is taken for.
 
     Parameters
@@ -143,14 +189,8 @@ def understand(path: Path, home: Home, told: Mapping[str, Any], answers: Mapping
     InputError
         When it is no table, or its columns are those of no kind of test.
     """
-    data = table_bytes(path, _MAX_BYTES)
-    text = decoded(data)
-    rows = rows_of(text)
-    begin = _header(rows, path)
-    heads = tuple(cell.strip() for cell in rows[begin])
-    units = rows[begin + 1] if begin + 1 < len(rows) and _all_units(rows[begin + 1]) else None
-    body = rows[begin + (1 if units is None else 2) :]
-    stored = _recipe(home, heads)
+    found = look(path, home, decimal)
+    heads, stored = found.heads, found.stored
     answers = {**stored.get("columns", {}), **answers}
     unknown = sorted(set(answers) - set(heads))
     if unknown:
@@ -162,15 +202,16 @@ def understand(path: Path, home: Home, told: Mapping[str, Any], answers: Mapping
             allowed=", ".join(heads)[:200],
         )
     given = {name: value for name, value in told.items() if value is not None}
-    told = {**{k: v for k, v in stored.get("told", {}).items() if k in _REMEMBERED}, **given}
-    plain = _as_csv(rows[begin:])
+    kept = {k: v for k, v in stored.get("told", {}).items() if k in _REMEMBERED}
+    told = {**kept, **given}
+    plain = _as_csv(found.rows)
     with tempfile.TemporaryDirectory() as scratch:
         lone = Path(scratch) / f"{safe_name(path.stem)}.csv"
         write_text(lone, plain, "a table")
         columns: tuple[Column, ...] = ()
         if answers or not any(kind.takes_alone(lone) for kind in kinds()):
-            columns = _columns(heads, units, answers)
-            plain = _converted(columns, body, _seconds_per_deg(columns, told, path))
+            columns = columns_of(heads, found.units, answers)
+            plain = _converted(columns, found.body, _seconds_per_deg(columns, told, path))
             write_text(lone, plain, "a table")
         kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -178,21 +219,47 @@ def understand(path: Path, home: Home, told: Mapping[str, Any], answers: Mapping
         if not missing:
             opened = open_table(lone, told)
             runs = tuple((run.meta.run_id, run.n_samples) for run in opened.read(opened.entries[0])[0])
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    encoding, mark = encoding_of(data), mark_of(lines)
     return Understood(
-        path, encoding, mark, begin, columns, kind, told, missing, runs, bool(stored), plain, heads, answers
+        path,
+        found.encoding,
+        found.mark,
+        found.begin,
+        columns,
+        kind,
+        told,
+        missing,
+        runs,
+        str(stored.get("file") or "an earlier file") if stored else "",
+        tuple(name for name in kept if name not in given),
+        found.decimal,
+        found.body[:_SHOWN],
+        plain,
+        heads,
+        answers,
     )
 
 
-def write_folder(found: Understood, folder: Path, home: Home) -> Path:
+def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool = False) -> Path:
     """Write a campaign folder and remember the answers; return its ``campaign.toml``, which is written last.
+
+    Parameters
+    ----------
+    confirmed : bool
+        Whether the conditions of the earlier file hold for this one, too.
 
     Raises
     ------
     InputError
-        When the folder is there already, or conditions are missing.
+        When the folder is there already, conditions are missing, or are those of another file and not confirmed.
     """
+    if found.unconfirmed and not confirmed:
+        raise InputError(
+            "the conditions of an earlier file are not taken without being asked for",
+            code="import.unconfirmed",
+            where=str(found.path),
+            got=", ".join(f"{name} {found.told[name]}" for name in found.unconfirmed) + f", of {found.remembered}",
+            hint="--as-remembered, when this file was measured so, too; else the options that tell it",
+        )
     if folder.exists():
         raise InputError(
             "the folder is there already", code="import.exists", where=str(folder), hint="--out with another name"
@@ -206,7 +273,9 @@ def write_folder(found: Understood, folder: Path, home: Home) -> Path:
     digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
     source = f"# dtwin import {json.dumps(found.path.name)}, sha256 {digest}\n"
     kept = {name: found.told[name] for name in _REMEMBERED if name in found.told}
-    recipe = {"header": list(found.header), "columns": dict(found.answers), "told": kept}
+    recipe = {"header": list(found.header), "columns": dict(found.answers), "told": kept, "file": found.path.name}
+    if found.decimal:
+        recipe["decimal"] = found.decimal
     place = _recipe_path(home, found.header)
     try:
         make_folder(home.made().root / place.parent.name)
@@ -222,70 +291,6 @@ def write_folder(found: Understood, folder: Path, home: Home) -> Path:
         "run": [dict(entry.stated)],
     }
     return write_text(folder / "campaign.toml", source + tomli_w.dumps(document), "the campaign")
-
-
-def _header(rows: Sequence[Sequence[str]], path: Path) -> int:
-    """Return which row holds the heads: the first before a row of as many cells with numbers, or with units."""
-    for n, row in enumerate(rows[:_MOST_PREAMBLE]):
-        after = next((r for r in rows[n + 1 : n + 3] if not _all_units(r)), [])
-        named = sum(bool(cell.strip()) and not _is_number(cell) for cell in row)
-        if 2 <= len(row) <= _MOST_COLUMNS and 2 * named > len(row) and len(after) == len(row):
-            numbers = sum(_is_number(cell) for cell in after)
-            if numbers >= 2 and not _all_units(row):
-                return n
-    raise InputError(
-        "no table is found in the file",
-        code="import.table",
-        where=str(path),
-        got=f"{len(rows)} lines",
-        allowed=f"a row of heads above rows of numbers, within {_MOST_PREAMBLE} lines and {_MOST_COLUMNS} columns",
-        hint="dtwin check FILE reads the forms of instruments",
-    )
-
-
-def _columns(heads: Sequence[str], units: Sequence[str] | None, answers: Mapping[str, str]) -> tuple[Column, ...]:
-    found: list[Column] = []
-    for n, head in enumerate(heads):
-        column = _column(head, units[n].strip() if units is not None and n < len(units) else "", answers.get(head))
-        if column.name and any(other.name == column.name for other in found):
-            column = Column(head, column.unit, "", why_not=f"{column.name} is there already")
-        found.append(column)
-    return tuple(found)
-
-
-def _column(head: str, unit_below: str, answer: str | None) -> Column:
-    match = _WITH_UNIT.match(head)
-    base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
-    if unit:
-        here, factor = _UNITS.get(unit.lower(), ("", 1.0))
-    else:
-        unit = here = _ending(head)
-        base, factor = head.removesuffix(f"_{here}"), 1.0
-    if answer is not None:
-        if not answer:
-            return Column(head, unit, "", why_not="you left it out")
-        wanted = _ending(answer)
-        return _scaled(head, unit, answer, here or wanted, wanted, factor)
-    if not here:
-        return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
-    for pattern, stem, wanted in _HEADS:
-        if pattern.match(base.replace("_", " ").strip()):
-            return _scaled(head, unit, f"{stem}_{wanted}", here, wanted, factor)
-    stem = re.sub(r"\W+", "_", base.strip().lower()).strip("_") or "column"
-    return Column(head, unit, f"{stem}_{here}", factor)
-
-
-def _ending(name: str) -> str:
-    """Return the unit that a column's name ends with, as it stands there; empty without one: a number counts columns."""
-    return next((ending for ending in UNITS if ending != "1" and name.endswith(f"_{ending}")), "")
-
-
-def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: float) -> Column:
-    if here == wanted:
-        return Column(head, unit, name, factor)
-    if (here, wanted) in _BETWEEN:
-        return Column(head, unit, name, factor * _BETWEEN[here, wanted])
-    return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
 
 
 def _seconds_per_deg(columns: Sequence[Column], told: Mapping[str, Any], path: Path) -> float | None:
@@ -324,7 +329,7 @@ def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]], seconds
     table = [[column.name for _, column in kept]]
     for row in body:
         cells = [(row[n].strip() if n < len(row) else "", column.factor) for n, column in kept]
-        table.append([f"{float(cell) * factor:.12g}" if _is_number(cell) else "" for cell, factor in cells])
+        table.append([f"{float(cell) * factor:.12g}" if is_number(cell) else "" for cell, factor in cells])
     return _as_csv(table if seconds_per_deg is None else _with_time(table, seconds_per_deg))
 
 
@@ -340,19 +345,6 @@ def _as_csv(rows: Sequence[Sequence[str]]) -> str:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue()
-
-
-def _all_units(row: Sequence[str]) -> bool:
-    """Tell whether a row holds units, and nothing else but empty cells."""
-    told = [cell.strip().strip("[]() ").lower() for cell in row if cell.strip()]
-    return bool(told) and all(cell in _UNITS for cell in told)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return math.isfinite(float(cell))
-    except ValueError:
-        return False
 
 
 def _recipe_path(home: Home, heads: Sequence[str]) -> Path:
@@ -372,4 +364,4 @@ def _recipe(home: Home, heads: Sequence[str]) -> dict[str, Any]:
             "the recipe for this header cannot be read", code="import.recipe", where=str(place), hint="delete the file"
         ) from error
     columns, told = found.get("columns", {}), found.get("told", {})
-    return {"columns": columns, "told": told} if isinstance(columns, dict) and isinstance(told, dict) else {}
+    return found if isinstance(columns, dict) and isinstance(told, dict) else {}

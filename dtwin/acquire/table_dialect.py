@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import codecs
 import csv
+import re
 
 _SNIFFED_LINES = 100
+DECIMALS = ("comma", "point")
+# Digits, perhaps in groups, perhaps with an exponent.
+_NUMBER = re.compile(r"[+-]?\d[\d.,]*(e[+-]?\d+)?", re.I)
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -38,12 +42,25 @@ def mark_of(lines: list[str]) -> str:
     return next((mark for mark in (";", "\t") if 2 * sum(mark in line for line in first) >= max(len(first), 1)), ",")
 
 
-def rows_of(text: str) -> list[list[str]]:
-    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point."""
+def rows_of(text: str, decimal: str = "") -> list[list[str]]:
+    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point.
+
+    ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
+    semicolons or tabs part the columns.
+    """
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     mark = mark_of(lines)
     try:
         rows = list(csv.reader(lines, delimiter=mark))
     except csv.Error:
         return []
+    if decimal:
+        return [[_plain(cell, decimal) for cell in row] for row in rows]
     return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+
+
+def _plain(cell: str, decimal: str) -> str:
+    """Return a number with a point and without groups; anything else as it is."""
+    if not _NUMBER.fullmatch(cell.strip()):
+        return cell
+    return cell.replace(".", "").replace(",", ".") if decimal == "comma" else cell.replace(",", "")

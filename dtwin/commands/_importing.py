@@ -29,6 +29,12 @@ def import_table(
             help="HEAD=NAME: what a column is here, with the unit that it has in the file; HEAD= leaves it out."
         ),
     ] = None,
+    decimal: Annotated[
+        str, typer.Option(help="comma or point, where it is not seen; the other one then parts digits into groups.")
+    ] = "",
+    as_remembered: Annotated[
+        bool, typer.Option("--as-remembered", help="The conditions of the earlier file hold for this one, too.")
+    ] = False,
     plane: Plane = None,
     radius: Radius = None,
     feed: Feed = None,
@@ -45,8 +51,8 @@ def import_table(
     from dtwin.config import home
 
     told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
-    found = understand(source, home(), told, _answers(column or []))
-    toml = None if out is None else write_folder(found, out, home())
+    found = understand(source, home(), told, _answers(column or []), decimal)
+    toml = None if out is None else write_folder(found, out, home(), confirmed=as_remembered)
     payload = {**found.as_dict(), "written": None if toml is None else str(toml)}
     emit(payload, lambda: _text(found, out), as_json=as_json)
 
@@ -74,7 +80,7 @@ def _text(found: Understood, out: Path | None) -> str:
     if found.skipped:
         lines[0] += f", lines above the heads: {found.skipped}"
     if found.remembered:
-        lines.append("  answers for an earlier file with this header are used")
+        lines.append(f"  what was answered for {found.remembered}, which has the same heads, is used")
     for c in found.columns:
         unit = f" [{c.unit}]" if c.unit and c.unit not in c.head else ""
         factor = f", times {c.factor:.6g}" if c.factor != 1.0 else ""
@@ -86,6 +92,9 @@ def _text(found: Understood, out: Path | None) -> str:
     lines.append(f"  kind {found.kind}" + "".join(f"; {name} {value}" for name, value in found.told.items()))
     if found.missing:
         lines.append(f"  missing: {', '.join(found.missing)}")
+    if found.unconfirmed and out is None:
+        said = ", ".join(f"{name} {found.told[name]}" for name in found.unconfirmed)
+        lines.append(f"  only {found.remembered} tells {said}: --as-remembered confirms it for this file")
     if found.runs:
         rows = sum(n for _, n in found.runs)
         lines.append(f"  {len(found.runs)} runs, {rows} rows: {', '.join(name for name, _ in found.runs)[:120]}")

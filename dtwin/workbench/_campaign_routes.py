@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin.acquire.amending import amend, leave_out
@@ -19,14 +16,13 @@ from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
-from dtwin.pipeline.measuring import ingest
 from dtwin.report.sheet import budget_rows
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
-from dtwin.workbench._uploads import MAX_TRAY_BYTES, sources
+from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
 _ON_A_PAGE = 100
@@ -34,22 +30,6 @@ _SHUT_OFF = (
     "sandbox allow-scripts allow-modals; default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "img-src data: blob:"
 )
-
-
-class _Told(BaseModel):
-    """What is told of a table that lies alone; empty fields are not told."""
-
-    machine: str = Field("", max_length=100)
-    campaign: str = Field("", max_length=100)
-    plane: str = Field("", max_length=10)
-    radius_mm: float | None = None
-    feed_mm_min: float | None = None
-    direction: str = Field("", max_length=10)
-    axis: str = Field("", max_length=10)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return what was told, named as in campaign.toml."""
-        return {name: value for name, value in self if value not in ("", None)}
 
 
 class _Amendment(BaseModel):
@@ -183,35 +163,6 @@ def run_figure(request: Request, name: str, run_id: str, figure: str) -> Respons
     return drawn(drawings[figure].draw(run, lambda: campaign_floor(bench, name).um))
 
 
-@router.post("/api/trays")
-def new_tray(request: Request) -> dict[str, str]:
-    """Open a tray for files."""
-    return {"tray": bench_of(request).trays.new()}
-
-
-@router.put("/api/trays/{tray}")
-async def receive(request: Request, tray: str, name: str) -> JSONResponse:
-    """Take one file into a tray."""
-    size = await bench_of(request).trays.receive(tray, name, request.stream())
-    return JSONResponse({"bytes": size})
-
-
-@router.post("/api/trays/{tray}/ingest")
-async def ingest_tray(request: Request, tray: str, told: _Told | None = None) -> JSONResponse:
-    """Ingest what a tray holds."""
-    bench = bench_of(request)
-    trays = bench.trays
-    folder = trays.folder(tray)
-
-    def work(tell: Tell) -> str:
-        try:
-            return _ingested(bench, folder, {} if told is None else told.as_dict(), tell)
-        finally:
-            trays.drop(tray)
-
-    return accepted(await run_in_threadpool(bench.jobs.start, "Ingest", work))
-
-
 @router.post("/api/campaigns/{name}/amend")
 def amend_campaign(request: Request, name: str, wanted: _Amendment) -> JSONResponse:
     """State anew what was stated wrongly; raw values never change."""
@@ -241,25 +192,6 @@ def leave_run_out(
         return f"/campaigns/{name}"
 
     return accepted(bench.jobs.start(f"{verb} {run_id}", work))
-
-
-def _ingested(bench: Bench, folder: Path, told: Mapping[str, Any], tell: Tell) -> str:
-    tell("look at the files")
-    names = []
-    for source in sources(folder):
-
-        def count(done: int, total: int, what: str, source: Path = source) -> None:
-            tell(f"{source.name}: {done} of {total} files")
-
-        alone = told if source.suffix.lower() in (".csv", ".parquet") else None
-        names.append(ingest(source, bench.home, count, alone).campaign)
-    for name in dict.fromkeys(names):
-        tell(f"prepare the pages of {name}")
-        campaign_floor(bench, name)
-        known = bench.lake.campaign(name)
-        if kind_named(known.kind).offers("sheet"):
-            campaign_sheet_of(bench, name, known.machine)
-    return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
 
 
 def _row(bench: Bench, name: str, run_id: str) -> Any:

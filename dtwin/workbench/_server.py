@@ -22,6 +22,7 @@ from dtwin.errors import DtwinError, InputError, MissingPart
 from dtwin.workbench import _campaign_routes as campaign_routes
 from dtwin.workbench import _effect_routes as effect_routes
 from dtwin.workbench import _heat_pages as heat_pages
+from dtwin.workbench import _import_routes as import_routes
 from dtwin.workbench import _job_routes as job_routes
 from dtwin.workbench import _live_routes as live_routes
 from dtwin.workbench import _machine_routes as machine_routes
@@ -49,6 +50,7 @@ def application(bench: Bench) -> Guarded:
         machine_routes,
         plan_routes,
         campaign_routes,
+        import_routes,
         twin_routes,
         heat_pages,
         twin_actions,

@@ -7,7 +7,7 @@ import secrets
 import shutil
 import stat
 import zipfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from pathlib import Path, PurePosixPath
 
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -93,8 +93,11 @@ def safe_path(name: str) -> PurePosixPath:
     return PurePosixPath(*parts)
 
 
-def sources(folder: Path) -> list[Path]:
-    """Return what a tray holds that can be ingested; archives are unpacked first."""
+def sources(folder: Path, told: Collection[Path] = ()) -> list[Path]:
+    """Return what a tray holds that can be ingested; archives are unpacked first.
+
+    ``told``: tables that lie alone, of which conditions were told: they are sources beside campaign folders, too.
+    """
     for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
         target = archive.with_name(f"{archive.stem}-unpacked")
         _unpack(archive, target)
@@ -105,7 +108,7 @@ def sources(folder: Path) -> list[Path]:
     loose = [
         path
         for path in sorted(folder.rglob("*"))
-        if path.suffix.lower() in alone and not any(path.is_relative_to(home) for home in homes)
+        if path in told or (path.suffix.lower() in alone and not any(path.is_relative_to(home) for home in homes))
     ]
     if homes or loose:
         return [*homes, *loose]

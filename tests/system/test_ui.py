@@ -287,6 +287,71 @@ def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(pa
     expect(page.get_by_text("radius_mm stated anew, because one nought too many")).to_be_visible()
 
 
+def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Workbench, artifacts: Path) -> None:
+    def drop(name: str, shift: float = 0.0) -> None:
+        rows = [
+            ";".join(f"{v:.4f}".replace(".", ",") for v in (0.1 * n, 0.9 * n + 0.5, 0.004 * math.sin(n) + shift))
+            + ";gut"
+            for n in range(400)
+        ]
+        content = "\n".join(["Kreisformtest Müller", "Zeit [s];Phi;Abweichung [mm];Bemerkung", *rows])
+        page.goto(f"{bench.base}/campaigns")
+        buffer = content.encode("cp1252")
+        page.set_input_files("#pick-files", {"name": name, "mimeType": "text/csv", "buffer": buffer})
+        expect(page.get_by_role("dialog", name="What is this table?")).to_be_visible()
+
+    drop("kreis.csv")
+    dialog = page.get_by_role("dialog", name="What is this table?")
+    # Its angle has no unit: no kind of test is known yet, and the reason is said in the words of the command line.
+    expect(dialog.locator("[data-refused]")).to_contain_text("the columns are those of no kind of test")
+    expect(dialog.get_by_role("cell", name="0.5000 1.4000", exact=False)).to_be_visible()
+    dialog.get_by_label("Phi is here").fill("angle_deg")
+    dialog.get_by_role("button", name="Look again").click()
+    expect(dialog.locator("[data-refused]")).to_be_hidden()
+    expect(dialog.locator("[data-form]")).to_have_text(
+        "cp1252, columns parted by semicolons, 1 lines above the heads; kind circular"
+    )
+    expect(dialog.get_by_label("Abweichung [mm] is here")).to_have_value("deviation_um")
+    expect(dialog.locator("tbody tr").nth(2).locator("td").last).to_have_text("1000")
+    assert not Axe().run(page).response["violations"]
+    page.screenshot(path=artifacts / "import.png", full_page=True)
+    dialog.get_by_label("Machine", exact=True).fill("mill-y")
+    dialog.get_by_role("button", name="Ingest").click()
+    expect(dialog.locator("[data-refused]")).to_have_text("still to be told: plane, radius_mm, feed_mm_min")
+    dialog.get_by_label("Plane").select_option("XY")
+    dialog.get_by_label("Radius, mm").fill("150,5")
+    dialog.get_by_label("Programmed feed, mm/min").fill("2000")
+    dialog.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/kreis")
+
+    # The next file with these heads: answered already, but its conditions are asked for.
+    drop("kreis-2.csv", 0.001)
+    expect(dialog.locator("[data-refused]")).to_be_hidden()
+    expect(dialog.get_by_label("Phi is here")).to_have_value("angle_deg")
+    expect(dialog.get_by_label("Radius, mm")).to_have_value("150.5")
+    dialog.get_by_role("button", name="Ingest").click()
+    expect(dialog.locator("[data-refused]")).to_have_text(
+        "say whether the conditions of kreis.csv hold for this file, too"
+    )
+    dialog.get_by_label("Radius, mm").fill("100")
+    dialog.get_by_role("button", name="Look again").click()
+    told = dialog.get_by_label(
+        "machine mill-y, plane XY, feed_mm_min 2000, as for kreis.csv: this file was measured so, too"
+    )
+    told.check()
+    dialog.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/kreis-2")
+    text = bench.ask("/campaigns/kreis-2")[1]
+    assert "mill-y" in text
+    assert "100" in text
+
+    # Nothing is kept of what was cancelled.
+    drop("kreis-3.csv")
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#work-error")).to_contain_text("nothing was ingested")
+    assert "kreis-3" not in bench.ask("/campaigns")[1]
+
+
 def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/campaigns")
     name = "<img src=x onerror=alert(1)>.b5r"

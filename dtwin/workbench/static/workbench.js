@@ -375,31 +375,114 @@ function upload(gather) {
   start("Upload", async () => {
     const files = (await gather()).filter(wanted);
     if (!files.length) throw new Error("nothing was dropped that is a file");
-    const told = liesAlone(files) ? await asked() : {};
     const { tray } = await send("/api/trays", {});
     for (const [number, [name, file]] of files.entries()) {
       byId("work-stage").textContent = `${number + 1} of ${files.length}: ${name}`;
       await ask(`/api/trays/${tray}?${new URLSearchParams({ name })}`, { method: "PUT", body: file });
     }
-    return send(`/api/trays/${tray}/ingest`, told);
+    const tables = [];
+    try {
+      // One after the other: what holds for one file need not hold for the next.
+      for (const [name] of tablesAlone(files)) tables.push(await understood(tray, name));
+    } catch (error) {
+      await ask(`/api/trays/${tray}`, { method: "DELETE" }).catch(() => null);
+      throw error;
+    }
+    return send(`/api/trays/${tray}/ingest`, { tables });
   });
 }
 
 // Tables that no campaign.toml names do not say under which conditions they were measured.
-const liesAlone = (files) => files.some(([name]) => /\.(csv|parquet)$/i.test(name)) && !files.some(([name]) => /(campaign\.toml|\.zip)$/i.test(name));
+const tablesAlone = (files) => (files.some(([name]) => /(campaign\.toml|\.zip)$/i.test(name)) ? [] : files.filter(([name]) => /\.(csv|parquet|xlsx|xlsm)$/i.test(name)));
 
-function asked() {
+const CONDITIONS = ["machine", "campaign", "plane", "radius_mm", "feed_mm_min", "direction", "axis"];
+
+async function understood(tray, name) {
   const dialog = byId("told");
   const form = dialog.querySelector("form");
+  form.reset();
+  let shown = new Map();
+  let kept = {};
+  let remembered = {};
+  const told = () => {
+    const content = contentOf(form);
+    const answers = {};
+    for (const field of all("[data-head]", form)) {
+      if (field.value.trim() !== shown.get(field.dataset.head)) answers[field.dataset.head] = field.value.trim();
+    }
+    const conditions = {};
+    // What only an earlier file tells is not told for this one: it is confirmed, or written anew.
+    for (const key of CONDITIONS) if (content[key] !== "" && !Number.isNaN(content[key]) && content[key] !== remembered[key]) conditions[key] = content[key];
+    return { file: name, told: conditions, answers: { ...kept, ...answers }, decimal: content.decimal, confirmed: content.confirmed };
+  };
+  const look = async () => {
+    const asked = told();
+    kept = asked.answers;
+    const found = await send(`/api/trays/${tray}/understand`, asked);
+    shown = tellTable(form, name, found);
+    return found;
+  };
+  const first = await look();
+  for (const key of first.unconfirmed) remembered[key] = first.conditions[key];
+  for (const key of CONDITIONS) if (first.conditions[key] !== undefined) form.elements[key].value = first.conditions[key];
+  form.elements.decimal.value = first.decimal || "";
   byId("work").close();
   dialog.showModal();
+  const say = (error) => { const place = form.querySelector("[data-refused]"); place.textContent = error.message; place.hidden = false; };
+  form.querySelector("[data-again]").onclick = () => look().catch(say);
   return new Promise((done, no) => {
+    form.onsubmit = async (event) => {
+      if (!event.submitter || event.submitter.value !== "ok") return;
+      event.preventDefault();
+      try {
+        const found = await look();
+        if (found.refused) return;
+        if (found.missing.length) throw new Error(`still to be told: ${found.missing.join(", ")}`);
+        if (found.unconfirmed.length && !form.elements.confirmed.checked) throw new Error(`say whether the conditions of ${found.remembered_of} hold for this file, too`);
+        dialog.close("ok");
+      } catch (error) { say(error); }
+    };
     dialog.addEventListener("close", () => {
-      if (dialog.returnValue !== "ok") { no(new Error("nothing was ingested: the conditions were not told")); return; }
+      if (dialog.returnValue !== "ok") { no(new Error("nothing was ingested: the table was not explained")); return; }
+      dialog.returnValue = "";
       opened("Upload");
-      done(contentOf(form));
+      done(told());
     }, { once: true });
   });
+}
+
+function tellTable(form, name, found) {
+  form.querySelector("[data-file]").textContent = name;
+  form.querySelector("[data-form]").textContent = found.parted_by ? `${found.encoding}, columns parted by ${found.parted_by}${found.lines_skipped ? `, ${found.lines_skipped} lines above the heads` : ""}; kind ${found.kind}` : "";
+  const table = form.querySelector("[data-columns]");
+  table.hidden = !found.columns.length;
+  form.querySelector("[data-own]").hidden = found.columns.length > 0;
+  byId("told-names").replaceChildren(...(found.names || []).map((value) => Object.assign(document.createElement("option"), { value })));
+  const shown = new Map();
+  table.tBodies[0].replaceChildren(...found.columns.map((column, place) => {
+    const row = document.createElement("tr");
+    const input = document.createElement("input");
+    Object.assign(input, { value: column.name, placeholder: column.why_not || "left out", size: 16 });
+    input.setAttribute("list", "told-names");
+    input.setAttribute("aria-label", `${column.head} is here`);
+    input.dataset.head = column.head;
+    shown.set(column.head, column.name);
+    const values = (found.first_rows || []).map((cells) => cells[place] || "").join("  ");
+    for (const part of [column.head, values, column.unit, input, column.factor === 1 ? "" : plain(column.factor, 6)]) {
+      const cell = document.createElement("td");
+      cell.append(part);
+      row.append(cell);
+    }
+    return row;
+  }));
+  const remembered = form.querySelector("[data-remembered]");
+  const said = found.unconfirmed.map((key) => `${key} ${found.conditions[key]}`).join(", ");
+  remembered.querySelector("span").textContent = `${said}, as for ${found.remembered_of}: this file was measured so, too`;
+  remembered.hidden = !found.unconfirmed.length;
+  const refused = form.querySelector("[data-refused]");
+  refused.textContent = found.refused;
+  refused.hidden = !found.refused;
+  return shown;
 }
 
 function watchDrop() {

@@ -117,6 +117,53 @@ def test_the_command_shows_first_and_writes_when_told(tmp_path: Path, monkeypatc
         assert isinstance(run(*wrong).exception, InputError)
 
 
+def test_conditions_of_an_earlier_file_are_confirmed_for_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    for name in ("k.csv", "l.csv"):
+        Path(name).write_text(circle(), encoding="utf-8")
+
+    def run(*words: str) -> Any:
+        return CliRunner().invoke(app, ["import", *words])
+
+    answers = ["--plane", "XY", "--radius", "100", "--feed", "1000", "--machine", "mill-7"]
+    assert run("k.csv", *answers, "--out", "k").exit_code == 0
+    shown = run("l.csv")
+    assert "only k.csv tells machine mill-7, plane XY, radius_mm 100" in shown.output
+    assert "--as-remembered confirms it" in shown.output
+    refused = run("l.csv", "--feed", "2000", "--out", "l").exception
+    assert isinstance(refused, InputError)
+    assert (refused.code, refused.exit_code) == ("import.unconfirmed", 1)
+    assert refused.got == "machine mill-7, plane XY, radius_mm 100.0, of k.csv"
+    assert not Path("l").exists()
+    # Told again, or confirmed: either is an answer.
+    assert run("l.csv", *answers, "--out", "told").exit_code == 0
+    assert run("l.csv", "--feed", "2000", "--as-remembered", "--out", "l").exit_code == 0
+    (done,) = next(iter(open_source(Path("l"))[1]))[0]
+    assert (done.meta.radius_mm, done.meta.feed_mm_min) == (100.0, 2000.0)
+
+
+@pytest.mark.parametrize(
+    ("decimal", "cells", "value"),
+    [("comma", '"0,5","1.234,5"', 1234.5), ("point", '0.5,"1,234.5"', 1234.5), ("comma", '"0,5","-1,5e2"', -150.0)],
+)
+def test_a_decimal_sign_that_is_told(tmp_path: Path, decimal: str, cells: str, value: float) -> None:
+    path, home = tmp_path / "d.csv", Home(tmp_path / "home")
+    rows = [f"{n}.0,{cells}" if decimal == "point" else f'"{n},0",{cells}' for n in range(20)]
+    path.write_text("\n".join(["t_s,angle_deg,deviation_um", *rows]) + "\n", encoding="utf-8")
+    if decimal == "comma":
+        with pytest.raises(InputError):
+            understand(path, home, CIRCLE, {})
+    found = understand(path, home, CIRCLE, {}, decimal)
+    write_folder(found, tmp_path / "c", home)
+    (run,) = next(iter(open_source(tmp_path / "c")[1]))[0]
+    assert set(run.samples["deviation_um"]) == {value}
+    # The next file of this form is read so, too.
+    assert understand(path, home, {}, {}).decimal == decimal
+    with pytest.raises(InputError, match="comma or a point"):
+        understand(path, home, {}, {}, "dot")
+
+
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     path = tmp_path / "k.csv"
     path.write_text(circle(), encoding="utf-8")

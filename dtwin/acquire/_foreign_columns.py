@@ -1,0 +1,132 @@
+"""Columns of a foreign table: which row names them, what each is here, and by which factor."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dtwin.errors import InputError
+from dtwin.units import UNITS
+
+MOST_COLUMNS = 512
+MOST_PREAMBLE = 200
+# What a foreign unit is here, and how many of it.
+_UNITS: Mapping[str, tuple[str, float]] = {
+    **dict.fromkeys(("um", "µm", "μm", "micron"), ("um", 1.0)),
+    "nm": ("um", 1e-3),
+    "mm": ("mm", 1.0),
+    "m": ("mm", 1000.0),
+    **dict.fromkeys(("in", "inch"), ("mm", 25.4)),
+    **dict.fromkeys(("s", "sec", "sek"), ("s", 1.0)),
+    "ms": ("s", 1e-3),
+    "min": ("s", 60.0),
+    **dict.fromkeys(("°", "deg", "grad"), ("deg", 1.0)),
+    "rad": ("deg", 180.0 / math.pi),
+    **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),
+    "mm/min": ("mm_min", 1.0),
+    "mm/s": ("mm_s", 1.0),
+    "hz": ("hz", 1.0),
+    "g": ("g", 1.0),
+    "v": ("v", 1.0),
+    "a": ("a", 1.0),
+}
+_BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
+_HEADS = (
+    (re.compile(r"^(t|time|zeit)$", re.I), "t", "s"),
+    (re.compile(r"^(path )?(angle|winkel|phi)$", re.I), "angle", "deg"),
+    (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
+    (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
+    (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
+)
+_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the file: ``head`` and ``unit`` as they stand there, ``name`` here, and the factor to it; or why not."""
+
+    head: str
+    unit: str
+    name: str
+    factor: float = 1.0
+    why_not: str = ""
+
+
+def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
+    """Return which row holds the heads: the first before a row of as many cells with numbers, or with units."""
+    for n, row in enumerate(rows[:MOST_PREAMBLE]):
+        after = next((r for r in rows[n + 1 : n + 3] if not all_units(r)), [])
+        named = sum(bool(cell.strip()) and not is_number(cell) for cell in row)
+        if 2 <= len(row) <= MOST_COLUMNS and 2 * named > len(row) and len(after) == len(row):
+            numbers = sum(is_number(cell) for cell in after)
+            if numbers >= 2 and not all_units(row):
+                return n
+    raise InputError(
+        "no table is found in the file",
+        code="import.table",
+        where=str(path),
+        got=f"{len(rows)} lines",
+        allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
+        hint="dtwin check FILE reads the forms of instruments",
+    )
+
+
+def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mapping[str, str]) -> tuple[Column, ...]:
+    found: list[Column] = []
+    for n, head in enumerate(heads):
+        column = _column(head, units[n].strip() if units is not None and n < len(units) else "", answers.get(head))
+        if column.name and any(other.name == column.name for other in found):
+            column = Column(head, column.unit, "", why_not=f"{column.name} is there already")
+        found.append(column)
+    return tuple(found)
+
+
+def _column(head: str, unit_below: str, answer: str | None) -> Column:
+    match = _WITH_UNIT.match(head)
+    base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
+    if unit:
+        here, factor = _UNITS.get(unit.lower(), ("", 1.0))
+    else:
+        unit = here = _ending(head)
+        base, factor = head.removesuffix(f"_{here}"), 1.0
+    if answer is not None:
+        if not answer:
+            return Column(head, unit, "", why_not="you left it out")
+        wanted = _ending(answer)
+        return _scaled(head, unit, answer, here or wanted, wanted, factor)
+    if not here:
+        return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
+    for pattern, stem, wanted in _HEADS:
+        if pattern.match(base.replace("_", " ").strip()):
+            return _scaled(head, unit, f"{stem}_{wanted}", here, wanted, factor)
+    stem = re.sub(r"\W+", "_", base.strip().lower()).strip("_") or "column"
+    return Column(head, unit, f"{stem}_{here}", factor)
+
+
+def _ending(name: str) -> str:
+    """Return the unit that a column's name ends with, as it stands there; empty without one: a number counts columns."""
+    return next((ending for ending in UNITS if ending != "1" and name.endswith(f"_{ending}")), "")
+
+
+def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: float) -> Column:
+    if here == wanted:
+        return Column(head, unit, name, factor)
+    if (here, wanted) in _BETWEEN:
+        return Column(head, unit, name, factor * _BETWEEN[here, wanted])
+    return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
+
+
+def all_units(row: Sequence[str]) -> bool:
+    """Tell whether a row holds units, and nothing else but empty cells."""
+    told = [cell.strip().strip("[]() ").lower() for cell in row if cell.strip()]
+    return bool(told) and all(cell in _UNITS for cell in told)
+
+
+def is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False

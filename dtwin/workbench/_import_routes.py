@@ -1,0 +1,173 @@
+"""The way in for files: a tray collects them, a table that lies alone is shown and asked about, then all is ingested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse
+
+from dtwin.acquire.importing import Looked, look, understand, write_folder
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.pipeline.measuring import ingest
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._jobs import Tell
+from dtwin.workbench._pages import accepted
+from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
+from dtwin.workbench._uploads import safe_path, sources
+
+router = APIRouter()
+_MOST_TABLES = 200
+
+
+class _Told(BaseModel):
+    """What is told of a table that lies alone; empty fields are not told."""
+
+    machine: str = Field("", max_length=100)
+    campaign: str = Field("", max_length=100)
+    plane: str = Field("", max_length=10)
+    radius_mm: float | None = None
+    feed_mm_min: float | None = None
+    direction: str = Field("", max_length=10)
+    axis: str = Field("", max_length=10)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what was told, named as in campaign.toml."""
+        return {name: value for name, value in self if value not in ("", None)}
+
+
+class _Table(BaseModel):
+    """A table of a tray, and what is answered of it.
+
+    ``answers``: column of the house by head; an empty one leaves the column out.
+    ``confirmed``: whether conditions of an earlier file hold for this one, too.
+    """
+
+    file: str = Field(max_length=500)
+    told: _Told = Field(default_factory=lambda: _Told.model_validate({}))
+    answers: dict[str, str] = Field(default_factory=dict, max_length=512)
+    decimal: Literal["", "comma", "point"] = ""
+    confirmed: bool = False
+
+
+class _Tables(BaseModel):
+    """The tables that lie alone in a tray."""
+
+    tables: list[_Table] = Field(default_factory=list, max_length=_MOST_TABLES)
+
+
+@router.post("/api/trays")
+def new_tray(request: Request) -> dict[str, str]:
+    """Open a tray for files."""
+    return {"tray": bench_of(request).trays.new()}
+
+
+@router.put("/api/trays/{tray}")
+async def receive(request: Request, tray: str, name: str) -> JSONResponse:
+    """Take one file into a tray."""
+    size = await bench_of(request).trays.receive(tray, name, request.stream())
+    return JSONResponse({"bytes": size})
+
+
+@router.delete("/api/trays/{tray}")
+def drop_tray(request: Request, tray: str) -> dict[str, str]:
+    """Throw a tray away."""
+    trays = bench_of(request).trays
+    trays.folder(tray)
+    trays.drop(tray)
+    return {"dropped": tray}
+
+
+@router.post("/api/trays/{tray}/understand")
+def understand_table(request: Request, tray: str, table: _Table) -> dict[str, Any]:
+    """Return what a table of a tray is taken for; where it cannot be, its heads and the reason."""
+    bench = bench_of(request)
+    path = _in_tray(bench.trays.folder(tray), table.file)
+    if path.suffix.lower() == ".parquet":
+        # Its columns have the names of the house, or it is refused at ingest.
+        return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": ""}
+    found = look(path, bench.home, table.decimal)
+    try:
+        return understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal).as_dict() | {
+            "refused": "",
+            "names": _names(),
+        }
+    except InputError as error:
+        return _heads(found) | {"refused": error.render(), "names": _names()}
+
+
+@router.post("/api/trays/{tray}/ingest")
+async def ingest_tray(request: Request, tray: str, told: _Tables | None = None) -> JSONResponse:
+    """Ingest what a tray holds."""
+    bench = bench_of(request)
+    trays = bench.trays
+    folder = trays.folder(tray)
+
+    def work(tell: Tell) -> str:
+        try:
+            return _ingested(bench, folder, [] if told is None else told.tables, tell)
+        finally:
+            trays.drop(tray)
+
+    return accepted(await run_in_threadpool(bench.jobs.start, "Ingest", work))
+
+
+def _in_tray(folder: Path, name: str) -> Path:
+    path = folder / safe_path(name)
+    if not path.is_file():
+        raise InputError("the tray has no such file", code="upload.file", got=name[:120], hint="drop the files again")
+    return path
+
+
+def _names() -> list[str]:
+    """Return the columns that kinds of tests know."""
+    return sorted({column for kind in kinds() for column in kind.columns})
+
+
+def _heads(found: Looked) -> dict[str, Any]:
+    """Return a table of which no kind of test is known yet."""
+    units = found.units or ("",) * len(found.heads)
+    return {
+        "heads": list(found.heads),
+        "first_rows": [list(row) for row in found.body[:4]],
+        "columns": [
+            {"head": head, "unit": unit, "name": "", "factor": 1.0, "why_not": ""}
+            for head, unit in zip(found.heads, units, strict=False)
+        ],
+        "missing": [],
+        "unconfirmed": [],
+        "conditions": {},
+        "decimal": found.decimal,
+    }
+
+
+def _ingested(bench: Bench, folder: Path, tables: Sequence[_Table], tell: Tell) -> str:
+    tell("look at the files")
+    alone: dict[Path, Mapping[str, Any]] = {}
+    for number, table in enumerate(tables):
+        path = _in_tray(folder, table.file)
+        if path.suffix.lower() == ".parquet":
+            alone[path] = table.told.as_dict()
+            continue
+        found = understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal)
+        write_folder(found, folder / f"table-{number}", bench.home, confirmed=table.confirmed)
+        path.unlink()
+    names = []
+    for source in [*sources(folder, alone)]:
+
+        def count(done: int, total: int, what: str, source: Path = source) -> None:
+            tell(f"{source.name}: {done} of {total} files")
+
+        names.append(ingest(source, bench.home, count, alone.get(source)).campaign)
+    for name in dict.fromkeys(names):
+        tell(f"prepare the pages of {name}")
+        campaign_floor(bench, name)
+        known = bench.lake.campaign(name)
+        if kind_named(known.kind).offers("sheet"):
+            campaign_sheet_of(bench, name, known.machine)
+    return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
