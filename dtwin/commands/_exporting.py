@@ -24,7 +24,7 @@ def export(
         str,
         typer.Option(
             "--as",
-            help="c, st, python, latex, urscript, comp, siemens, heidenhain, fanuc, haas, beckhoff, csv, gcode, klipper, "
+            help="c, st, python, latex, urscript, comp, siemens, siemens-cec, heidenhain, fanuc, fanuc30i, haas, beckhoff, csv, gcode, klipper, "
             "reprap; of a twin of an arm: urdf, dh, python, matlab.",
         ),
     ],

@@ -1,13 +1,15 @@
-"""Stored pitch error compensation of FANUC Series 16i, 18i, 21i and 0i, increments of 1 µm (IS-B).
+"""Stored pitch error compensation of FANUC Series 16i, 18i, 21i and 0i, and of 30i, 31i, 32i; increments of 1 µm (IS-B).
 
 Of the parameter manuals: numbers 3620 to 3624 and 1851, 128 points an axis, steps of -7 to 7 times the magnification, each
-the change since the point before as seen from the negative side. From memory: the blocks ``N10000`` of the data.
+the change since the point before as seen from the negative side. From memory: the blocks ``N10000`` of the data, and that the
+30i marks parameters with ``Q1`` and these data with ``Q0``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -47,7 +49,7 @@ def _steps(table: AxisTable) -> tuple[list[int], int, int]:
     )
 
 
-def _write(table: AxisTable, said: Sequence[str]) -> str:
+def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> str:
     """Return parameters and data; what stands before the first ``%`` is skipped by the control.
 
     Raises
@@ -70,13 +72,15 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         3623: magnification,
         3624: interval_um,
     }
+    series = "30i, 31i, 32i; not 16i" if marked else "16i, 18i, 21i, 0i; not 30i"
+    parameter, datapoint = ("Q1", "Q0") if marked else ("", "")
     lines = [
         *said,
         BY_MEMORY,
-        "FANUC Series 16i, 18i, 21i, 0i; not 30i. Detection unit and least input increment 1 µm; reference at machine zero.",
+        f"FANUC Series {series}. Detection unit and least input increment 1 µm; reference at machine zero.",
         "%",
-        *(f"N{number:05d}A{axis}P{value}" for number, value in datum.items()),
-        *(f"N{10000 + first + n:05d}P{step}" for n, step in enumerate(steps, start=1)),
+        *(f"N{number:05d}{parameter}A{axis}P{value}" for number, value in datum.items()),
+        *(f"N{10000 + first + n:05d}{datapoint}P{step}" for n, step in enumerate(steps, start=1)),
         "%",
     ]
     return "\n".join(lines) + "\n"
@@ -95,3 +99,4 @@ def _notes(table: AxisTable) -> list[str]:
 
 
 FORM = AxisForm(_write, _notes, _POINTS, _grid)
+FORM_30I = AxisForm(partial(_write, marked=True), _notes, _POINTS, _grid)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin
 from dtwin.schema import Floats
-from dtwin.train.twin_axes import axis_table_um
+from dtwin.train.twin_axes import AXES, axis_table_um, own_axis_only
 from dtwin.units import UM_PER_MM
 
 MOST_TRIPLETS = 256
@@ -31,6 +32,8 @@ class AxisTable:
     ``forward_um``, ``reverse_um``, (n,): actual minus nominal, by direction of motion; lost motion is in the
     difference.
     ``interpolation_um``: largest error of straight lines between the rows.
+    ``along``: axis of the positions, where it is another one; empty without.
+    ``across``: tables of this axis over the positions of the others.
     """
 
     axis: str
@@ -38,6 +41,8 @@ class AxisTable:
     forward_um: Floats
     reverse_um: Floats
     interpolation_um: float
+    along: str = ""
+    across: tuple[AxisTable, ...] = ()
 
 
 Grid = Callable[[float, float, int], Floats]
@@ -52,12 +57,14 @@ class AxisForm:
     ``notes``: what the user must know besides.
     ``most``: rows that the control holds.
     ``grid``: where its rows may lie; evenly without.
+    ``across``: whether it also holds what depends on the position of one other axis.
     """
 
     write: Callable[[AxisTable, Sequence[str]], str]
     notes: Callable[[AxisTable], list[str]]
     most: int = MOST_TRIPLETS
     grid: Grid = np.linspace
+    across: bool = False
 
 
 def axis_table(
@@ -70,6 +77,7 @@ def axis_table(
     speed_mm_s: float,
     most: int = MOST_TRIPLETS,
     grid: Grid = np.linspace,
+    along: str = "",
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
@@ -81,6 +89,7 @@ def axis_table(
     ``speed_mm_s``: usual speed; only its sign counts.
     ``most``: rows that the control holds.
     ``grid``: where its rows may lie; beyond the travel the error of its end is kept.
+    ``along``: axis of the positions, where it is another one.
     """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
@@ -95,19 +104,62 @@ def axis_table(
             "a table has too few or too many rows", code="export.points", got=str(points), allowed=f"2 to {most}"
         )
     dense = np.linspace(low, high, _CHECKED)
-    truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s)
+    truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s, along or axis)
     doubled = (2, 3, 5, 9, 17, 33, 65, 129, 257, 513)
     counts = [points] if points is not None else [*(n for n in doubled if n < most), most]
     for count in counts:
         at = grid(low, high, count)
-        forward, reverse = axis_table_um(twin, axis, np.clip(at, low, high) - origin_mm, speed_mm_s)
+        forward, reverse = axis_table_um(twin, axis, np.clip(at, low, high) - origin_mm, speed_mm_s, along or axis)
         off = max(
             float(np.abs(np.interp(dense, at, rows) - exact).max())
             for rows, exact in zip((forward, reverse), truth, strict=True)
         )
         if off <= TOLERANCE_UM:
             break
-    return AxisTable(axis, at, forward, reverse, off)
+    return AxisTable(axis, at, forward, reverse, off, along)
+
+
+def _of(twin: Twin, labels: Collection[str]) -> tuple[Term, ...]:
+    return tuple(t for t in twin.terms if t.label in labels)
+
+
+def with_across(
+    table: AxisTable, twin: Twin, refused: Mapping[str, str], origin_mm: Sequence[float], form: AxisForm
+) -> tuple[AxisTable, dict[str, str]]:
+    """Return the table with what depends on the position of one other axis alone, and what is left out then.
+
+    ``refused``: from ``own_axis_only``.
+    ``origin_mm``, (3,): centre of the measured circles in the coordinates of the machine.
+    """
+    left, found = dict(refused), []
+    twin = replace(twin, terms=_of(twin, refused))
+    speed, reach = twin.box.feed_mm_min[0] / 60.0, twin.box.radius_mm[1]
+    for other in (a for a in AXES if a != table.axis and any(a in plane for plane in twin.box.planes)):
+        centre = origin_mm[AXES.index(other)]
+        wrong = own_axis_only(twin.terms, twin, table.axis, (-reach, reach), speed, other)
+        kept = replace(twin, terms=_of(twin, [label for label in left if label not in wrong]))
+        made = axis_table(
+            kept,
+            table.axis,
+            (centre - reach, centre + reach),
+            origin_mm=centre,
+            points=None,
+            speed_mm_s=speed,
+            most=form.most,
+            along=other,
+        )
+        if np.abs(made.forward_um).max() > 0.0:
+            found.append(made)
+            left = {label: why for label, why in left.items() if label in wrong or not _acts(kept, label, made)}
+    return replace(table, across=tuple(found)), left
+
+
+def _acts(twin: Twin, label: str, table: AxisTable) -> bool:
+    """Tell whether an effect does anything to an axis over the positions of another one."""
+    only = replace(twin, terms=_of(twin, [label]))
+    at = np.linspace(-twin.box.radius_mm[1], twin.box.radius_mm[1], 9)
+    forward, _ = axis_table_um(only, table.axis, at, twin.box.feed_mm_min[0] / 60.0, table.along)
+    return bool(np.abs(forward).max() > 0.0)
 
 
 def compensation_file(table: AxisTable, said: Sequence[str] = ()) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, own_kinds
-from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens
+from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens, _siemens_cec
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
 from dtwin.lifecycle.axis_tables import (
@@ -24,6 +24,7 @@ from dtwin.lifecycle.axis_tables import (
     AxisTable,
     axis_table,
     csv_table,
+    with_across,
 )
 from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import program_of
@@ -44,8 +45,10 @@ _EQUATIONS = ("c", "st", "python", "latex", "urscript")
 _ONE_AXIS: Mapping[str, AxisForm] = {
     "comp": LINUXCNC,
     "siemens": _siemens.FORM,
+    "siemens-cec": _siemens_cec.FORM,
     "heidenhain": _heidenhain.FORM,
     "fanuc": _fanuc.FORM,
+    "fanuc30i": _fanuc.FORM_30I,
     "haas": _haas.FORM,
     "beckhoff": _beckhoff.FORM,
 }
@@ -258,13 +261,14 @@ def _tables(source: Source, twin: Twin, request: Request) -> Export:
         travel = request.travel_mm or (origin - reach, origin + reach)
         relative = (travel[0] - origin, travel[1] - origin)
         refused = own_axis_only(twin.terms, twin, axis, relative, speed)
-        left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
         kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
-        tables.append(
-            axis_table(
-                kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most, grid=grid
-            )
+        table = axis_table(
+            kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most, grid=grid
         )
+        if form is not None and form.across:
+            table, refused = with_across(table, twin, refused, request.origin_mm, form)
+        left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
+        tables.append(table)
     if form is None:
         text, said = csv_table(tables), []
     else:

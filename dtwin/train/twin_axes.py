@@ -94,7 +94,12 @@ def term_errors_um(
 
 
 def own_axis_only(
-    terms: Sequence[Term], twin: Twin, axis: str, travel_mm: tuple[float, float], speed_mm_s: float
+    terms: Sequence[Term],
+    twin: Twin,
+    axis: str,
+    travel_mm: tuple[float, float],
+    speed_mm_s: float,
+    along: str | None = None,
 ) -> dict[str, str]:
     """Say which effects on an axis do not depend on its own position and direction alone.
 
@@ -102,6 +107,8 @@ def own_axis_only(
     ----------
     axis : str
         X, Y or Z.
+    along : str, optional
+        The axis whose position and direction alone shall count; the same one without.
     travel_mm : tuple of float
         Travel that counts.
     speed_mm_s : float
@@ -112,7 +119,7 @@ def own_axis_only(
     dict of str to str
         Reason by label, for the effects that a table of one axis cannot hold.
     """
-    number = AXES.index(axis)
+    read, number = AXES.index(axis), AXES.index(along or axis)
     positions = np.linspace(*travel_mm, 9)
     alone = _line(number, positions, speed_mm_s)
     others = [i for i in range(3) if i != number]
@@ -130,9 +137,9 @@ def own_axis_only(
     out = {}
     for term in terms:
         try:
-            base = term_errors_um(term, twin, alone, {})[:, number]
+            base = term_errors_um(term, twin, alone, {})[:, read]
             for reason, motion in tries.items():
-                other = term_errors_um(term, twin, motion, {})[:, number]
+                other = term_errors_um(term, twin, motion, {})[:, read]
                 if np.abs(other - base).max() > _TOLERANCE_UM:
                     out[term.label] = reason
                     break
@@ -141,8 +148,10 @@ def own_axis_only(
     return out
 
 
-def axis_table_um(twin: Twin, axis: str, position_mm: Floats, speed_mm_s: float) -> tuple[Floats, Floats]:
-    """Return the error of one axis over its own position, forwards and in reverse, shape (n,).
+def axis_table_um(
+    twin: Twin, axis: str, position_mm: Floats, speed_mm_s: float, along: str | None = None
+) -> tuple[Floats, Floats]:
+    """Return the error of one axis over its own position, or that of another, forwards and in reverse, shape (n,).
 
     Parameters
     ----------
@@ -154,10 +163,12 @@ def axis_table_um(twin: Twin, axis: str, position_mm: Floats, speed_mm_s: float)
         From the centre of the circles.
     speed_mm_s : float
         Usual speed; only its sign counts.
+    along : str, optional
+        The axis that moves; the same one without.
     """
-    number = AXES.index(axis)
+    read, number = AXES.index(axis), AXES.index(along or axis)
     ways = (speed_mm_s, -speed_mm_s)
-    forward, reverse = (axis_errors_um(twin, _line(number, position_mm, way))[:, number] for way in ways)
+    forward, reverse = (axis_errors_um(twin, _line(number, position_mm, way))[:, read] for way in ways)
     return forward, reverse
 
 

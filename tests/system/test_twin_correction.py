@@ -160,8 +160,8 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         assert result["state"] == "champion"
         forms.add(result["as"])
     assert forms == {
-        *("c", "python", "latex", "st", "urscript", "comp", "siemens", "heidenhain", "fanuc", "haas", "beckhoff"),
-        *("reprap", "csv", "gcode"),
+        *("c", "python", "latex", "st", "urscript", "comp", "siemens", "siemens-cec", "heidenhain", "fanuc", "fanuc30i"),
+        *("haas", "beckhoff", "reprap", "csv", "gcode"),
     }
     # By name it is the bundle of the registry, which has learned its version by promotion only.
     assert run(["export", "mill-a", "--as", "c", "--out", "named.h"])[0] == 0

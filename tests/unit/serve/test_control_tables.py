@@ -67,17 +67,84 @@ def test_heidenhain_com(source: Source) -> None:
         written(replace(source, twin=steep), "heidenhain")
 
 
+class Sag:
+    """Tables of set positions of base axes, each for its direction; what they say is added to the set position."""
+
+    def __init__(self, text: str) -> None:
+        lines = text.splitlines()
+        assert (lines[0], lines[-1]) == ("%_N_NC_CEC_INI", "M17")
+        self.values: dict[int, dict[int, float]] = {}
+        self.of: dict[int, dict[str, str]] = {}
+        for line in lines[1:-1]:
+            value = re.fullmatch(r"\$AN_CEC\[(\d+),(\d+)\]=(-?[\d.]+)", line)
+            setting = re.fullmatch(r"\$AN_CEC_(\w+)\[(\d+)\]=\(?([\w.-]+)\)?", line)
+            assert value or setting or line.startswith(";") or line == "CHANDATA(1)", line
+            if value:
+                self.values.setdefault(int(value[1]), {})[int(value[2])] = float(value[3])
+            elif setting:
+                self.of.setdefault(int(setting[2]), {})[setting[1]] = setting[3]
+        for number, settings in self.of.items():
+            count = len(self.values[number])
+            assert sorted(self.values[number]) == list(range(count))
+            assert count <= 200
+            step, low, high = (float(settings[name]) for name in ("STEP", "MIN", "MAX"))
+            assert low + (count - 1) * step == pytest.approx(high, abs=1e-6)
+            assert (settings["MULT_BY_TABLE"], settings["IS_MODULO"]) == ("0", "0")
+
+    def trim_mm(self, axis: str, command: dict[str, np.ndarray], forward: np.ndarray) -> np.ndarray:
+        total = np.zeros(forward.size)
+        for number, settings in self.of.items():
+            if settings["OUTPUT_AXIS"] != f"{axis}1":
+                continue
+            values = [self.values[number][n] for n in range(len(self.values[number]))]
+            at = float(settings["MIN"]) + float(settings["STEP"]) * np.arange(len(values))
+            found = np.interp(command[settings["INPUT_AXIS"][0]], at, values)
+            way = int(settings["DIRECTION"])
+            total += np.where((way == 0) | (way == forward), found, 0.0)
+        return total
+
+
+def test_siemens_sag_holds_both_directions_and_the_other_axis(source: Source) -> None:
+    twin, _ = made_twin((*EFFECTS[:3], WAVY))
+    leaning = replace(source, twin=twin)
+    made = written(leaning, "siemens-cec")
+    # A lean of 30 um/m moves X with Y; what moves with neither is none.
+    assert made.left_out == {}
+    control = Sag(made.text)
+    assert {(s["INPUT_AXIS"], s["DIRECTION"]) for s in control.of.values()} == {("X1", "1"), ("X1", "-1"), ("Y1", "0")}
+    command, forward = places(250.0, 450.0)
+    other = RNG.uniform(-100.0, 100.0, 1000)
+    trim = control.trim_mm("X", {"X": command, "Y": other}, forward)
+    left = left_um(command, trim, forward, 350.0) - 30e-3 * other
+    assert np.abs(left).max() < 0.1
+    assert np.abs(error_um(command - 350.0, forward) - 30e-3 * other).max() > 5.0
+    # Beyond the ends the values are held.
+    far = control.trim_mm("X", {"X": np.array([1e4]), "Y": np.zeros(1)}, np.ones(1))
+    end = control.trim_mm("X", {"X": np.array([450.0]), "Y": np.zeros(1)}, np.ones(1))
+    assert far == pytest.approx(end)
+    with pytest.raises(InputError, match="too many rows"):
+        written(leaning, "siemens-cec", points=201)
+
+
+def test_siemens_sag_names_what_it_cannot_hold(source: Source) -> None:
+    twin, _ = made_twin((*EFFECTS[:2], EFFECTS[4]))
+    made = export(replace(source, twin=twin), Request("siemens-cec", axis="Y", travel_mm=(-50.0, 50.0)))
+    assert set(made.left_out) == {"servo_mismatch Y on Y"}
+
+
 class Fanuc:
     """Stored pitch error: steps are summed from the reference position; the option that interpolates is on."""
 
     def __init__(self, text: str) -> None:
         head, body, end = text.split("%")
-        assert "16i, 18i, 21i, 0i" in head
+        self.marked = "30i, 31i, 32i" in head
+        assert self.marked or "16i, 18i, 21i, 0i" in head
         assert not end.strip()
         self.datum, self.steps = {}, {}
         for line in body.split():
-            setting = re.fullmatch(r"N0(\d{4})A1P(-?\d+)", line)
-            step = re.fullmatch(r"N1(\d{4})P(-?\d+)", line)
+            parameter, datum = ("Q1", "Q0") if self.marked else ("", "")
+            setting = re.fullmatch(rf"N0(\d{{4}}){parameter}A1P(-?\d+)", line)
+            step = re.fullmatch(rf"N1(\d{{4}}){datum}P(-?\d+)", line)
             assert setting or step, line
             if setting:
                 self.datum[int(setting[1])] = int(setting[2])
@@ -103,11 +170,13 @@ class Fanuc:
         return pitch - np.where(forward > 0, 0.0, self.datum[1851] / 1000.0)
 
 
+@pytest.mark.parametrize("series", ["fanuc", "fanuc30i"])
 @pytest.mark.parametrize("travel", [(250.0, 450.0), (-120.0, 80.0), (-450.0, -250.0)])
-def test_fanuc_pitch_error(source: Source, travel: tuple[float, float]) -> None:
+def test_fanuc_pitch_error(source: Source, travel: tuple[float, float], series: str) -> None:
     middle = sum(travel) / 2
-    made = written(source, "fanuc", travel_mm=travel, origin_mm=(middle, 0.0, 0.0))
+    made = written(source, series, travel_mm=travel, origin_mm=(middle, 0.0, 0.0))
     control = Fanuc(made.text)
+    assert control.marked == (series == "fanuc30i")
     assert control.datum[1851] == 4
     command, forward = places(*travel)
     left = left_um(command, control.trim_mm(command, forward), forward, middle)
@@ -115,7 +184,7 @@ def test_fanuc_pitch_error(source: Source, travel: tuple[float, float]) -> None:
     assert np.ptp(left) < 1.4
     assert np.ptp(error_um(command - middle, forward)) > 8.0
     with pytest.raises(InputError, match="too many rows"):
-        written(source, "fanuc", points=129)
+        written(source, series, points=129)
 
 
 def test_fanuc_takes_large_steps_by_magnification_and_refuses_larger_ones(source: Source) -> None:
