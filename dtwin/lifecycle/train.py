@@ -109,7 +109,7 @@ def _description(training: Training, verdicts: list[Verdict]) -> str:
         f"({report.n_runs} runs, table versions {dict(report.table_versions)}).",
         "",
         f"Held-out by {held_out.group}: {report.rms_before_um:z.1f} -> {held_out.rms_um:z.{digits}f} µm "
-        f"RMS (R2 {held_out.r2:z.3f}); noise floor {report.noise_floor_text}.",
+        f"RMS (R² {held_out.r2:z.3f}); noise floor {report.noise_floor_text}.",
         "",
         *(f"- {line}" for line in report.told),
         "",

@@ -83,7 +83,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
                 text=[c["name"] for c in chosen],
                 mode="markers+text" if promotable else "markers",
                 textposition="top center",
-                hovertemplate="%{text}<br>%{x:.3g} us, %{y:z.1f} µm<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} µs, %{y:z.1f} µm<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )
@@ -128,16 +128,16 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
                 customdata=[c["r2_text"] for c in chosen],
                 text=[c["name"] for c in chosen],
                 mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata}<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} µs, R² %{customdata}<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )
         )
     figure.add_hline(y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction")
     figure.update_layout(
-        title=f"R2 on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
+        title=f"R² on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
         xaxis={"title": "median time of one row, us", "type": "log"},
-        yaxis={"title": "R2, held out"},
+        yaxis={"title": "R², held out"},
     )
     return styled(figure)
 

@@ -85,7 +85,7 @@ def _errs(condition: Mapping[str, Any]) -> bool:
 def _held_out(metrics: Mapping[str, float]) -> Verdict:
     found = {group: metrics.get(f"leave_{group}_out.r2", float("nan")) for group in ("feed_mm_min", "radius_mm")}
     told = ", ".join(
-        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R2 {r2:z.3f}") for group, r2 in found.items()
+        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R² {r2:z.3f}") for group, r2 in found.items()
     )
     passed = all(np.isnan(r2) or r2 >= _MIN_R2 for r2 in found.values())
     passed = passed and found["feed_mm_min"] >= _MIN_R2
@@ -178,4 +178,4 @@ def _contract(bundle: Bundle) -> Verdict:
 def latency_gate(metrics: Mapping[str, float]) -> Verdict:
     """Compare the time of one evaluation with its budget."""
     p99 = metrics.get("latency_p99_us", float("inf"))
-    return Verdict("latency", p99 <= _LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {_LATENCY_BUDGET_US:g}")
+    return Verdict("latency", p99 <= _LATENCY_BUDGET_US, f"p99 {p99:z.2f} µs of {_LATENCY_BUDGET_US:g}")

@@ -60,7 +60,9 @@ PAGES = (
     "/nowhere",
 )
 # Answers that are no page: figures, files, what scripts ask for.
-_NO_PAGES = re.compile(r"^/$|/api/|/static/|\{ending\}|\.ics|plan\.zip|\.zip|\.toml|report|export|template|/download|\.json")
+_NO_PAGES = re.compile(
+    r"^/$|/api/|/static/|\{ending\}|\.ics|plan\.zip|\.zip|\.toml|report|export|template|/download|\.json"
+)
 
 
 @pytest.fixture(scope="module")

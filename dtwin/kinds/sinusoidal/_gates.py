@@ -134,7 +134,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         ),
         _bounded(bundle),
         vectors_proved(bundle),
-        Verdict("latency", p99 <= _TICK_BUDGET_US, f"p99 {p99:z.2f} us of {_TICK_BUDGET_US:g}"),
+        Verdict("latency", p99 <= _TICK_BUDGET_US, f"p99 {p99:z.2f} µs of {_TICK_BUDGET_US:g}"),
     ]
 
 
@@ -145,7 +145,7 @@ def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"
         verdicts.append(
-            Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R2 {told}; at least {least}")
+            Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R² {told}; at least {least}")
         )
     errors = [metrics.get(f"leave_{g}_out.mae_um", float("nan")) for g in HELD_OUT]
     told = ", ".join(f"{1000 * error:z.1f} nm" for error in errors)

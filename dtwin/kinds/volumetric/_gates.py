@@ -18,7 +18,7 @@ def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdi
     r2 = metrics.get("leave_hours_out.r2", float("nan"))
     worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
     return [
-        Verdict("held-out hours", r2 >= _LEAST_R2, f"R2 {r2:z.3f}; at least {_LEAST_R2}"),
+        Verdict("held-out hours", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
         Verdict(
             "no slice worse than no correction",
             worst < 1.0,
