@@ -160,7 +160,19 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         assert result["state"] == "champion"
         forms.add(result["as"])
     assert forms == {
-        *("c", "python", "latex", "st", "urscript", "comp", "siemens", "siemens-cec", "heidenhain", "fanuc", "fanuc30i"),
+        *(
+            "c",
+            "python",
+            "latex",
+            "st",
+            "urscript",
+            "comp",
+            "siemens",
+            "siemens-cec",
+            "heidenhain",
+            "fanuc",
+            "fanuc30i",
+        ),
         *("haas", "beckhoff", "reprap", "csv", "gcode"),
     }
     # By name it is the bundle of the registry, which has learned its version by promotion only.
