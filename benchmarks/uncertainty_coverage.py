@@ -111,9 +111,76 @@ def tested_circle(rng: RNG) -> list[Run]:
     return circle_runs(rng, float(off), float(between), 0.4)
 
 
+def chain_mm(joints_rad: Floats) -> Floats:
+    """Return flanges of a UR5 (n, 4, 4) by Denavit and Hartenberg's product, row by row."""
+    rows = ((0.0, 89.159, 90.0), (-425.0, 0.0, 0.0), (-392.25, 0.0, 0.0))
+    rows = (*rows, (0.0, 109.15, 90.0), (0.0, 94.65, -90.0), (0.0, 82.3, 0.0))
+    at = np.tile(np.eye(4), (len(joints_rad), 1, 1))
+    for joint, (a, d, alpha) in enumerate(rows):
+        c, s = np.cos(joints_rad[:, joint]), np.sin(joints_rad[:, joint])
+        ca, sa = np.cos(np.radians(alpha)), np.sin(np.radians(alpha))
+        one, zero = np.ones_like(c), np.zeros_like(c)
+        link = np.array(
+            [
+                [c, -s * ca, s * sa, a * c],
+                [s, c * ca, -c * sa, a * s],
+                [zero, sa * one, ca * one, d * one],
+                [zero, zero, zero, one],
+            ]
+        )
+        at = at @ link.transpose(2, 0, 1)
+    return at
+
+
+HOME_RAD = np.array([0.0, -1.2, 1.2, 0.0, 0.5, 0.0])
+POSES = HOME_RAD + np.random.default_rng(77).uniform(-1.2, 1.2, (40, 6))
+
+
+def pose_runs(rng: RNG, off_um_per_m: float, reading_um: float, noise_um: float) -> list[Run]:
+    """Return 40 poses of an arm, five times each: its links bend, its joints are a little off; a tracker stands anywhere."""
+    joints = np.repeat(POSES, 5, axis=0)
+    flange = chain_mm(joints + 4e-4 * np.sin(2.0 * joints + 0.3) + 3e-4 * np.cos(joints[:, ::-1]))
+    point = flange[:, :3, 3] + flange[:, :3, :3] @ [30.0, -12.0, 55.0]
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    turn[:, 0] *= np.sign(np.linalg.det(turn))
+    # What the tracker reads wrongly belongs to the place, and comes again.
+    wrong = np.repeat(rng.normal(0.0, reading_um, (len(POSES), 3)), 5, axis=0) / 1000.0
+    seen = (point + wrong) * (1.0 + 1e-6 * off_um_per_m) + rng.normal(0.0, noise_um, point.shape) / 1000.0
+    seen = seen @ turn.T + rng.uniform(-2000.0, 2000.0, 3)
+    samples = {f"joint_{n}_deg": np.degrees(joints[:, n - 1]) for n in range(1, 7)}
+    samples |= {f"measured_{axis}_mm": seen[:, n] for n, axis in enumerate("xyz")}
+    meta = RunMeta("p", kind="poses", condition={"chain": "ur5"}, covariates={"temperature_c": MACHINE_C})
+    return [Run(meta, {"t_s": np.arange(len(seen)) * 1.0, **samples})]
+
+
+def tested_poses(rng: RNG) -> list[Run]:
+    """Return a real test of the arm."""
+    return pose_runs(rng, scale_um_per_m(rng, instrument=True), TOLD["uncertainty_um"] / 2, 20.0)
+
+
+def drift_runs(rng: RNG, slope: float, noise_um: float) -> list[Run]:
+    """Return a log of four hours, three readings a minute, of a machine that warms and breathes; its gauge is off by a share."""
+    minute = np.repeat(np.arange(241.0), 3)
+    moved = 12.0 * (1.0 - np.exp(-minute / 90.0)) + 1.5 * np.sin(minute / 25.0)
+    samples = {
+        "t_s": 60.0 * minute + np.tile([0.0, 1.0, 2.0], 241),
+        "displacement_um": (1.0 + slope) * moved + rng.normal(0.0, noise_um, minute.size),
+        "sample_1": minute,
+        "temperature_room_c": 20.0 + 0.0 * minute,
+    }
+    return [Run(RunMeta("night", kind="drift"), samples)]
+
+
+def tested_drift(rng: RNG) -> list[Run]:
+    """Return a real log: a difference of two readings as large as the drift is off by what the gauge's owner states."""
+    return drift_runs(rng, float(rng.normal(0.0, TOLD["uncertainty_um"] / 2)) / 12.0, 0.3)
+
+
 def figures(kind: str, runs: list[Run]) -> dict[str, tuple[float, float]]:
     """Return value and U of every figure, as a user gets them."""
-    sheet = sheet_of(kind_named(kind), Campaign("c", "m", kind, instrument=TOLD), runs, {})
+    geometry = {"chain": "ur5"} if kind == "poses" else {}
+    campaign = Campaign("c", "m", kind, instrument=TOLD, machine_geometry=geometry)
+    sheet = sheet_of(kind_named(kind), campaign, runs, {})
     return {c["symbol"]: (c["value_um"], c["expanded_um"]) for c in sheet["parts"][0]["characteristics"]}
 
 
@@ -121,6 +188,8 @@ Maker = Callable[[RNG], list[Run]]
 TESTS: dict[str, tuple[Maker, Maker, tuple[str, ...]]] = {
     "linear": (tested_axis, lambda rng: axis_runs(rng, 0.0, 0.0, 0.4), ("A", "E", "M", "R", "B", "B̄")),
     "circular": (tested_circle, lambda rng: circle_runs(rng, 0.0, 0.0, 0.4), ("D", "Fmax(CCW)", "G(CCW)", "G(b)", "H")),
+    "poses": (tested_poses, lambda rng: pose_runs(rng, 0.0, 0.0, 20.0), ("AP", "AP mean", "AD", "AD rms", "RP")),
+    "drift": (tested_drift, lambda rng: drift_runs(rng, 0.0, 0.3), ("d", "d(1 h)")),
 }
 
 

@@ -170,7 +170,14 @@ def test_next_test() -> None:
 @pytest.mark.long
 def test_uncertainty_coverage() -> None:
     rows = {(row["kind"], row["figure"]): row["covered"] for row in short("uncertainty_coverage.py")}
-    assert set(rows) >= {("linear", "A"), ("linear", "B"), ("circular", "D"), ("circular", "H")}
+    assert set(rows) >= {
+        ("linear", "A"),
+        ("linear", "B"),
+        ("circular", "D"),
+        ("circular", "H"),
+        ("poses", "AD"),
+        ("drift", "d"),
+    }
     # 60 machines: three standard deviations below 95 of 100.
     assert min(rows.values()) > 0.86, rows
 

@@ -24,6 +24,7 @@ _MOST_BYTES = 256 * 1024**2
 _UM_PER: Mapping[str, float] = {"displacement_um": 1.0, "displacement_mm": 1e3}
 _STEPS = "displacement_step"
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
+_SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 _STAMPS = ("%Y/%m/%d-%H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S")
 _COLDEST_C = -60.0
@@ -53,12 +54,16 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             allowed=f"t_s, {', '.join(_UM_PER)} or {_STEPS}, and temperature_NAME_c",
             hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
-    scale = _UM_PER[moved] if moved in _UM_PER else 1e3 * _step_mm(path, text, campaign, stated)
+    findings: list[Finding] = []
+    scale = _UM_PER.get(moved, 0.0)
+    if moved not in _UM_PER:
+        step, contradiction = _step_mm(path, text, campaign, stated)
+        scale = 1e3 * step
+        findings += contradiction
     samples = {"t_s": _seconds(column["t_s"], path), "displacement_um": _numbers(column[moved], semicolon) * scale}
     samples |= {name: _numbers(column[name], semicolon) for name in temperatures}
     if "sample" in column:
         samples["sample_1"] = _numbers(column["sample"], semicolon)
-    findings = []
     for name in temperatures:
         if np.nanmax(samples[name]) < _COLDEST_C:
             said = f"{name} reads below {_COLDEST_C:g} °C throughout: no sensor is connected, and it is left out"
@@ -75,7 +80,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     return [Run(meta, kept, source=str(path), findings=tuple(findings))], rejects
 
 
-def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> float:
+def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:
+    """Return the size of a step, and that the file itself says another one."""
     said = _STEP_SAID.search(text)
     told = stated.get("condition", {}).get("step_mm", campaign.instrument.get("step_mm", said[1] if said else None))
     try:
@@ -90,7 +96,18 @@ def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any
             got=str(told)[:40],
             allowed="step_mm in [campaign.instrument] or in the run's condition, above 0",
         )
-    return step
+    own = _number_or_none(said[1]) if said else None
+    if own is None or abs(own - step) <= _SAME * step:
+        return step, ()
+    told = f"campaign.toml states a step of {step:g} mm, the file {own:g}; that of campaign.toml is used"
+    return step, (Finding("drift.step", "warning", told, {"told_step_mm": step, "read_step_mm": own}),)
+
+
+def _number_or_none(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _numbers(cells: Sequence[str], comma: bool) -> Floats:

@@ -24,6 +24,8 @@ _AGAIN = 400
 _READING_UM = 0.2
 _SCALE_UM_PER_M = 0.5
 _ASLANT_MM = 1.0
+# A beam that leans by more does not come back into the instrument: on a short axis the millimetre is not the limit.
+_MOST_ASLANT = 0.004
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
     ("A↑", "accuracy, forward", "accuracy_forward_um"),
@@ -101,7 +103,7 @@ def _contributions(symbol: str, test: LinearTest, under: Circumstances) -> tuple
     if symbol[0] in "AEM":
         travel_mm = float(np.ptp(test.position_mm))
         scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
-        aslant = under.stated("alignment_mm", _ASLANT_MM)
+        aslant = under.stated("alignment_mm", min(_ASLANT_MM, _MOST_ASLANT * travel_mm))
         found += [
             Contribution(
                 "instrument's scale",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.poses._check import problem_of
-from dtwin.kinds.poses._iso9283 import measured_of
+from dtwin.kinds.poses._iso9283 import distances_off
 from dtwin.kinds.poses._series import Series
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
@@ -23,35 +23,47 @@ _AGAIN = 200
 _FEWEST_REPEATS = 3
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
+_RULER = 1e-5
 
 
 def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
-    """Evaluate every run: pose accuracy AP in the mean and at most, pose repeatability RP at most."""
+    """Evaluate every run: pose accuracy AP in the mean and at most, distance accuracy AD, pose repeatability RP at most."""
     parts, notes = [], []
     for run in runs:
         notes += sound_runs([run])[1]
         series = problem_of(run)
         sound = not any(f.severity == "error" for f in run.findings)
-        reach_m = float(np.ptp(measured_of(run), axis=0).max()) / 1000.0
         title = f"{run.meta.run_id}, {int(series.poses.place.max()) + 1} poses"
-        parts.append(Part(title, (run.meta.run_id,), _figures(series, reach_m, under), sound))
+        parts.append(Part(title, (run.meta.run_id,), _figures(series, under), sound))
     basis = "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)"
     return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes))
 
 
-def _figures(series: Series, reach_m: float, under: Circumstances) -> tuple[Characteristic, ...]:
+def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]:
     error_um, place = 1000.0 * series.error_mm, series.poses.place
+    point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
     count = np.bincount(place)
     dof = float((count - 1).sum())
-    told = _evaluated(error_um, place)
+    told = _evaluated(error_um, place, point_um)
+    # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
+    longer = [_evaluated(error_um + s * _RULER * (point_um - point_um.mean(axis=0)), place, point_um) for s in (1, -1)]
+    metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
     again: list[dict[str, float]] = []
     if dof:
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
         one_um = 1000.0 * series.floor_mm / math.sqrt(3.0)
         mean = _means(error_um, place)[place]
-        again = [_evaluated(mean + one_um * rng.standard_normal(error_um.shape), place) for _ in range(_AGAIN)]
-    names = {"AP": "pose accuracy, largest", "AP mean": "pose accuracy, mean", "RP": "pose repeatability, largest"}
+        again = [
+            _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
+        ]
+    names = {
+        "AP": "pose accuracy, largest",
+        "AP mean": "pose accuracy, mean",
+        "AD": "distance accuracy, largest",
+        "AD rms": "distance accuracy, RMS",
+        "RP": "pose repeatability, largest",
+    }
     return tuple(
         Characteristic(
             symbol,
@@ -60,21 +72,22 @@ def _figures(series: Series, reach_m: float, under: Circumstances) -> tuple[Char
             1,
             float(np.std([a[symbol] for a in again], ddof=1)) if again else math.nan,
             dof,
-            contributions=_contributions(symbol, reach_m, under),
+            contributions=_contributions(metres[symbol], under),
         )
         for symbol, value in told.items()
     )
 
 
-def _contributions(symbol: str, reach_m: float, under: Circumstances) -> tuple[Contribution, ...]:
-    found = [under.reading(_READING_UM), *under.environment(1)]
-    if symbol != "RP":
-        scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
-        own = Contribution(
-            "instrument's scale", scale.value / 2 * reach_m, scale.basis("µm/m (k = 2)"), assumed=scale.assumed
-        )
-        found += [own, *under.length(reach_m)]
-    return tuple(found)
+def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, ...]:
+    """Return what the instrument and the surroundings contribute.
+
+    ``metres``: length by which the figure changes with the scale.
+    """
+    scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
+    own = Contribution(
+        "instrument's scale", scale.value / 2 * metres, scale.basis("µm/m (k = 2)"), assumed=scale.assumed
+    )
+    return (under.reading(_READING_UM), *under.environment(1), own, *under.length(metres))
 
 
 def _means(error_um: Floats, place: Floats) -> Floats:
@@ -82,11 +95,13 @@ def _means(error_um: Floats, place: Floats) -> Floats:
     return np.stack([np.bincount(place, error_um[:, i]) / count for i in range(3)], axis=1)
 
 
-def _evaluated(error_um: Floats, place: Floats) -> dict[str, float]:
+def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, float]:
     """Return the figures of errors (n, 3) of poses with these numbers; RP where a pose was measured three times."""
     count, means = np.bincount(place), _means(error_um, place)
     accuracy = np.linalg.norm(means, axis=1)
     told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
+    apart = distances_off(point_um, error_um)
+    told |= {"AD": float(np.abs(apart).max()), "AD rms": float(np.sqrt((apart**2).mean()))}
     often = count >= _FEWEST_REPEATS
     if often.any():
         away = np.linalg.norm(error_um - means[place], axis=1)

@@ -118,6 +118,20 @@ def test_a_run_in_another_unit_and_a_spoilt_one_are_found(tmp_path: Path) -> Non
     assert judge_campaign_drift(_runs(_folder(tmp_path / "d", {"a": 1.0, "b": 1.0}))) == []
 
 
+def test_a_step_that_the_file_tells_otherwise_is_said(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "c", {"a": 1.0})
+    log, told = folder / "a.csv", folder / "campaign.toml"
+    text = log.read_text("utf-8").replace("displacement_um", "displacement_step")
+    log.write_text(text.replace("# made here", "# step_dist=0.0125"), encoding="utf-8")
+    (alone,) = _runs(folder)
+    assert {f.code for f in alone.findings} == {"drift.no_sensor"}
+    told.write_text(told.read_text("utf-8") + "condition = { step_mm = 0.0025 }\n", encoding="utf-8")
+    (run,) = _runs(folder)
+    (found,) = (f for f in run.findings if f.code == "drift.step")
+    assert "states a step of 0.0025 mm, the file 0.0125" in found.message
+    np.testing.assert_allclose(5.0 * run.samples["displacement_um"], alone.samples["displacement_um"])
+
+
 def test_check_tells_what_is_missing_and_a_campaign_is_ingested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -70,10 +70,54 @@ def test_poses_with_repeats_are_decided_and_without_are_not() -> None:
     assert {c["symbol"]: c["decision"] for c in known["parts"][0]["characteristics"]} == {
         "AP": "inside",
         "AP mean": "outside",
+        # No limit is stated for distances.
+        "AD": "",
+        "AD rms": "",
     }
     alone = check_source(ROOT / "data/poses/ur5-random", tolerances=lambda machine: limits)["sheet"]
     assert alone["verdict"] == "cannot say"
     assert "not known" in alone["basis"]
+
+
+def poses(bend_um: float, *, repeats: int = 3, noise_um: float = 5.0, longer: float = 0.0) -> Run:
+    """Return poses of an arm that turns its base and its shoulder only: on a sphere, by trigonometry of our own."""
+    rng = np.random.default_rng(3)
+    base, shoulder = np.repeat(rng.uniform(-1.5, 1.5, (2, 60)), repeats, axis=1)
+    joints = np.zeros((base.size, 6))
+    joints[:, 0], joints[:, 1], joints[:, 4] = np.degrees(base), np.degrees(shoulder), 90.0 * np.sin(3.0 * base)
+    from dtwin.kinds.poses._chain import KNOWN, frames
+
+    at = frames(np.radians(joints), KNOWN["ur5"])
+    point = at.origin_mm[-1] + at.rotation[-1] @ [20.0, 0.0, 40.0]
+    point = point * (1.0 + longer) + bend_um / 1000.0 * np.stack([np.sin(2 * base), 0 * base, 0 * base], axis=1)
+    point = point + rng.normal(0.0, noise_um / 1000.0, point.shape)
+    samples = {f"joint_{n + 1}_deg": joints[:, n] for n in range(6)}
+    samples |= {f"measured_{axis}_mm": point[:, n] for n, axis in enumerate("xyz")}
+    return Run(RunMeta("p", kind="poses", condition={"chain": "ur5"}), {"t_s": np.arange(base.size) * 1.0, **samples})
+
+
+def characteristics(run: Run, **told: float) -> dict[str, dict[str, float]]:
+    campaign = Campaign("c", "m", "poses", instrument=told, machine_geometry={"chain": "ur5"})
+    sheet = sheet_of(kind_named("poses"), campaign, [run], {})
+    return {c["symbol"]: c for c in sheet["parts"][0]["characteristics"]}
+
+
+def test_distances_have_an_uncertainty_and_a_longer_ruler_is_in_it() -> None:
+    found = characteristics(poses(300.0), uncertainty_um=0.0, uncertainty_um_per_m=0.0)
+    assert set(found) == {"AP", "AP mean", "AD", "AD rms", "RP"}
+    # Two points that a wave of 300 um moves apart; the best frame takes a part of it.
+    assert 200.0 < found["AD"]["value_um"] < 700.0
+    assert found["AD rms"]["value_um"] < found["AD"]["value_um"]
+    assert 0.0 < found["AD rms"]["expanded_um"] < found["AD"]["expanded_um"]
+    # A ruler that is off by 100 um/m (k = 2) moves distances by 100 um a metre.
+    doubted = characteristics(poses(0.0, noise_um=1.0), uncertainty_um=0.0, uncertainty_um_per_m=100.0)["AD rms"]
+    longer = characteristics(poses(0.0, noise_um=1.0, longer=100e-6), uncertainty_um=0.0, uncertainty_um_per_m=0.0)
+    assert doubted["expanded_um"] == pytest.approx(longer["AD rms"]["value_um"], rel=0.4)
+
+
+def test_without_repeats_a_distance_has_no_uncertainty() -> None:
+    found = characteristics(poses(300.0, repeats=1))
+    assert not np.isfinite(found["AD"]["expanded_um"] or np.nan)
 
 
 def test_a_drift_test_in_the_lake_is_in_the_budget_of_a_circle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
