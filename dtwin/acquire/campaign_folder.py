@@ -195,8 +195,8 @@ def entry_from(told: Any, number: int, path: Path) -> FolderEntry:
         raise InputError("signals must be a file or a list", code="campaign.run", where=where)
     return FolderEntry(
         run_id=require_name(told.get("id"), f"id of run {number}"),
-        file=_inside(path.parent, told.get("file"), where),
-        signals=tuple(_inside(path.parent, name, where) for name in names),
+        file=inside(path.parent, told.get("file"), where),
+        signals=tuple(inside(path.parent, name, where) for name in names),
         stated=told,
     )
 
@@ -320,7 +320,8 @@ def _with_programmed_angles(run: Run) -> Run:
     return replace(run, samples=samples, findings=(*run.findings, finding))
 
 
-def _inside(folder: Path, name: object, where: str) -> Path:
+def inside(folder: Path, name: object, where: str) -> Path:
+    """Return the path of a file that a campaign names, refused where it leaves the folder."""
     if not isinstance(name, str) or not name or "\x00" in name:
         raise InputError("a run must name its file", code="campaign.file", where=where)
     path = (folder / name).resolve()

@@ -80,7 +80,8 @@ def _refused(where: str, got: str) -> InputError:
         code="poses.chain",
         where=f"{where} campaign.machine_geometry",
         got=got[:80],
-        allowed=f"chain = one of {', '.join(KNOWN)}; or dh = [{{ {' = …, '.join(_COLUMNS)} = … }}, …], one a joint",
+        allowed=f"chain = one of {', '.join(KNOWN)}; or dh = [{{ {' = …, '.join(_COLUMNS)} = … }}, …], one a joint; "
+        'or urdf = "robot.urdf"',
     )
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from dtwin.kinds.poses._fit import Grams
 from dtwin.kinds.poses._iso9283 import joints_of, measured_of
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._setup import Setup
+from dtwin.kinds.poses._urdf import stated_chain
 from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Floats, Run
 
@@ -34,7 +36,9 @@ class Loaded:
 
 def with_chain(run: Run, campaign: Campaign) -> Run:
     """Return a run that knows the chain of its robot; its condition carries it."""
-    dh = chain_of(campaign.machine_geometry, campaign.name)
+    geometry = campaign.machine_geometry
+    read = stated_chain(geometry, Path(run.source).parent)
+    dh = chain_of(geometry, campaign.name) if read is None else read
     if dh.shape[0] != joints_of(run).shape[1]:
         raise InputError(
             "chain and table differ in their joints",
@@ -43,8 +47,8 @@ def with_chain(run: Run, campaign: Campaign) -> Run:
             got=f"{joints_of(run).shape[1]} columns joint_N_deg",
             allowed=f"{dh.shape[0]}, as the chain has",
         )
-    name = str(campaign.machine_geometry.get("chain", "")).lower()
-    told = name if name in KNOWN and "dh" not in campaign.machine_geometry else json.dumps(dh.round(9).tolist())
+    name = str(geometry.get("chain", "")).lower()
+    told = name if name in KNOWN and not {"dh", "urdf"} & set(geometry) else json.dumps(dh.round(9).tolist())
     return replace(run, meta=replace(run.meta, condition={**run.meta.condition, "chain": told}))
 
 
