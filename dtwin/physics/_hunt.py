@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dtwin.physics._dictionary import PITCH, Dictionary, Entry, dictionary_for
 from dtwin.physics._shapes import refined_together
 from dtwin.physics.candidates import Candidates
+from dtwin.physics.learned import LEARNED
 from dtwin.physics.localise import condition_means
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
@@ -29,6 +30,8 @@ _SETTLED = 1e-3
 _NEAR_REVERSAL_DEG = 2.6
 # So many times the mean square of what is left elsewhere is sharp.
 _SHARP = 1.5
+# A law without a name is one of hundreds, and can do what two effects do.
+_NAMELESS = 3.0
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,9 @@ def best_set(
     """
     noise = problem.noise
     assert noise is not None
-    level = float(np.nanmean(noise.variance))
+    level = repeat_variance(problem)
     obs = problem.obs
-    hunt = _Hunt(problem, candidates, level)
+    hunt = Hunt(problem, candidates, level)
     chosen = hunt.run([])
     everywhere = [entry.term for entry in chosen]
     for number in range(_ROUNDS - 1):
@@ -78,7 +81,7 @@ def best_set(
         before = beside(weighted_like(obs, known, noise))
         weights, level = _misfit_as_noise(before, terms)
         problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
-        hunt = _Hunt(problem, candidates, level)
+        hunt = Hunt(problem, candidates, level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     terms = [entry.term for entry in chosen]
     exact = obs is problem.obs and obs.several_speeds and hunt.left(chosen) < _MISFIT * level * obs.mask.sum()
@@ -87,15 +90,22 @@ def best_set(
     return Best(terms, obs, everywhere, exact)
 
 
-class _Hunt:
+def repeat_variance(problem: Problem) -> float:
+    """Return the variance of a whitened coefficient, by what repeats disagree by."""
+    assert problem.noise is not None
+    return float(np.nanmean(problem.noise.variance))
+
+
+class Hunt:
     """Adds, drops and replaces effects until nothing lowers the cost.
 
     ``problem``: whitened campaign with what is known.
-    ``level``: variance of a whitened coefficient.
+    ``level``: variance of a whitened coefficient; by default that of the repeats.
     """
 
-    def __init__(self, problem: Problem, candidates: Candidates, level: float) -> None:
+    def __init__(self, problem: Problem, candidates: Candidates, level: float | None = None) -> None:
         self._problem, self._candidates = problem, candidates
+        level = repeat_variance(problem) if level is None else level
         self.dictionary = Dictionary(problem, candidates)
         runs = int(problem.obs.run_of.max()) + 1
         # Schwarz's criterion over runs for every number, and the choice among all effects.
@@ -123,7 +133,8 @@ class _Hunt:
         return best
 
     def _price(self, entry: Entry) -> float:
-        return self._per_number * entry.free + self._per_effect
+        chosen_from = _NAMELESS if entry.term.instance.effect.source == LEARNED else 1.0
+        return self._per_number * entry.free + chosen_from * self._per_effect
 
     def _cost(self, chosen: Sequence[Entry]) -> float:
         return self.left(chosen) + sum(self._price(entry) for entry in chosen)

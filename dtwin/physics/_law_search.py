@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
@@ -18,6 +19,8 @@ _RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
 _HARMONICS = range(9)
 _ALPHA = 0.005
 _NEAR = 6.0
+
+LawKey = tuple[int, bool, float, float]
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,8 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     obs = problem.obs
     feeds = obs.feed_mm_s / np.exp(np.mean(np.log(obs.feed_mm_s)))
     radii = obs.radius_mm / np.exp(np.mean(np.log(obs.radius_mm)))
-    sign = obs.sense
-    feed_laws = _FEED_EXPONENTS if np.ptp(np.log(feeds)) > 0.05 else (0.0,)
-    radius_laws = _RADIUS_EXPONENTS if np.ptp(np.log(radii)) > 0.05 else (0.0,)
-    odds = (False, True) if np.ptp(sign) > 0.0 else (False,)
-    harmonics = [h for h in _HARMONICS if h <= (obs.n_bins - 1) // 2]
-    keys = list(itertools.product(harmonics, odds, feed_laws, radius_laws))
-    scale = {key: feeds ** key[2] * radii ** key[3] * (sign if key[1] else 1.0) for key in keys}
+    keys = law_keys(obs)
+    scale = {key: feeds ** key[2] * radii ** key[3] * (obs.sense if key[1] else 1.0) for key in keys}
     tester = _Tester(problem)
     tested = [tester.test(key[0], scale[key]) for key in keys]
     adjusted = holm([t[0] for t in tested])
@@ -90,6 +88,15 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
         )
         for i in near
     ]
+
+
+def law_keys(obs: Observations) -> list[LawKey]:
+    """Return harmonic, odd, exponents of feed and radius of every law that a campaign can tell."""
+    feed_laws = _FEED_EXPONENTS if np.ptp(np.log(obs.feed_mm_s)) > 0.05 else (0.0,)
+    radius_laws = _RADIUS_EXPONENTS if np.ptp(np.log(obs.radius_mm)) > 0.05 else (0.0,)
+    odds = (False, True) if np.ptp(obs.sense) > 0.0 else (False,)
+    harmonics = [h for h in _HARMONICS if h <= (obs.n_bins - 1) // 2]
+    return list(itertools.product(harmonics, odds, feed_laws, radius_laws))
 
 
 class _Tester:

@@ -24,6 +24,7 @@ from dtwin.schema import Floats
 _PITCH_MM = (2.0, 60.0)
 _PITCH_SHAPE = "pitch_mm"
 _Complexes = NDArray[np.complex128]
+_Key = tuple[str, tuple[tuple[str, float], ...]]
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,15 @@ class Candidates:
 
     obs: Observations
     instances: Sequence[Instance]
-    _columns: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Floats, Indices]] = field(default_factory=dict)
+    _columns: dict[_Key, tuple[Floats, Indices]] = field(default_factory=dict)
+
+    def only(self, instances: Sequence[Instance]) -> Candidates:
+        """Return another library for the same campaign; what was evaluated is shared."""
+        return Candidates(self.obs, instances, self._columns)
+
+    def take_in(self, term: Term, rows: Floats, of: Indices) -> None:
+        """Keep the columns of a term, as ``harmonics`` returns them."""
+        self._columns[_key(term)] = rows, of
 
     def tested(
         self, problem: Problem, level: NoiseLevel, but: Collection[str] = ()
@@ -134,7 +143,7 @@ class Candidates:
 
     def harmonics(self, term: Term) -> tuple[Floats, Indices]:
         """Return the different rows of a term's columns, and which of them each row is."""
-        key = (term.label, tuple(sorted(term.shape.items())))
+        key = _key(term)
         if key not in self._columns:
             self._columns[key] = self.obs.distinct_harmonics(term.instance, term.shape)
         return self._columns[key]
@@ -162,6 +171,10 @@ class Candidates:
             for values in itertools.product(*(s.grid for s in effect.shapes))
         ]
         return [*grid, *effect.also_tried] if self.obs.several_speeds else grid
+
+
+def _key(term: Term) -> _Key:
+    return term.label, tuple(sorted(term.shape.items()))
 
 
 def applicable(

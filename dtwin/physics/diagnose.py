@@ -2,13 +2,14 @@
 
 The order: runs that are not like their repeats, logged channels, the set of effects of the library
 that explains most for what it costs, each tested beside all the others, their laws, and at last the
-scaling law of what nothing explains. What was found stays, whatever is left beside it. The unit of
+scaling law of what nothing explains. Where something is left, the search is made again beside laws without
+a name. What was found stays, whatever is left beside it. The unit of
 replication is always the run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -20,6 +21,7 @@ from dtwin.physics._law_search import search_laws
 from dtwin.physics._laws import LawTest
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
+from dtwin.physics._nameless import nameless
 from dtwin.physics._outliers import odd_runs
 from dtwin.physics._rivals import Found
 from dtwin.physics._screen import Channel, screen_channels
@@ -31,7 +33,7 @@ from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import at_its_end
-from dtwin.physics.problem import Problem, Term, set_up, unweighted
+from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.search import Search, search
 from dtwin.schema import Floats
@@ -48,6 +50,8 @@ _SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
 _DWARFED = 0.4
+# So much of everything, as RMS, is something unknown, and not how far the library's laws are off.
+_UNKNOWN = 0.3
 
 # Tests of the laws of every effect found and of its rivals, by label.
 _Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
@@ -84,27 +88,61 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
         untestable=untestable,
         outlier_runs=outliers,
     )
-    if problem.noise is None:
+    noise = problem.noise
+    if noise is None:
         return _once(blank, obs, known, library, seed)
     blank = replace(
-        blank, noise_floor_um=problem.noise.floor_um, floor_kind="repeats", spread=spread_of(obs, residual, library)
+        blank, noise_floor_um=noise.floor_um, floor_kind="repeats", spread=spread_of(obs, residual, library)
     )
     channels = screen_channels(problem, seed)
     beside = partial(_with_foreign, channels=channels, library=library)
     problem = beside(problem)
     candidates = Candidates(obs, tried)
-    plain = unweighted(obs, known)
-    search_again = partial(
-        search, problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels)
+    searched = partial(_searched, candidates=candidates, beside=beside, seed=seed, shown_by_channel=bool(channels))
+    concluded = partial(_concluded, blank, problem, candidates, known, channels, library, seed)
+    first = searched(problem, known)
+    answer = concluded(first, first)
+    left = answer.unresolved
+    if left is None or left.share < _UNKNOWN**2 or not first.found or not _has_laws(obs):
+        return answer
+    believed = {group[0].label for group in answer.found}
+    unknown = nameless(problem, candidates, [f.top.term for f in first.found if f.label in believed])
+    if not unknown:
+        return answer
+    beside_them = [*known, *unknown]
+    other = concluded(searched(beside(weighted_like(obs, beside_them, noise)), beside_them), first, unknown)
+    return other if other.found else answer
+
+
+def _has_laws(obs: Observations) -> bool:
+    """Tell whether what is unknown can be told by how it scales: circles at several speeds."""
+    return obs.grid.kind == "circular" and obs.several_speeds
+
+
+def _searched(
+    problem: Problem,
+    known: Sequence[Term],
+    candidates: Candidates,
+    beside: Callable[[Problem], Problem],
+    seed: int,
+    shown_by_channel: bool,
+) -> Search:
+    """Search for what is missing beside what is known; once more where laws that were taken to be exact are not."""
+    again = partial(
+        search,
+        problem,
+        unweighted(problem.obs, known),
+        candidates,
+        known,
+        beside=beside,
+        seed=seed,
+        shown_by_channel=shown_by_channel,
     )
-    found = search_again()
-    tests = _tests(found)
-    if found.best is not None and found.best.exact and _doubted(found, False, tests):
-        # Laws are not exact then: what is small may be how far others are off.
-        found = search_again(before=found)
-        tests = _tests(found)
-    moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
-    return _concluded(blank, found, tests, candidates, known, channels, moving, residual, library)
+    found = again()
+    if found.best is not None and found.best.exact and _doubted(found, False, _tests(found)):
+        # What is small may then be how far others are off.
+        found = again(before=found)
+    return found
 
 
 def _once(
@@ -134,47 +172,61 @@ def _once(
 
 def _concluded(
     blank: Diagnosis,
-    found: Search,
-    tests: _Tests,
+    problem: Problem,
     candidates: Candidates,
     known: Sequence[Term],
     channels: Sequence[Channel],
-    moving: Sequence[str],
-    residual: Floats,
     library: Mapping[str, Effect],
+    seed: int,
+    found: Search,
+    first: Search,
+    unknown: Sequence[Term] = (),
 ) -> Diagnosis:
-    obs = found.last.obs
-    words = localise.headline(obs, residual)
-    fit_p = found.lack_of_fit[0]
-    invisible = found.first.invisible
-    blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=invisible)
+    """Judge what a search found.
+
+    ``problem``: whitened campaign with what the twin knows.
+    ``unknown``: laws without a name that the search was made beside; they are a part of what is not resolved.
+    ``first``: the search beside nothing but what the twin knows.
+    """
+    obs = problem.obs
+    bare = unweighted(obs, known)
+    tests = _tests(found)
+    words = localise.headline(obs, localise.in_angle(bare))
+    blank = replace(
+        blank, lack_of_fit_p=first.lack_of_fit[0], channels=tuple(channels), invisible=first.first.invisible
+    )
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
+    moving = screen_channels(found.last, seed) if channels else ()
     # A channel of the library's own that still moves with what is left has not been explained.
-    late = any(not _is_foreign(name, library) for name in moving)
+    late = any(not _is_foreign(c.name, library) for c in moving)
     much = _much_left(found, blank.noise_floor_um)
     doubted = _doubted(found, late, tests)
     doubted += _hidden_by(doubted, found, tests)
     kept = [f for f in trusted(found, doubted, much) if much or not _is_dwarfed(f, found)]
     others = [f for f in found.found if f not in kept]
-    told = much or others or _worth_telling(found, blank.noise_floor_um)
-    unresolved = _unresolved(found, others) if told else None
-    groups = sized(obs, known, kept, [members(f, tests[f.label], found, candidates, known) for f in kept])
-    bare = unweighted(obs, known)
+    told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
+    terms = [f.top.term for f in kept]
+    left = localise.in_angle(candidates.given(bare, terms))
+    found = replace(found, first=first.first, systematic_um=(first.systematic_um[0], found.systematic_um[1]))
+    fit_p = first.lack_of_fit[0] if others or unknown else found.lack_of_fit[1]
+    unresolved = _unresolved(found, left, fit_p) if told else None
+    laws = tuple(search_laws(candidates.given(problem, terms))) if told else ()
     # What was found and not believed is shown with the tests that say why.
     withdrawn = [
         replace(suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])) for f in others
     ]
-    shown = suspects(found, candidates, known, groups, withdrawn)
+    likely = [members(f, tests[f.label], found, candidates, known) for f in kept]
+    groups = sized(obs, [*known, *unknown], kept, likely)
+    blank = replace(
+        blank, suspects=suspects(found, candidates, known, groups, withdrawn), unresolved=unresolved, laws=laws
+    )
     if not kept:
         return replace(
             blank,
             verdict="unknown_effect",
             headline=_unexplained(words, [c.name for c in channels]),
-            suspects=shown,
-            unresolved=unresolved,
-            laws=tuple(search_laws(found.first.problem)),
             closest=found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
@@ -186,10 +238,7 @@ def _concluded(
         said += f"; besides, {unresolved.systematic_rms_um:.2g} µm is not resolved"
     if foreign:
         said += f"; besides, something moves with {', '.join(foreign)}"
-    laws = tuple(search_laws(found.last)) if unresolved is not None else ()
-    return replace(
-        blank, verdict=verdict, headline=said, suspects=shown, found=groups, unresolved=unresolved, laws=laws
-    )
+    return replace(blank, verdict=verdict, headline=said, found=groups)
 
 
 def _tests(found: Search) -> _Tests:
@@ -236,21 +285,20 @@ def _nothing_found(
         verdict="unknown_effect",
         suspects=shown,
         laws=laws,
-        unresolved=_unresolved(found, ()),
+        unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
         headline=_unexplained(words, [c.name for c in channels]),
         closest=_closest(found.first.candidates),
     )
 
 
-def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
-    """Describe what is left, and with it what the effects do that are not believed."""
+def _unresolved(found: Search, left: Floats, p_value: float) -> Unresolved:
+    """Describe what the effects that are believed leave."""
     obs = found.plain.obs
-    left = localise.in_angle(found.plain) + sum_um(withdrawn, obs)
     rms_um = localise.systematic_rms_um(obs, left)
     return Unresolved(
         systematic_rms_um=rms_um,
         share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-9)) ** 2),
-        p_value=found.lack_of_fit[0 if withdrawn else 1],
+        p_value=p_value,
         words=localise.headline(obs, left),
         where=localise.worst_places(obs, left),
     )

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.physics._law_search import ScalingLaw
+from dtwin.physics._law_search import LawKey, ScalingLaw
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 PREFIX = "learned_"
+LEARNED = "learned"
 _REFERENCE_FEED_MM_S = 50.0
 _REFERENCE_RADIUS_MM = 100.0
 _NAME = re.compile(r"learned_(even|odd)_h(\d+)_f(m?\d+(?:p\d)?)_r(m?\d+(?:p\d)?)")
@@ -20,10 +22,25 @@ _NAME = re.compile(r"learned_(even|odd)_h(\d+)_f(m?\d+(?:p\d)?)_r(m?\d+(?:p\d)?)
 
 def learned_name(law: ScalingLaw) -> str:
     """Return the name of the effect, which says everything about it."""
-    parity = "odd" if law.odd else "even"
-    return f"{PREFIX}{parity}_h{law.harmonic}_f{_coded(law.feed)}_r{_coded(law.radius)}"
+    return name_of((law.harmonic, law.odd, law.feed, law.radius))
 
 
+def name_of(key: LawKey) -> str:
+    """Return the name of the effect of a law: harmonic, odd, exponents of feed and radius."""
+    harmonic, odd, feed, radius = key
+    return f"{PREFIX}{'odd' if odd else 'even'}_h{harmonic}_f{_coded(feed)}_r{_coded(radius)}"
+
+
+def law_size(
+    key: LawKey, feed_mm_s: float | Floats, radius_mm: float | Floats, direction: float | Floats
+) -> float | Floats:
+    """Return the factor by which a law scales the waves of its harmonic."""
+    _, odd, feed, radius = key
+    size = (feed_mm_s / _REFERENCE_FEED_MM_S) ** feed * (radius_mm / _REFERENCE_RADIUS_MM) ** radius
+    return size * direction if odd else size
+
+
+@lru_cache(maxsize=1024)
 def learned_effect(name: str) -> Effect:
     """Return the effect that a name describes.
 
@@ -51,11 +68,10 @@ def learned_effect(name: str) -> Effect:
     names = ("cosine", "sine") if harmonic else ("radius",)
 
     def columns(state: State, axis: str, shape: Shape) -> Floats:
-        size = (state.feed_mm_s / _REFERENCE_FEED_MM_S) ** feed
-        size *= (state.radius_mm / _REFERENCE_RADIUS_MM) ** radius
-        size *= state.direction if parity == "odd" else 1.0
         phase = harmonic * state.angle_rad
-        return size * stacked(*(np.cos(phase), np.sin(phase))[:n])
+        waves = stacked(*(np.cos(phase), np.sin(phase))[:n])
+        key = harmonic, parity == "odd", feed, radius
+        return np.asarray(law_size(key, state.feed_mm_s, state.radius_mm, state.direction) * waves)
 
     law_text = f"F^{feed:g} R^{radius:g}, {parity} in direction"
     return Effect(
@@ -72,7 +88,7 @@ def learned_effect(name: str) -> Effect:
         separate_by="Measure at feeds and radii that were not used to find it.",
         remedy="Find the cause before correcting for it.",
         reference="Learned from the residual of this twin; provisional.",
-        source="learned",
+        source=LEARNED,
     )
 
 

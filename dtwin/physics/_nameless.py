@@ -1,0 +1,62 @@
+"""What is unknown, as scaling laws without a name that take part in the search among sets of effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.physics._hunt import Hunt
+from dtwin.physics._law_search import LawKey, law_keys
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.effect import Instance
+from dtwin.physics.learned import law_size, learned_effect, name_of
+from dtwin.physics.problem import INVISIBLE, Problem, Term, orthonormal, squares
+from dtwin.schema import Floats
+
+
+def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term]) -> list[Term]:
+    """Return the laws of the best set of effects of the library and laws without a name.
+
+    The library alone explains what is unknown as well as it can, and the laws of what is really there then
+    seem to be broken. Laws that effects of the library make together are not offered.
+
+    ``problem``: whitened campaign with what the twin knows.
+    ``believed``: effects that were found without laws; they stay in the set.
+    """
+    laws = _laws(candidates)
+    plain = [Term(i) for i in candidates.instances if not i.effect.shapes]
+    made = orthonormal(_unit(np.concatenate([candidates.whitened(problem, t) for t in plain], axis=1)))
+    offered = []
+    for law in laws:
+        columns = _unit(candidates.whitened(problem, law))
+        if (squares(columns - made @ (made.T @ columns)) > INVISIBLE).any():
+            offered.append(law.instance)
+    have = {term.label for term in believed}
+    rest = [i for i in candidates.instances if i.label not in have]
+    chosen = Hunt(candidates.given(problem, believed), candidates.only([*rest, *offered])).run([])
+    return [entry.term for entry in chosen if entry.term.instance in offered]
+
+
+def _laws(candidates: Candidates) -> list[Term]:
+    """Return the terms of all laws, their columns evaluated: those of one harmonic are multiples of each other."""
+    obs = candidates.obs
+    out = []
+    for key in law_keys(obs):
+        waves = _term((key[0], False, 0.0, 0.0))
+        rows, of = candidates.harmonics(waves)
+        row = np.unique(of, return_index=True)[1]
+        size = law_size(key, obs.feed_mm_s[row], obs.radius_mm[row], obs.sense[row])
+        term = _term(key)
+        candidates.take_in(term, rows * np.asarray(size)[:, None, None], of)
+        out.append(term)
+    return out
+
+
+def _term(key: LawKey) -> Term:
+    return Term(Instance(learned_effect(name_of(key))))
+
+
+def _unit(columns: Floats) -> Floats:
+    size = np.sqrt(squares(columns))
+    return np.asarray(columns[:, size > 0.0] / size[size > 0.0])
