@@ -88,6 +88,11 @@ class Held:
                 self._begun_s = one.time_s
             if abs(one.time_s - self.next_s) > _FARTHEST_S:
                 self.odd += 1
+                if self.odd == 1:
+                    said = (
+                        f"values of {one.name} and perhaps others, whose clock is more than an hour off, are left out"
+                    )
+                    self._events.append(Event(self._given / self._rate_hz, "recording", said))
             else:
                 self._waiting.append(one)
 

@@ -127,7 +127,8 @@ def render_served(served: Served) -> str:
     lines = [
         head,
         f"  ended: {status.ended}; the correction is {kept}",
-        f"  longest correction {status.largest_um:z.1f} µm, clamp {served.clamp_um:z.1f} µm",
+        f"  longest correction {status.largest_um:z.1f} µm, clamp {served.clamp_um:z.1f} µm"
+        + (f"; uncertainty up to {status.largest_band_um:.2g} µm (k = 2)" if served.band else ""),
         _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),

@@ -172,6 +172,8 @@ class Decision:
         self._uses_window = uses
         self.guard.reset()
         self.reset()
+        # What it was shown of no machine counts for nothing.
+        self.direction = Direction(self.compiled.bundle.outputs)
 
     def reset(self) -> None:
         """Start a new run: path angle, equation state and newest window are forgotten."""

@@ -58,12 +58,13 @@ def _kernel_many(
 
 @compiled
 def _band_kernel(
-    half_um: Floats, frames: NDArray[np.int64], angle_rad: float, plane_id: float, band_um: Floats
+    half_um: Floats, frames: NDArray[np.int64], angle_rad: float, plane_id: float, band_um: Floats, largest_um: Floats
 ) -> None:
     """Write the half widths along base x, y, z: those of several outputs add as independent ones.
 
     ``half_um``, (n_outputs,): half width of each output.
     ``band_um``, (3,): receives them.
+    ``largest_um``, (1,): receives the largest length so far.
     Others as in ``_correction_kernel``.
     """
     band_um[:] = 0.0
@@ -85,6 +86,7 @@ def _band_kernel(
             band_um[normal] += square
         else:
             band_um[frame - 3] += square
+    largest_um[0] = max(largest_um[0], np.sqrt(band_um[0] + band_um[1] + band_um[2]))
     for i in range(3):
         band_um[i] = np.sqrt(band_um[i])
 
@@ -107,6 +109,7 @@ class Direction:
         self.vector_um = np.zeros(3)
         self.band_um = np.full(3, np.nan)
         """Half width of the newest correction along base x, y, z; NaN before the first ``apply_band``."""
+        self._largest_um = np.zeros(1)
 
     def apply(self, outputs: Floats, angle_rad: float, plane_id: float) -> Floats:
         """Return the correction vector (3,) in um; the next call overwrites it."""
@@ -115,7 +118,12 @@ class Direction:
 
     def apply_band(self, half_um: Floats, angle_rad: float, plane_id: float) -> None:
         """Write the half widths (n_outputs,) of the outputs into ``band_um``."""
-        _band_kernel(half_um, self._frames, angle_rad, plane_id, self.band_um)
+        _band_kernel(half_um, self._frames, angle_rad, plane_id, self.band_um, self._largest_um)
+
+    @property
+    def largest_band_um(self) -> float:
+        """Length of the largest half width so far."""
+        return float(self._largest_um[0])
 
     def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
         """Return the correction vectors of successive ticks, shape (n, 3) in um.

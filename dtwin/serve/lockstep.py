@@ -103,5 +103,6 @@ def serve_lockstep(
         timing=timing.summary(),
         fault=fault.as_dict() if fault else None,
         largest_um=largest,
+        largest_band_um=decision.direction.largest_band_um,
         last_sequence=0 if mode == "shadow" else sequence,
     )

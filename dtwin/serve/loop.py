@@ -68,6 +68,8 @@ class ServeStatus:
         How often each reason of the guard acted.
     largest_um : float
         Longest correction that was computed and let through.
+    largest_band_um : float
+        Largest uncertainty (k = 2) of a correction that the model asked for; 0 where it does not tell.
     last_sequence : int
         Sequence number of the last correction sent; 0 when none was.
     reconnects : int
@@ -83,6 +85,7 @@ class ServeStatus:
     realtime: dict[str, str] = field(default_factory=dict)
     fault: dict[str, str] | None = None
     largest_um: float = 0.0
+    largest_band_um: float = 0.0
     last_sequence: int = 0
     reconnects: int = 0
 
@@ -198,6 +201,7 @@ class ServingLoop:
             realtime=allowed,
             fault=fault.as_dict() if fault else None,
             largest_um=self._largest_um,
+            largest_band_um=self.decision.direction.largest_band_um,
             last_sequence=max(self._in_force.sequence, 0),
         )
 

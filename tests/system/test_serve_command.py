@@ -233,6 +233,7 @@ def test_a_small_correction_fades_unless_told_otherwise(robot: VirtualRobot, hom
     _, by_default, said = served(f"--host={robot.host}", "--duration=1")
     assert "(k = 2, from covariance): what is smaller than that fades out" in said
     assert (by_default["band"], by_default["fades"]) == ("covariance", True)
+    assert by_default["largest_band_um"] == pytest.approx(48.0)
     # Half of its half width: half is left.
     assert by_default["largest_um"] == pytest.approx(12.0, rel=0.01)
     _, whole, said = served(f"--host={robot.host}", "--duration=1", "--no-fade")

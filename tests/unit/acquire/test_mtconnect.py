@@ -270,3 +270,6 @@ def test_a_stamp_far_away_is_left_out(agent: Agent, url: str) -> None:
         agent.now_s = BEGUN_S + 0.3
         found = until(device, 0.3)
     assert set(column(found, "xact_mm")) == {1.0}
+    assert [e.text for r in found for e in r.events if e.name == "recording"] == [
+        "values of xact_mm and perhaps others, whose clock is more than an hour off, are left out"
+    ]
