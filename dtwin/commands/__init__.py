@@ -25,6 +25,7 @@ from dtwin.commands import (
     _machine_tests,
     _models,
     _papers,
+    _planning,
     _rechecking,
     _record,
     _servers,
@@ -43,6 +44,7 @@ __all__ = ["register"]
 _MODULES = (
     _demo,
     _data,
+    _planning,
     _amending,
     _record,
     _campaign,

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
-import platform
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +16,16 @@ from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
 
-from dtwin import __version__
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
+from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
 
 _EXPERIMENT = "dtwin"
 _BUNDLE_FOLDER = "bundle"
 _PROCESS = "dtwin.process"
 _ALIASES = ("candidate", "champion", "previous")
-_PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ class Registry:
         tags = {"dtwin.machine": report.machine, "dtwin.campaign": report.campaign}
         with self.open_run(f"training {report.campaign} {stamp}", tags) as parent:
             ids[""] = parent
-            self.log(parent, _report_params(report), _report_metrics(report), {})
+            self.log(parent, report_params(report), report_metrics(report), {})
             self.log_files(parent, artifacts)
             for candidate in report.candidates:
                 with self.open_run(candidate.name, tags) as child:
@@ -293,7 +290,7 @@ class Registry:
             "family": candidate.family,
             "promotable": candidate.promotable,
             "complexity": candidate.complexity,
-            **_report_params(report),
+            **report_params(report),
         }
         tags = {
             "mlflow.parentRunId": parent,
@@ -362,46 +359,3 @@ class Registry:
 def model_name(machine: str) -> str:
     """Return the registered model's name for a machine."""
     return f"dtwin-{machine}"
-
-
-def environment() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    found = {"python": platform.python_version(), "dtwin": __version__}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
-
-
-def _report_params(report: TrainingReport) -> dict[str, Any]:
-    return {
-        "machine": report.machine,
-        "campaign": report.campaign,
-        "seed": report.seed,
-        "n_runs": report.n_runs,
-        "n_rows": report.n_rows,
-        **{f"table_version.{k}": v for k, v in report.table_versions.items()},
-        **{f"version.{k}": v for k, v in environment().items()},
-    }
-
-
-def _report_metrics(report: TrainingReport) -> dict[str, float]:
-    return {
-        "noise_floor_um": report.noise_floor_um,
-        "noise_floor_dof": float(report.noise_floor_dof),
-        "rms_before_um": report.rms_before_um,
-    }
-
-
-def candidate_metrics(candidate: Candidate) -> dict[str, float]:
-    """Return what is logged of a candidate, by the names that the gates read."""
-    metrics = {"train_rms_um": candidate.train_rms_um, "complexity": float(candidate.complexity)}
-    for group, scores in candidate.scores.items():
-        for name in ("r2", "rms_um", "mae_um", "worst_slice_ratio"):
-            metrics[f"leave_{group}_out.{name}"] = float(getattr(scores, name))
-    if candidate.latency is not None:
-        metrics["latency_p50_us"] = candidate.latency.p50_us
-        metrics["latency_p99_us"] = candidate.latency.p99_us
-    return metrics | {k: float(v) for k, v in candidate.numbers.items()}

@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from dtwin.train.registry import Registry, environment
+from dtwin.train.logged import environment
+from dtwin.train.registry import Registry
 
 _DOCUMENT, _OPENED_FOR = "dtwin.document", "dtwin.opened_for"
 

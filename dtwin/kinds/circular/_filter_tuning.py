@@ -16,7 +16,8 @@ from dtwin.features.dynamics.figures import FITNESSES, eq15, relative_difference
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter
 from dtwin.kinds.circular._particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
-from dtwin.train.registry import Registry, environment
+from dtwin.train.logged import environment
+from dtwin.train.registry import Registry
 
 _TUNED = ("ratio", "alpha")
 _ALPHA = (1e-5, 1.0)

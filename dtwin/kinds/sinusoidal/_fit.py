@@ -17,7 +17,7 @@ from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.train.gates import Verdict
-from dtwin.train.registry import candidate_metrics
+from dtwin.train.logged import candidate_metrics
 from dtwin.train.results import Candidate
 
 _SEARCHED = "symbolic"
