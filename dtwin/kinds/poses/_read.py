@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
+from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
 _MOST_BYTES = 256 * 1024**2
@@ -27,26 +29,15 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
 
     Raises ``InputError`` when a column is missing, with those that the file has.
     """
-    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
-    lines = text.splitlines()
-    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
-    rows = [row for row in csv.reader(lines, delimiter=";" if semicolon else ",") if any(row)]
-    recipe = campaign.instrument.get("columns", {})
-    named = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
-    body = [row if len(row) == len(named) else [""] * len(named) for row in rows[1:]]
-    wanted = {
-        n: i
-        for i, n in enumerate(named)
-        if n == "t_s" or n.startswith(("joint_", "measured_", "error_", "target_", "ambient_"))
-    }
-    values = {name: _numbers([row[i] for row in body]) for name, i in wanted.items()}
-    columns: dict[str, Floats] = {}
-    for name, column in values.items():
-        ending = next((e for e in _SCALES if name.endswith(e)), "")
-        new, scale = _SCALES.get(ending, (ending, 1.0))
-        columns[name.removesuffix(ending) + new] = column * scale
-    _require(columns, path, rows[0] if rows else [])
-    findings = _timed(columns, len(body))
+    columns, heads = _columns(path, campaign)
+    in_motion: list[dict[str, Any]] = []
+    log = stated.get("condition", {}).get("joints_log")
+    if log is not None:
+        logged = inside(path.parent, log, "condition.joints_log")
+        columns, moving = with_joints(columns, _columns(logged, campaign)[0], logged)
+        in_motion = [{"row": int(r), "reason": "the robot moved", "values": {}} for r in np.flatnonzero(moving)]
+    _require(columns, path, heads)
+    findings = _timed(columns, len(next(iter(columns.values()))))
     need = np.stack([v for n, v in columns.items() if n.startswith(("joint_", "measured_", "error_"))], axis=1)
     good = np.isfinite(need).all(axis=1)
     if not good.any():
@@ -61,7 +52,33 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         said = f"columns with gaps are left out: {', '.join(sorted(gone))}"
         findings.append(Finding("poses.gaps", "warning", said))
     meta = RunMeta(run_id="poses", kind="poses", sample_rate_hz=float("nan"))
-    return [Run(meta, samples, source=str(path), findings=tuple(findings))], rejects
+    return [Run(meta, samples, source=str(path), findings=tuple(findings))], [*in_motion, *rejects]
+
+
+def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str]]:
+    """Return the columns of a table by the house's names, in mm and degrees, and its heads."""
+    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
+    lines = text.splitlines()
+    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
+    rows = [row for row in csv.reader(lines, delimiter=";" if semicolon else ",") if any(row)]
+    recipe = campaign.instrument.get("columns", {})
+    named = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
+    body = [row if len(row) == len(named) else [""] * len(named) for row in rows[1:]]
+    wanted = {
+        n: i
+        for i, n in enumerate(named)
+        if n in ("t_s", "t_ns") or n.startswith(("joint_", "measured_", "error_", "target_", "ambient_"))
+    }
+    columns: dict[str, Floats] = {}
+    for name, place in wanted.items():
+        column = _numbers([row[place] for row in body])
+        ending = next((e for e in _SCALES if name.endswith(e)), "")
+        new, scale = _SCALES.get(ending, (ending, 1.0))
+        columns[name.removesuffix(ending) + new] = column * scale
+    if "t_ns" in columns:
+        # ROS tells whole seconds and the rest apart.
+        columns["t_s"] = columns.get("t_s", 0.0) + 1e-9 * columns.pop("t_ns")
+    return columns, rows[0] if rows else []
 
 
 def _numbers(cells: list[str]) -> Floats:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from system.mtconnect_agent import BEGUN_S, DEVICE, Agent, serving
 
 from dtwin.acquire._machine_events import event_findings
 from dtwin.acquire._mtconnect import MTConnectRecorder
+from dtwin.acquire._mtconnect_documents import Item, read_probe, read_streams
 from dtwin.acquire._recording import Recorder
 from dtwin.acquire._recovery import covariates_of, recover, seal, signal_findings
 from dtwin.acquire.instrument import Reading, record
@@ -273,3 +277,39 @@ def test_a_stamp_far_away_is_left_out(agent: Agent, url: str) -> None:
     assert [e.text for r in found for e in r.events if e.name == "recording"] == [
         "values of xact_mm and perhaps others, whose clock is more than an hour off, are left out"
     ]
+
+
+PLAIN = {"a": Item("a", ("a_mm",)), "b": Item("b"), "c": Item("c", condition=True)}
+TEXTS = st.text(max_size=30)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.one_of(st.binary(max_size=300), TEXTS.map(str.encode)))
+def test_hostile_answers_are_refused_as_such(data: bytes) -> None:
+    for read in (lambda: read_probe(data, "x", ""), lambda: read_streams(data, "x", PLAIN)):
+        with pytest.raises((DeviceError, InputError)):
+            read()
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from("abcz"), TEXTS, st.sampled_from(["Position", "Fault", "Normal", "x"]), st.integers(0, 9)
+        ),
+        max_size=12,
+    )
+)
+def test_whatever_is_observed_is_a_number_or_a_text_in_its_order(rows: list[tuple[str, str, str, int]]) -> None:
+    root = Element("MTConnectStreams")
+    SubElement(root, "Header", nextSequence="9", firstSequence="1", instanceId="7", creationTime="2026-01-01T00:00:00Z")
+    for item, text, tag, number in rows:
+        about = {"dataItemId": item, "timestamp": "2026-01-01T00:00:00Z", "sequence": str(number)}
+        SubElement(root, tag, about).text = "".join(c for c in text if c.isprintable())
+    header, found = read_streams(tostring(root), "x", PLAIN)
+    assert (header.instance, header.next) == ("7", 9)
+    assert len(found) == sum(item != "z" for item, *_ in rows)
+    for one in found:
+        assert isinstance(one.value, str) or np.isnan(one.value) or np.isfinite(one.value)
+    wanted = [item for item, *_ in sorted((r for r in rows if r[0] != "z"), key=lambda r: r[3])]
+    assert [one.name[0] for one in found] == wanted

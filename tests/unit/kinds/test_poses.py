@@ -16,6 +16,7 @@ from dtwin.kinds.poses._chain import KNOWN, frames
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
+from dtwin.kinds.poses._iso9283 import measured_of
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.kinds.registry import kind_named
@@ -174,3 +175,62 @@ def test_the_verbs_of_a_twin_work_on_poses(tmp_path: Path) -> None:
     assert twins.remove("arm", "joint_zero@J3").labels == ("joint_zero@J2",)
     with pytest.raises(InputError, match="unknown effect"):
         twins.add("arm", "rust")
+
+
+def logs(folder: Path, *, later_s: float = 0.0, joints_log: str = "joint_states.csv") -> np.ndarray:
+    """Write the log of an arm that goes to 30 poses and stands there, and what a tracker reads all the time; return the poses."""
+    rng = np.random.default_rng(6)
+    poses = rng.uniform(-1.0, 1.0, (30, 6))
+    t, q = [], []
+    for n, pose in enumerate(poses):
+        before = poses[n - 1] if n else pose
+        for k in range(150):
+            t.append(3.0 * n + 0.02 * k)
+            q.append(before + (pose - before) * min(1.0, k / 50.0))
+    joints, t_s = np.array(q) + 1e-6 * rng.standard_normal((len(q), 6)), np.array(t)
+    heads = ["header.stamp.sec", "header.stamp.nanosec", *(f"position[{n}]" for n in range(6))]
+    stamps = 1_790_000_000 + t_s
+    rows = zip(stamps.astype(int), np.round(1e9 * (t_s - np.floor(t_s))).astype(int), *joints.T, strict=True)
+    (folder / joints_log).write_text(
+        "\n".join([",".join(heads), *(",".join(map(repr, map(float, r))) for r in rows)]), "utf-8"
+    )
+    seen = t_s[::5]
+    point = frames(joints[::5], KNOWN["ur10"]).origin_mm[-1] + rng.normal(0.0, 0.01, (len(seen), 3))
+    rows = zip(1_790_000_000 + seen + later_s, *(0.001 * point).T, strict=True)
+    (folder / "tracker.csv").write_text(
+        "\n".join(["time,x,y,z", *(",".join(map(repr, map(float, r))) for r in rows)]), "utf-8"
+    )
+    recipe = "\n".join(f'"position[{n}]" = "joint_{n + 1}_rad"' for n in range(6))
+    (folder / "campaign.toml").write_text(
+        '[campaign]\nname = "c"\nmachine = "m"\nkind = "poses"\n[campaign.machine_geometry]\nchain = "ur10"\n'
+        f'[campaign.instrument.columns]\n{recipe}\n"header.stamp.sec" = "t_s"\n"header.stamp.nanosec" = "t_ns"\n'
+        '"time" = "t_s"\n"x" = "measured_x_m"\n"y" = "measured_y_m"\n"z" = "measured_z_m"\n'
+        f'[[run]]\nid = "r"\nfile = "tracker.csv"\ncondition = {{ joints_log = "{joints_log}" }}\n',
+        encoding="utf-8",
+    )
+    return poses
+
+
+def test_joints_that_were_logged_beside_a_tracker_are_taken_at_stops(tmp_path: Path) -> None:
+    poses = logs(tmp_path)
+    ((run,), (rejected,)) = next(iter(open_source(tmp_path)[1]))
+    # One reading a stop, whatever the tracker wrote meanwhile: those are no repeats.
+    assert run.n_samples == 30
+    joints = np.stack([run.samples[f"joint_{n}_deg"] for n in range(1, 7)], axis=1)
+    np.testing.assert_allclose(joints, np.degrees(poses), atol=1e-3)
+    assert {row["reason"] for row in rejected.rows} == {"the robot moved"}
+    assert "poses.times" not in {f.code for f in run.findings}
+    error = series_of(joints, measured_of(run), KNOWN["ur10"], None).error_mm
+    # Eight readings of 0.01 mm each.
+    assert np.linalg.norm(error, axis=1).mean() < 0.01
+
+
+def test_logs_of_two_clocks_are_refused(tmp_path: Path) -> None:
+    logs(tmp_path, later_s=3600.0)
+    with pytest.raises(InputError, match="while the robot stood") as caught:
+        next(iter(open_source(tmp_path)[1]))
+    assert "1790003600" in str(caught.value.got)
+    text = (tmp_path / "campaign.toml").read_text("utf-8")
+    (tmp_path / "campaign.toml").write_text(text.replace('= "t_s"', '= "when"'), encoding="utf-8")
+    with pytest.raises(InputError, match="cannot be brought together"):
+        next(iter(open_source(tmp_path)[1]))
