@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
 from dtwin.physics.twin import Twin
 from dtwin.report.signature import signature_svg
@@ -45,10 +46,37 @@ def faults(twin: Twin, width: int = 72) -> list[_Fault]:
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
-        title = f"{effect.title}, {axis}" if axis else effect.title
-        picture = signature_svg(effect, axis, width)
-        faults.append(_Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
+        faults.append(_fault(effect, axis, mine, width))
     return faults
+
+
+def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect], width: int = 72) -> list[list[_Fault]]:
+    """Return what a diagnosis found, most first, as faults: of each group the names that these runs do not tell apart.
+
+    Parameters
+    ----------
+    diagnosis : mapping
+        As ``as_dict`` of a diagnosis gives it; sizes are of each name alone in the place of the group.
+    """
+    groups = []
+    for group in diagnosis.get("found", ()):
+        faults = []
+        for suspect in group:
+            if suspect["effect"] in library:
+                sizes = [
+                    Estimate(**{**e, **{n: math.nan if e[n] is None else e[n] for n in ("value", "uncertainty")}})
+                    for e in suspect["sizes"]
+                ]
+                own = [e for e in sizes if (e.effect, e.axis) == (suspect["effect"], suspect["axis"])]
+                faults.append(_fault(library[suspect["effect"]], suspect["axis"], own, width))
+        groups.append(faults)
+    return [faults for faults in groups if faults]
+
+
+def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate], width: int) -> _Fault:
+    title = f"{effect.title}, {axis}" if axis else effect.title
+    picture = signature_svg(effect, axis, width)
+    return _Fault(effect.name, axis, title, size_of(estimates), effect.looks_like, effect.remedy, picture)
 
 
 def size_of(estimates: Sequence[Estimate]) -> str:

@@ -62,7 +62,7 @@ def parameter_table(twin: Twin) -> Table:
         (
             f"{e.effect} {e.axis}".strip(),
             e.name.replace("_", " "),
-            f"{number(e.value, 4)} ± {number(e.uncertainty, 2)}" if e.identifiable else "not told",
+            _rounded(e.value, e.uncertainty) if e.identifiable else "not told",
             shown_unit(e.unit),
         )
         for e in twin.estimates
@@ -78,6 +78,14 @@ def parameter_table(twin: Twin) -> Table:
             for shape in term.instance.effect.shapes
         ]
     return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)
+
+
+def _rounded(value: float, uncertainty: float) -> str:
+    """Return a value to two digits of its uncertainty."""
+    if not math.isfinite(uncertainty) or not 1e-8 < uncertainty < 1e8:
+        return f"{number(value, 4)} ± {number(uncertainty, 2)}"
+    digits = max(1 - math.floor(math.log10(uncertainty)), 0)
+    return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f}"
 
 
 def twin_text(twin: Twin) -> str:

@@ -131,7 +131,7 @@ def next_test_file(request: Request, name: str) -> Response:
 
 @router.get("/api/machines/{name}/summary")
 def summary(request: Request, name: str) -> dict[str, Any]:
-    """Return what the last test of a machine says, its values so far, its newest change, and whether a test is due."""
+    """Return what the last test of a machine says, its values so far, its newest change, whether a test is due, and its champion."""
     history = bench_of(request).history(name)
     tests = [test for test in history["tests"] if test["figure"]]
     last = tests[-1] if tests else None

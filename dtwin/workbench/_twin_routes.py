@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.report.encoder_split import encoder_section
-from dtwin.report.faults import faults
+from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, page
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
@@ -111,6 +111,7 @@ def diagnose_page(request: Request, name: str) -> Response:
         library=bench.library,
         found=found_table(diagnosis or {}),
         faults=faults(twin),
+        missing=found_faults(diagnosis or {}, bench.library),
         together=diagnosis_section(name, _with_nan(diagnosis)) if diagnosis and "campaigns" in diagnosis else None,
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
     )

@@ -530,6 +530,7 @@ async function fillMachine(row) {
   const cell = (name) => row.querySelector(`[data-cell=${name}]`);
   try {
     const found = await ask(`/api/machines/${encodeURIComponent(row.dataset.machine)}/summary`);
+    cell("champion").textContent = found.champion;
     if (!found.last) return;
     cell("figure").textContent = `${found.last.figure} ${found.last.shown}`;
     if (found.values_um.length > 1) cell("values").append(sparkline(found.values_um));
