@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +14,37 @@ from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.physics.observations import Observations, observe
-from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.schema import Campaign, Direction, Run, RunMeta
+
+DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 
 
-def measured(mill: MillParameters, seed: int) -> tuple[Campaign, list[Run]]:
-    """Return circles at one radius and feed, both ways, three repeats."""
+def circular_tests(
+    radii_mm: Sequence[float] = (100.0,), feeds_mm_min: Sequence[float] = (2000.0,)
+) -> list[CircularTest]:
+    """Return circles both ways, three repeats, a set-up for each radius."""
+    every = product(radii_mm, feeds_mm_min, (1, 2, 3), DIRECTIONS)
+    return [CircularTest("XY", way, radius, feed, k, f"xy{radius:g}") for radius, feed, k, way in every]
+
+
+def measured(
+    mill: MillParameters, seed: int, radii_mm: Sequence[float] = (100.0,), feeds_mm_min: Sequence[float] = (2000.0,)
+) -> tuple[Campaign, list[Run]]:
+    """Return what the ball bar reads of them."""
     made = VirtualMill(mill, seed=seed, noise=NoiseParameters(rms_um=0.1))
-    tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
-    return made.campaign(), made.measure(tests)
+    return made.campaign(), made.measure(circular_tests(radii_mm, feeds_mm_min))
 
 
-def circles(mill: MillParameters, seed: int = 1, name: str = "bar", day: str = "") -> Observations:
+def circles(
+    mill: MillParameters,
+    seed: int = 1,
+    name: str = "bar",
+    day: str = "",
+    radii_mm: Sequence[float] = (100.0,),
+    feeds_mm_min: Sequence[float] = (2000.0,),
+) -> Observations:
     """Return the same on a grid, begun on a day where one is given."""
-    campaign, runs = measured(mill, seed)
+    campaign, runs = measured(mill, seed, radii_mm, feeds_mm_min)
     if day:
         runs = [replace(run, meta=replace(run.meta, started=f"{day}T09:{n:02d}:00")) for n, run in enumerate(runs)]
     return observe(replace(campaign, name=name), runs)
@@ -39,6 +59,26 @@ def laser(axis: str, lead_ppm: float, lost_um: float, seed: int = 1, name: str =
         samples = {"position_mm": at, "direction": np.array(ways, dtype=object), "error_um": error}
         runs.append(Run(meta, {"t_s": 10.0 * np.arange(at.size), **samples}))
     return observe(Campaign(name or f"laser-{axis}", "mill", kind="linear"), runs)
+
+
+def warmed(
+    axis: str, seed: int, *, wave: tuple[float, float, float] = (0.0, 200.0, 0.0), growth_um_m_k: float = 0.0
+) -> Observations:
+    """Return a positioning test of a sound axis while it warms from 19 to 21 degrees, with a wave of its screw and with growth.
+
+    ``wave``: amplitude in um, length in mm, phase.
+    """
+    runs = []
+    for n, (at, ways, error) in enumerate(readings(0.0, 0.0, 2 * seed + "XYZ".index(axis)), start=1):
+        warm_c = 19.0 + 0.5 * (n - 1)
+        error += wave[0] * np.cos(2.0 * np.pi * at / wave[1] + wave[2])
+        error += 1e-3 * growth_um_m_k * (warm_c - 20.0) * (at - at[0])
+        covariates = {"temperature_c": warm_c}
+        meta = RunMeta(f"r{n}", kind="linear", condition={"axis": axis}, repeat=n, covariates=covariates)
+        meta = replace(meta, started=f"2026-03-03T1{n}:00:00")
+        samples = {"position_mm": at, "direction": np.array(ways, dtype=object), "error_um": error}
+        runs.append(Run(meta, {"t_s": 10.0 * np.arange(at.size), **samples}))
+    return observe(Campaign(f"laser-{axis}", "mill", kind="linear"), runs)
 
 
 def write_circles(folder: Path, machine: str, mill: MillParameters, seed: int = 1) -> Path:

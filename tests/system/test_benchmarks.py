@@ -47,6 +47,7 @@ def test_none_is_left_out() -> None:
         "bench_workbench.py",
         "bench_growth.py",
         "cobot_family.py",
+        "contradictions.py",
         "correction_band.py",
         "machine_years.py",
         "mechanism_bias.py",
@@ -187,6 +188,15 @@ def test_two_instruments() -> None:
     for row in short("two_instruments.py"):
         assert row["of these named with both"] == row["not told by the ball bar"]
         assert row["a false name in one twin"] <= row["a false name by one test"]
+
+
+@pytest.mark.long
+def test_contradictions() -> None:
+    rows = short("contradictions.py")
+    quiet = [row for row in rows if "friction" not in row["story"]]
+    assert len(quiet) == 5
+    assert [row["a false contradiction"] for row in quiet] == [0] * 5
+    assert [row["since the right day"] for row in quiet] == [1] * 5
 
 
 @pytest.mark.long
