@@ -194,7 +194,7 @@ def _bounded(data: bytes, where: str) -> bytes:
             "the agent's answer is too large",
             code="mtconnect.size",
             where=where,
-            got=f"more than {_MAX_BYTES / 1e6:.0f} MB",
+            got=f"more than {_MAX_BYTES / 1e6:z.0f} MB",
             hint="a smaller count under [mtconnect]",
         )
     return data
