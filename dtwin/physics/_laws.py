@@ -29,7 +29,7 @@ class LawTest:
     """Result for one variable.
 
     ``variable``: what the amplitude was compared over; "time": what changed between repeats, logged channels among it;
-    "delay": whether it follows its channel at once.
+    "delay": whether it follows its channel at once; "set-up": whether it is the same in every mounting.
     ``p_value``: of the hypothesis that the law holds.
     ``shift``: change of the exponent that fits best; for the direction, half the relative difference; for time, the
     relative change over the range of what changed; for delay, the share that comes late.
@@ -88,6 +88,14 @@ def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, le
         out += tests
         if any(test.p_value < _CERTAIN for test in tests):
             missed = _with(missed, profile)
+    if any(name.startswith(SETUP_COLUMNS) for name in term.instance.effect.needs):
+        # What hangs on the mounting must be the same in every mounting.
+        mounted = [
+            test
+            for contrast in _mountings(problem.obs)
+            for test in _tested(with_it, "set-up", along * contrast[:, None], level, within, least)
+        ]
+        out += [_best_of(mounted)] if mounted else []
     if not within:
         # What a law misses by a little over radius or feed is not time, though runs have an order.
         changing = [
@@ -197,6 +205,12 @@ def _contrasts(problem: Problem) -> dict[str, Floats]:
     direction = obs.sense
     found = {"feed": feed, "radius": radius, "direction": direction}
     return {name: values - values.mean() for name, values in found.items() if np.ptp(values) > 0.05}
+
+
+def _mountings(obs: Observations) -> list[Floats]:
+    """Return, for each set-up beside the first one, what tells it from the others."""
+    inside = [(obs.setup_of == number).astype(float) for number in range(1, len(obs.setups))]
+    return [values - values.mean() for values in inside]
 
 
 def _during(obs: Observations, law: Law) -> list[Floats]:

@@ -289,3 +289,15 @@ def test_effects_keep_their_names_beside_something_unknown_that_looks_like_one_o
     assert named == wanted | {"axis_changeover XY"}
     assert found.unresolved is not None
     assert any(law.harmonic in (2, 4) and law.radius > 1.0 for law in found.laws)
+
+
+def test_a_delay_that_is_not_the_same_in_both_set_ups_is_no_delay() -> None:
+    mill = replace(SOUND.with_axis("X", play_um=3.0), delay_ms=20.0)
+    obs = observed(measured(VirtualMill(mill, seed=2, noise=NoiseParameters(rms_um=0.3))))
+    found = diagnose(obs, [], LIBRARY)
+    delay = next(s for group in found.found for s in group if s.label == "measurement_delay")
+    assert [test.broken for test in delay.laws if test.variable == "set-up"] == [False]
+    (term,) = chosen_terms(["measurement_delay"], LIBRARY, obs)
+    does = 20.0 * obs.regressors(term.instance, {})[:, :, 0] * (obs.setup_of == 1)[:, None]
+    turned = diagnose(replace(obs, y_um=obs.y_um - 2.0 * does), [], LIBRARY)
+    assert "measurement_delay" not in {s.label for group in turned.found for s in group}
