@@ -9,6 +9,8 @@ EXIT_USER = 1
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
+# Of more names than these a terminal shows those that are most like what was given; JSON has all.
+_MOST_NAMES, _NEAREST = 60, 12
 
 
 class DtwinError(Exception):
@@ -47,11 +49,13 @@ class DtwinError(Exception):
     @property
     def meant(self) -> str | None:
         """The allowed name that is most like what was given; None when none is."""
-        names = [] if self.allowed is None else self.allowed.replace(" ...", "").split(", ")
-        # A sentence about what is allowed is no list of names.
-        names = [name for name in names if " " not in name]
-        close = get_close_matches(self.got or "", names, n=1, cutoff=0.7)
+        close = get_close_matches(self.got or "", self._names(), n=1, cutoff=0.7)
         return close[0] if close and close[0] != self.got else None
+
+    def _names(self) -> list[str]:
+        """Return the allowed names; a sentence about what is allowed is no list of names."""
+        names = [] if self.allowed is None else self.allowed.replace(" ...", "").split(", ")
+        return [name for name in names if " " not in name]
 
     def as_dict(self) -> dict[str, str]:
         """Return the set fields, for ``--json``."""
@@ -71,6 +75,10 @@ class DtwinError(Exception):
         lines = [f"error[{self.code}]: {self.message}"]
         labels = {"where": "at", "got": "got", "meant": "did you mean", "allowed": "allowed", "hint": "try"}
         fields = self.as_dict()
+        names = self._names()
+        if len(names) > _MOST_NAMES:
+            nearest = get_close_matches(self.got or "", names, n=_NEAREST, cutoff=0.0)
+            fields["allowed"] = f"{', '.join(nearest)} and {len(names) - len(nearest)} more"
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
         return "\n".join(lines)
 

@@ -137,7 +137,10 @@ def runs(
     from dtwin.config import home
     from dtwin.lake.store import Lake
 
-    rows = Lake(home().lake).runs(campaign, left_out=True)
+    lake = Lake(home().lake)
+    rows = lake.runs(campaign, left_out=True)
+    if campaign is not None and not rows:
+        lake.campaign(campaign)  # Refused, with the names that there are.
     shown = (
         "campaign",
         "run_id",

@@ -44,6 +44,8 @@ def machine_joint(
         When fewer than two tests can be compared, or one is of another machine.
     """
     lake, names = Lake(home.lake), [in_lake(home, name) for name in campaigns]
+    for name in names:
+        lake.campaign(name)
     rows = [row for name in names for row in lake.runs(name, left_out=True)]
     chosen = (
         _stated(rows, machine, names) if names else newest_tests(lake.runs(left_out=True, machine=machine), machine)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -96,15 +97,22 @@ def _read(name: str, text: str, usual: Any) -> Any:
         ) from None
 
 
-def foretold(home: Home, document: Mapping[str, Any], library: Mapping[str, Effect]) -> dict[str, Any]:
+def foretold(
+    home: Home, document: Mapping[str, Any], library: Mapping[str, Effect], longest_s: float = math.inf
+) -> dict[str, Any]:
     """Return how long a planned test takes, what it would show, and what it could not tell apart, JSON-ready.
+
+    Parameters
+    ----------
+    longest_s : float
+        What a test of more measuring would show is not computed: time and memory grow with its runs.
 
     Returns
     -------
     dict
         ``name``, ``machine``, ``kind``; ``minutes`` and ``mounting_minutes``; ``lines``; ``findings``; ``noise_um``;
         ``detectable``: effects with the smallest size that is detected with a power of 80 %, null when it is not visible;
-        ``alike``: groups of effects that it could not tell apart; both null where the kind cannot tell;
+        ``alike``: groups of effects that it could not tell apart; both null where the kind cannot tell, or the test is too long;
         ``virtual``: the virtual machine that can be measured at once, else empty.
 
     Raises
@@ -114,7 +122,7 @@ def foretold(home: Home, document: Mapping[str, Any], library: Mapping[str, Effe
     """
     planned = planned_document(document, str(document.get("plan", {}).get("name", "the plan")))
     kind = kind_named(planned.kind)
-    obs = kind.foreseen(planned) if kind.offers("foreseen") else None
+    obs = kind.foreseen(planned) if kind.offers("foreseen") and planned.duration_s <= longest_s else None
     shown = [] if obs is None else detectable(obs, library, noise_um=planned.noise_um)
     virtual = virtual_machine(home, str(planned.summary["machine"]), kind)
     return {

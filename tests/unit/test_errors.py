@@ -16,3 +16,12 @@ def test_nothing_is_guessed_where_no_name_is_near_or_no_names_are_listed() -> No
     assert InputError("no such effect", got="flux", allowed="backlash, squareness").meant is None
     assert InputError("not a number", got="abov 0", allowed="above 0").meant is None
     assert "meant" not in InputError("broken", got="x").as_dict()
+
+
+def test_of_very_many_names_a_terminal_shows_the_nearest() -> None:
+    names = [f"c{number:04d}" for number in range(1000)]
+    error = InputError("no such campaign", got="c05000", allowed=", ".join(names))
+    (told,) = [line for line in error.render().splitlines() if line.startswith("  allowed: ")]
+    assert told.endswith(" and 988 more")
+    assert {"c0500", "c5000"} & set(told.removeprefix("  allowed: ").split(" and ")[0].split(", "))
+    assert error.as_dict()["allowed"] == ", ".join(names)

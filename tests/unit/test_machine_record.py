@@ -193,6 +193,10 @@ def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> No
     (shared,) = [s for s in told["shared"] if s["cause"] == "backlash"]
     assert shared["value"] == pytest.approx(4.0, abs=0.5)
     assert any(line.startswith("Backlash X: ") and "2 tests that agree" in line for line in told["lines"])
+    for words in (("machine", "diagnose", "mill-7", "--campaign", "t0"), ("runs", "t0")):
+        slip = CliRunner().invoke(app, list(words))
+        assert isinstance(slip.exception, InputError)
+        assert (slip.exception.code, slip.exception.meant) == ("campaign.unknown", "t00")
     other = write_laser(tmp_path / "elsewhere", "mill-8", "X", 0.0, 4.0)
     ingest(other, Lake(home.lake))
     refused = CliRunner().invoke(app, ["machine", "diagnose", "mill-7", "--campaign", "t00", "--campaign", "elsewhere"])

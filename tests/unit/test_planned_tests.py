@@ -111,6 +111,13 @@ def test_settings_decide_what_becomes_visible_and_what_looks_alike(home: Home) -
     assert not any({"scale_mismatch XY", "inertial_compliance"} <= set(group) for group in several["alike"])
 
 
+def test_what_takes_days_is_not_computed_by_a_page(home: Home) -> None:
+    page = browser(home).get("/machines/mill-7/plan?radius_mm=50,100,150&feed_mm_min=100&repeats=900").text
+    assert "is not computed here" in page
+    assert "What becomes visible" not in page
+    assert "What becomes visible" in browser(home).get("/machines/mill-7/plan?radius_mm=50").text
+
+
 def test_a_real_machine_waits_and_is_compared_when_its_campaign_comes(home: Home, tmp_path: Path) -> None:
     first, second, third = write_tests(tmp_path / "made", 3, lambda test: 2.0 if test < 2 else 9.0, steady(3.0))
     ingest(first, Lake(home.lake))
