@@ -16,6 +16,8 @@ from dtwin.config import Home, home
 from flows.reach import auth_string, running_server
 
 _DELIVER_S = 15.0
+# For its own server, on cores that are busy: Prefect's 20 s were not enough.
+_START_S = 180
 
 
 def run(flow: Flow[..., Any], **parameters: Any) -> Any:
@@ -50,7 +52,7 @@ def runtime(state: Home) -> Iterator[str | None]:
         Where ``dtwin up`` says what is running.
     """
     url = running_server(state)
-    updates: dict[str, Any] = {"flows.heartbeat_frequency": None}
+    updates: dict[str, Any] = {"flows.heartbeat_frequency": None, "server.ephemeral.startup_timeout_seconds": _START_S}
     if url is not None:
         updates["api.url"] = url
         if not os.environ.get("PREFECT_API_URL"):

@@ -61,7 +61,7 @@ def measure(
     such test of the machine.
     """
     from dtwin.config import home
-    from dtwin.pipeline.planned_tests import keep_plan, kept_plans, measured_by
+    from dtwin.pipeline.planned_tests import free_name, keep_plan, kept_plans, measured_by, write_plan
     from dtwin.plan_file import planned_document, read_plan_file
 
     if file is None:
@@ -79,23 +79,22 @@ def measure(
             allowed=name,
         )
     how = measured_by(home(), document)
-    kept = keep_plan(home(), document)
     if how is None:
+        kept = keep_plan(home(), document)
         emit({"plan": kept, "waits": True}, lambda: _waits_text(kept, planned.kind), as_json=as_json)
         return
     from flows._runtime import delivered
     from flows._runtime import run as run_flow
     from flows.simulate import simulate_flow
 
+    kept = free_name(home(), planned)
     machine, options, fresh = how
     with delivered():
         done = run_flow(
-            simulate_flow,
-            plan_file=home().plans / f"{kept}.toml",
-            machine=machine,
-            options=options,
-            seed=fresh if seed is None else seed,
+            simulate_flow, plan_file=file, machine=machine, options=options, seed=fresh if seed is None else seed
         )
+    # Not before it was measured: a plan that is kept waits for somebody.
+    write_plan(home(), document)
     emit({"plan": kept, "waits": False, **done}, lambda: _changes_text(home(), kept), as_json=as_json)
 
 

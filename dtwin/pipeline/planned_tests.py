@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -210,24 +211,38 @@ def keep_plan(home: Home, document: Mapping[str, Any]) -> str:
     InputError
         When it breaks a rule, or its name is taken.
     """
-    planned = planned_document(document, "the plan")
+    name = free_name(home, planned_document(document, "the plan"))
+    write_plan(home, document)
+    return name
+
+
+def free_name(home: Home, planned: Planned) -> str:
+    """Return the name of a plan, which no other one and no campaign may have."""
     name = require_name(str(planned.summary["name"]), "plan.name")
-    path = home.plans / f"{name}.toml"
-    if path.exists() or name in Lake(home.lake).campaigns():
+    if _place(home, name).exists() or name in Lake(home.lake).campaigns():
         raise InputError(
             "a plan or a campaign of this name is there already",
             code="plan.name",
             got=name,
             hint="give it another name",
         )
+    return name
+
+
+def write_plan(home: Home, document: Mapping[str, Any]) -> None:
+    """Write the file of a plan whose rules and name were checked."""
+    path = _place(home, str(document["plan"]["name"]))
     make_folder(path.parent)
     write_text(path, tomli_w.dumps(dict(document)), "the plan")
-    return name
+
+
+def _place(home: Home, name: str) -> Path:
+    return home.plans / f"{require_name(name, 'the plan')}.toml"
 
 
 def drop_plan(home: Home, name: str) -> None:
     """Take a plan back; the campaign that answered it stays."""
-    path = home.plans / f"{require_name(name, 'the plan')}.toml"
+    path = _place(home, name)
     if not path.exists():
         raise InputError("no such plan", code="plan.unknown", got=name, allowed=_names(home))
     path.unlink()
@@ -235,7 +250,7 @@ def drop_plan(home: Home, name: str) -> None:
 
 def kept_plan(home: Home, name: str) -> dict[str, Any]:
     """Return a plan that was kept, as TOML is read."""
-    path = home.plans / f"{require_name(name, 'the plan')}.toml"
+    path = _place(home, name)
     if not path.exists():
         raise InputError("no such plan", code="plan.unknown", got=name, allowed=_names(home))
     return read_plan_file(path)
