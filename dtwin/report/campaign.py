@@ -247,6 +247,7 @@ _LEFT_OUT = {
     "amplitude_um": "amplitude",
     "run": "run",
     "hours": "span of hours",
+    "stretches": "stretch of time",
 }
 _FIGURES = (
     ("centre along first axis, µm", "centre_a_um", "centre_a_um"),

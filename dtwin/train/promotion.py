@@ -248,7 +248,7 @@ def _against(kept: Sequence[Record], despite: Sequence[str]) -> list[Verdict]:
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
     """Keep what the serving host must know; only robots have a chain and a tool to know of."""
     known = machine_of_type(geometry.get("type"))
-    if known is None or known.robot:
+    if known.robot if known else "tcp_mm" in geometry:
         write_machine(machine, home, dict(geometry))
 
 

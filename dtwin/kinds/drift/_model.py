@@ -194,6 +194,13 @@ def _next(series: Series, now: Fitted) -> Step | None:
     return Step(fitted(series, terms), said, _share(before, left), p)
 
 
+def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
+    """Return what is left of each reading by terms that were fitted without its block, shape (n,)."""
+    x = _design(series, terms)
+    values, _ = _without_each(series, terms)
+    return np.asarray(series.moved_um - (x * values[series.block]).sum(axis=1))
+
+
 def _held_out(series: Series, terms: Sequence[Term]) -> Floats:
     """Return the squares that are left in each block when it was held out, µm²."""
     return _without_each(series, terms)[1]

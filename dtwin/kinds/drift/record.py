@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.kinds.kind import FileReader, Kind
@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Finding, Run
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
+    from dtwin.train.results import Training
 
 
 class _Drift(Kind):
@@ -57,6 +60,21 @@ class _Drift(Kind):
         from dtwin.kinds.drift._sheet import variation
 
         return variation(runs, campaign)
+
+    def training(self) -> Callable[..., Training]:
+        from dtwin.kinds.drift._training import train_drift
+
+        return train_drift
+
+    def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        from dtwin.kinds.drift._training import obstacle
+
+        return obstacle(rows)
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        from dtwin.kinds.drift._training import drift_gates
+
+        return drift_gates(bundle, metrics)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.drift._check import drift_figures

@@ -160,3 +160,11 @@ def test_the_serving_host_is_told_of_the_chain_of_robots_only(machine: VirtualMa
     promotion._write_machine("m", Home(tmp_path), geometry)
     folder = machine_folder("m", Home(tmp_path))
     assert folder.exists() == machine.robot
+
+
+def test_of_a_machine_of_an_unknown_type_a_tool_is_told_only_when_it_is_stated(tmp_path: Path) -> None:
+    promotion._write_machine("m", Home(tmp_path), {"type": "my mill"})
+    promotion._write_machine("m", Home(tmp_path), {})
+    assert not machine_folder("m", Home(tmp_path)).exists()
+    with pytest.raises(InputError):
+        promotion._write_machine("m", Home(tmp_path), {"type": "toaster", "tcp_mm": [0.0, 0.0, 1.0]})
