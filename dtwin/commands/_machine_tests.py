@@ -110,10 +110,11 @@ def changes(
 ) -> None:
     """Compare the figures of two tests of a machine: changed, not changed, or cannot be said."""
     from dtwin.config import home
-    from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+    from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 
-    chosen = campaign or newest_with_sheet(home(), name)
-    found = sheet_changes(home(), chosen, earlier or "", machine=name)
+    if campaign is None and earlier is not None:
+        raise InputError("with which test?", code="changes.campaign", got=f"--with {earlier}", hint="--campaign NAME")
+    found = last_changes(home(), name) if campaign is None else sheet_changes(home(), campaign, earlier or "", name)
     emit(found, lambda: _table_text(found), as_json=as_json)
 
 

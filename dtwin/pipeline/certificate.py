@@ -18,6 +18,9 @@ from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.certificate import LANGUAGES, certificate_page
 from dtwin.report.uncertainty import Variation
 
+# So many earlier tests are looked at for a figure in common, the newest first.
+_LOOKED_AT = 12
+
 
 def certificate(home: Home, campaign: str, language: str = "en") -> str:
     """Return the certificate of a campaign as one HTML page.
@@ -44,7 +47,7 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
     record = read_record(home, known.machine) or MachineRecord(known.machine)
     told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
-    earlier = earlier_test(home, every, mine, variation)
+    earlier = earlier_test(home, every, mine, sheet, variation)
     return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
 
 
@@ -74,23 +77,36 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
 
 
 def earlier_test(
-    home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mapping[str, Any]], variation: Variation | None
+    home: Home,
+    rows: Sequence[Mapping[str, Any]],
+    mine: Sequence[Mapping[str, Any]],
+    sheet: Mapping[str, Any],
+    variation: Variation | None,
 ) -> dict[str, Any] | None:
-    """Return name and sheet of the last test of the same kind and machine before this one."""
-    dated = [row for row in rows if row["started"] and row["kind"] == mine[0]["kind"]]
-    first = min((when(row) for row in mine if row["started"]), default=("", "", ""))
-    same = [
-        row
-        for row in dated
-        if row["machine"] == mine[0]["machine"] and row["campaign"] != mine[0]["campaign"] and when(row) < first
-    ]
-    if not same:
-        return None
-    name = max(same, key=when)["campaign"]
-    stamp = stamp_of([row for row in rows if row["campaign"] == name])
-    return {"campaign": name, "sheet": sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)}
+    """Return name and sheet of the last test of the same kind and machine before this one with a figure in common.
+
+    ``rows``: of all runs of the machine; ``mine``: those of the test, whose ``sheet`` this is.
+    """
+    with_day = any(row["started"] for row in mine)
+    first = min(when(row) for row in mine if bool(row["started"]) == with_day)
+    begun: dict[str, tuple[str, str, str]] = {}
+    for row in rows:
+        alike = (row["machine"], row["kind"]) == (mine[0]["machine"], mine[0]["kind"])
+        if alike and bool(row["started"]) == with_day and row["campaign"] != mine[0]["campaign"] and when(row) < first:
+            begun[row["campaign"]] = max(begun.get(row["campaign"], when(row)), when(row))
+    figures = _figures(sheet)
+    for name in sorted(begun, key=lambda name: begun[name], reverse=True)[:_LOOKED_AT]:
+        stamp = stamp_of([row for row in rows if row["campaign"] == name])
+        found = sheet_of_campaign(home, name, mine[0]["machine"], stamp, variation)
+        if figures & _figures(found):
+            return {"campaign": name, "sheet": found}
+    return None
+
+
+def _figures(sheet: Mapping[str, Any]) -> set[tuple[str, str]]:
+    return {(part["title"], c["symbol"]) for part in sheet["parts"] for c in part["characteristics"]}
 
 
 def when(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return what orders runs in time: of tests that state the same, as virtual machines do, the one that came in first is earlier."""
+    """Return what orders runs in time: of tests that state the same start, or none, the one that came in first is earlier."""
     return str(row["started"] or ""), str(row["ingested"]), str(row["campaign"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from statistics import NormalDist
 from typing import Any
 
@@ -19,32 +20,37 @@ from dtwin.pipeline.machine_history import record_of
 
 CHANGED, SAME, OPEN = "changed", "not changed", "cannot be said"
 _FALSE_ALARMS = 0.05
+_LOOKED_AT = 12
 _COVERAGE_FACTOR = 2.0
 
 
-def newest_with_sheet(home: Home, machine: str) -> str:
-    """Return the newest campaign of a machine that has a test sheet and an earlier one of its kind.
+def last_changes(home: Home, machine: str) -> dict[str, Any]:
+    """Return what changed in the newest test of a machine that can be compared with an earlier one.
 
-    Raises ``InputError`` when there is none.
+    Raises
+    ------
+    InputError
+        When the machine is not known, or no test of it has an earlier one with a figure in common.
     """
     rows = [row for row in Lake(home.lake).runs(machine=machine) if kind_named(row["kind"]).offers("sheet")]
     record_of(home, machine, rows)
     begun: dict[str, tuple[str, str, str]] = {}
-    kinds: dict[str, str] = {}
     for row in rows:
         begun[row["campaign"]] = min(begun.get(row["campaign"], when(row)), when(row))
-        kinds[row["campaign"]] = row["kind"]
-    number = Counter(kinds.values())
-    again = [name for name in begun if number[kinds[name]] > 1]
-    if not again:
-        raise InputError(
-            "there are not two tests of one kind with figures",
-            code="changes.first",
-            where=machine,
-            got=", ".join(begun) or "none",
-            hint=f"dtwin machine show {machine}",
-        )
-    return max(again, key=lambda name: begun[name])
+    for name in sorted(begun, key=lambda name: begun[name], reverse=True)[:_LOOKED_AT]:
+        with suppress(_First):
+            return sheet_changes(home, name)
+    raise _First(
+        "there are not two tests with a figure in common",
+        code="changes.first",
+        where=machine,
+        got=", ".join(list(begun)[:6]) or "none",
+        hint=f"dtwin machine show {machine}",
+    )
+
+
+class _First(InputError):
+    """No earlier test can be compared with."""
 
 
 def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "") -> dict[str, Any]:
@@ -105,10 +111,10 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
             )
         before: dict[str, Any] = {"campaign": earlier, "sheet": sheet(earlier)}
     else:
-        found = earlier_test(home, every, mine, variation)
+        found = earlier_test(home, every, mine, sheet(campaign), variation)
         if found is None:
-            raise InputError(
-                "there is no earlier test of this kind",
+            raise _First(
+                "there is no earlier test with a figure in common",
                 code="changes.first",
                 where=campaign,
                 got=f"{known.kind} of {known.machine}",

@@ -30,7 +30,7 @@ from dtwin.pipeline.planned_tests import (
     measured_by,
     with_settings,
 )
-from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import change_table, changes_text, changes_title
 from dtwin.report.joint import title_of
@@ -140,8 +140,8 @@ def take_back(request: Request, name: str, plan: str) -> JSONResponse:
 def changes_page(request: Request, name: str, campaign: str = "") -> Response:
     """Show the figures of a test beside those of another one of its kind."""
     bench = bench_of(request)
-    chosen = campaign or newest_with_sheet(bench.home, name)
-    found = sheet_changes(bench.home, chosen, request.query_params.get("with", ""), machine=name)
+    other = request.query_params.get("with", "")
+    found = sheet_changes(bench.home, campaign, other, name) if campaign else last_changes(bench.home, name)
     same = [one.name for one in bench.campaigns() if (one.machine, one.kind) == (name, found["kind"])]
     return rendered(
         request,

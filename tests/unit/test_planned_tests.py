@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from laser_axis import write_laser
 from machine_years import steady, write_tests
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
@@ -28,7 +29,7 @@ from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
 from dtwin.pipeline.planned_tests import draft_of, drafting_kinds, foretold, keep_plan, kept_plans, with_settings
-from dtwin.pipeline.sheet_changes import newest_with_sheet, sheet_changes
+from dtwin.pipeline.sheet_changes import last_changes
 from dtwin.plan_file import planned_document
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
@@ -174,13 +175,25 @@ def test_what_was_assumed_claims_no_change(home: Home, tmp_path: Path) -> None:
         text = (folder / "campaign.toml").read_text()
         (folder / "campaign.toml").write_text(text.replace('"mill-backlash"', f'"mill-{seed}"'))
         ingest(folder, Lake(home.lake))
-    found = sheet_changes(home, newest_with_sheet(home, "virtual-mill"))
+    found = last_changes(home, "virtual-mill")
     assert (found["campaign"], found["earlier"]) == ("mill-1", "mill-0")
     assert "changed" not in found["counts"]
     assert found["counts"]["not changed"] > 0
     moved = max(found["figures"], key=lambda one: abs(one["difference_um"]))
     assert abs(moved["difference_um"]) > 5.0, "the zero of the bar did not move: the test shows nothing"
     assert moved["said"] == "cannot be said"
+
+
+def test_a_test_is_compared_with_the_last_one_of_the_same_axis(home: Home, tmp_path: Path) -> None:
+    for name, axis, lead in (("x-1", "X", 10.0), ("y-1", "Y", 10.0), ("x-2", "X", 60.0), ("z-1", "Z", 0.0)):
+        ingest(write_laser(tmp_path / name, "mill-7", axis, lead, 4.0), Lake(home.lake))
+    found = said("machine", "changes", "mill-7")
+    assert (found["campaign"], found["earlier"]) == ("x-2", "x-1")
+    error = {one["symbol"]: one for one in found["figures"]}["E"]
+    assert error["difference_um"] == pytest.approx(0.05 * 380.0, rel=0.1)
+    alone = CliRunner().invoke(app, ["machine", "changes", "mill-7", "--campaign", "z-1"])
+    assert isinstance(alone.exception, InputError)
+    assert alone.exception.code == "changes.first"
 
 
 def test_what_cannot_be_compared_is_refused(home: Home, tmp_path: Path) -> None:

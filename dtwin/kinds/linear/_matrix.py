@@ -37,7 +37,7 @@ def linear_test(runs: Sequence[Run]) -> LinearTest:
     everywhere = set.intersection(*(set(c) for c in columns))
     anywhere = set.union(*(set(c) for c in columns))
     targets = sorted(everywhere)
-    matrix = np.array([[c[t] for c in columns] for t in targets]).reshape(len(targets), -1)
+    matrix = np.array([[c[t] for c in columns] for t in targets]).reshape(len(targets), len(columns))
     pitch = runs[0].meta.condition.get("screw_pitch_mm")
     return LinearTest(
         position_mm=np.array(targets, dtype=float) * TARGET_MM,

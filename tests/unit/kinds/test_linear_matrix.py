@@ -1,0 +1,31 @@
+"""Readings of a positioning test in matrices, also where the laser missed most of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.kinds.linear._matrix import linear_test
+from dtwin.kinds.registry import kind_named
+from dtwin.schema import Run, RunMeta
+
+
+def swept(number: int, forward: list[float], reverse: list[float]) -> Run:
+    ways = ["forward"] * len(forward) + ["reverse"] * len(reverse)
+    at = np.array([*forward, *reverse])
+    samples = {"t_s": np.arange(at.size, dtype=float), "position_mm": at, "error_um": 0.1 * at}
+    meta = RunMeta(f"r{number}", kind="linear", condition={"axis": "X"}, repeat=number)
+    return Run(meta, {**samples, "direction": np.array(ways, dtype=object)})
+
+
+def test_targets_that_every_run_read_both_ways_are_kept() -> None:
+    found = linear_test([swept(1, [5.0, 24.0, 43.0], [43.0, 24.0, 5.0]), swept(2, [5.0, 43.0], [43.0, 5.0])])
+    assert found.position_mm.tolist() == [5.0, 43.0]
+    assert found.forward_um.shape == found.reverse_um.shape == (2, 2)
+    assert found.left_out == 1
+
+
+def test_runs_with_no_target_in_common_are_judged_without_an_exception() -> None:
+    runs = [swept(1, [5.0, 24.0], [43.0]), swept(2, [62.0], [5.0])]
+    found = linear_test(runs)
+    assert (found.position_mm.size, found.forward_um.shape, found.left_out) == (0, (0, 2), 4)
+    assert isinstance(kind_named("linear").judge_campaign(runs), list)
