@@ -24,6 +24,8 @@ _SIMPLER_P = 0.01
 # At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it.
 _ALIKE_AT_ONE_SPEED = {"reversal_spike", "reversal_ringing", "structural_resonance"}
 _AS_GOOD = 0.9
+# What explains so much of the same where laws hold is not ruled out where they do not.
+_NO_LESS = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +69,8 @@ def described(
 ) -> tuple[Found, ...]:
     """Return effects with their rivals, the one that explains most first.
 
-    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival must
-    not be ruled out there either.
+    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival that explains
+    less must not be ruled out there either.
     """
     out = []
     beyond = misfit(candidates.given(problem, terms))
@@ -88,7 +90,11 @@ def described(
         if whole is not problem:
             beside = everywhere.given(whole, others)
             group = group[:1] + tuple(
-                c for c in group[1:] if c.term.label in absorbed or _adds_nothing(beside, top, c, everywhere, rough)
+                c
+                for c in group[1:]
+                if c.term.label in absorbed
+                or c.score.gain > _NO_LESS * top.score.gain
+                or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
@@ -136,9 +142,11 @@ def _group(
     group, hidden = [top], set()
     beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
     for found in sorted(tested, key=lambda c: -c.score.gain):
-        if found.score.gain < _GROUP_GAIN * top.score.gain:
+        if found.score.gain < _NEAR * top.score.gain:
             continue
         other = refined_candidate(problem, candidates, found, level)
+        if other.score.gain < _GROUP_GAIN * top.score.gain:
+            continue
         invisible = not candidates.visible(beside, other.term).shape[1]
         if in_part and invisible and _numbers(other.term) < _numbers(top.term):
             hidden.add(other.term.label)

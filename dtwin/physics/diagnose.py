@@ -116,7 +116,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
 
 def _has_laws(obs: Observations) -> bool:
     """Tell whether what is unknown can be told by how it scales: circles at several speeds."""
-    return obs.grid.kind == "circular" and obs.several_speeds
+    return bool(obs.planes) and obs.several_speeds
 
 
 def _searched(
