@@ -31,6 +31,7 @@ from dtwin.physics._trust import sum_um, trusted
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
+from dtwin.physics.learned import can_learn
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
@@ -116,7 +117,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
 
 def _has_laws(obs: Observations) -> bool:
     """Tell whether what is unknown can be told by how it scales: circles at several speeds."""
-    return bool(obs.planes) and obs.several_speeds
+    return can_learn(obs.grid.kind) and obs.several_speeds
 
 
 def _searched(

@@ -92,6 +92,11 @@ def learned_effect(name: str) -> Effect:
     )
 
 
+def can_learn(kind: str) -> bool:
+    """Tell whether laws can be learned in campaigns of a kind."""
+    return kind in learned_effect(f"{PREFIX}even_h0_f0_r0").kinds
+
+
 def _coded(exponent: float) -> str:
     return f"{exponent:g}".replace("-", "m").replace(".", "p")
 
