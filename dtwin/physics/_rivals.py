@@ -22,9 +22,9 @@ _GROUP_P = 0.05
 # The shape of the top effect was chosen among many: what has fewer numbers is not ruled out so soon.
 _SIMPLER_P = 0.01
 # At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it.
-_ALIKE_AT_ONE_SPEED = {"reversal_spike", "reversal_ringing", "structural_resonance"}
+_AFTER_A_REVERSAL = {"reversal_spike", "reversal_ringing", "structural_resonance"}
 _AS_GOOD = 0.9
-# What explains so much of the same where laws hold is not ruled out where they do not.
+# So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
 
 
@@ -69,8 +69,8 @@ def described(
 ) -> tuple[Found, ...]:
     """Return effects with their rivals, the one that explains most first.
 
-    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival that explains
-    less must not be ruled out there either.
+    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival must
+    not be ruled out there either, unless both are what follows a reversal: there laws are least exact.
     """
     out = []
     beyond = misfit(candidates.given(problem, terms))
@@ -93,7 +93,7 @@ def described(
                 c
                 for c in group[1:]
                 if c.term.label in absorbed
-                or c.score.gain > _NO_LESS * top.score.gain
+                or (_is_like(top, c) and c.score.gain > _NO_LESS * top.score.gain)
                 or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
@@ -161,10 +161,14 @@ def _as_good(problem: Problem, top: Candidate, other: Candidate) -> bool:
 
     Of two that are known to look alike at one speed, the one whose law is nearer need not be the cause.
     """
-    alike = {top.term.instance.effect.name, other.term.instance.effect.name} <= _ALIKE_AT_ONE_SPEED
-    same = top.term.instance.axis == other.term.instance.axis
     enough = other.score.gain > _AS_GOOD * top.score.gain
-    return alike and same and enough and not problem.obs.several_speeds
+    return _is_like(top, other) and enough and not problem.obs.several_speeds
+
+
+def _is_like(top: Candidate, other: Candidate) -> bool:
+    """Tell whether two effects are what follows a reversal of one axis."""
+    first, second = top.term.instance, other.term.instance
+    return {first.effect.name, second.effect.name} <= _AFTER_A_REVERSAL and first.axis == second.axis
 
 
 def _numbers(term: Term) -> int:
