@@ -54,6 +54,7 @@ laser_dwell_s = 4
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
 
+@pytest.mark.long
 def test_the_page_is_followed(tmp_path: Path) -> None:
     said = follow(blocks(page("docs/how-to/lathe.md")), tmp_path, here)
     shown = next(text for command, text in said if "compensate" in command)

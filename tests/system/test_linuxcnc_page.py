@@ -12,6 +12,7 @@ from shown_commands import blocks, follow, page
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 
+@pytest.mark.long
 def test_the_page_is_followed(tmp_path: Path) -> None:
     skip_without_linuxcnc()
     said = follow(blocks(page("docs/how-to/linuxcnc.md")), tmp_path)

@@ -45,6 +45,7 @@ def test_the_front_page_shows_what_the_command_writes(workbench: ModuleType) -> 
         assert size_of(file)[0] == workbench._WIDTH
 
 
+@pytest.mark.long
 def test_pages_are_photographed(workbench: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CHROMIUM", str(require_program("chromium", "chromium")))
     home = Home(tmp_path / "home")

@@ -59,6 +59,7 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     assert (tmp_path / "surfaces.html").stat().st_size > 100_000
 
 
+@pytest.mark.long
 def test_tones_are_trained_promoted_and_tried_like_circles(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -391,6 +391,7 @@ def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:
     assert floor == pytest.approx(third.figures["noise_floor_um"])
 
 
+@pytest.mark.long
 def test_a_formula_is_learned_where_nothing_in_the_library_helps(home: Home, tmp_path: Path) -> None:
     load(home, str(write_campaign(tmp_path / "odd", "strange", name="strange-mill", machine="mill-c")))
     twins = Twins(home)

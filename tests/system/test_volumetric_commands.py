@@ -37,6 +37,7 @@ from dtwin.train.registry import Registry
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 
+@pytest.mark.long
 def test_the_page_is_followed(tmp_path: Path) -> None:
     said = follow(blocks(page("docs/how-to/volumetric-heat.md")), tmp_path, here)
     fitted, told = (text for command, text in said if "volumetric fit" in command)
@@ -120,6 +121,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
             CliRunner().invoke(app, words, catch_exceptions=False)
 
 
+@pytest.mark.long
 def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
