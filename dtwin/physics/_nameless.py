@@ -25,8 +25,9 @@ def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term])
     ``believed``: effects that were found without laws; they stay in the set.
     """
     laws = _laws(candidates)
-    plain = [Term(i) for i in candidates.instances if not i.effect.shapes]
-    made = orthonormal(_unit(np.concatenate([candidates.whitened(problem, t) for t in plain], axis=1)))
+    plain = [candidates.whitened(problem, Term(i)) for i in candidates.instances if not i.effect.shapes]
+    # A twin may know all of them already.
+    made = orthonormal(_unit(np.concatenate([np.empty((problem.y.size, 0)), *plain], axis=1)))
     offered = []
     for law in laws:
         columns = _unit(candidates.whitened(problem, law))

@@ -11,11 +11,14 @@ from dtwin.acquire.virtual_mill import standard_tests
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
+from dtwin.physics._nameless import nameless
+from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
+from dtwin.physics.problem import set_up
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Floats, Run
 
@@ -301,3 +304,15 @@ def test_a_delay_that_is_not_the_same_in_both_set_ups_is_no_delay() -> None:
     does = 20.0 * obs.regressors(term.instance, {})[:, :, 0] * (obs.setup_of == 1)[:, None]
     turned = diagnose(replace(obs, y_um=obs.y_um - 2.0 * does), [], LIBRARY)
     assert "measurement_delay" not in {s.label for group in turned.found for s in group}
+
+
+def test_a_law_without_a_name_is_found_though_the_twin_knows_every_effect_without_a_shape() -> None:
+    def lobe(moment: Moment) -> Floats:
+        return np.asarray(3.0 * np.cos(7 * moment.angle_rad))
+
+    obs = observed(measured(VirtualMill(SOUND, seed=3, disturbance=lobe)))
+    tried, _ = applicable(LIBRARY, obs, ())
+    known = chosen_terms(KNOWN, LIBRARY, obs)
+    shaped = [instance for instance in tried if instance.effect.name == "reversal_ringing"]
+    (law,) = nameless(set_up(obs, known, ()), Candidates(obs, shaped), ())
+    assert law.label == "learned_even_h7_f0_r0"
