@@ -173,7 +173,6 @@ def test_the_registry_entry_reads_well(demo: tuple[Home, dict[str, Any]]) -> Non
     } <= kept
 
 
-@pytest.mark.long
 def test_a_second_training_on_the_same_tables_gives_the_same_equation(demo: tuple[Home, dict[str, Any]]) -> None:
     home = demo[0]
     registry = Registry(home)
