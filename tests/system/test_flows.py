@@ -51,7 +51,6 @@ def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:
     return list(json.loads(artifact["data"]))
 
 
-@pytest.mark.long
 def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
     def skipped() -> list[dict[str, Any]]:
         return [
