@@ -47,6 +47,7 @@ class Dictionary:
         self._room, self._room_gram = np.empty((0, len(self._residual))), np.empty((0, 0))
         self._right = np.empty(0)
         self._sizes: list[tuple[_Index, _Index, Floats]] | None = None
+        self._numbers: dict[str, list[int]] = {}
         grids = [Term(instance, shape) for instance in candidates.instances for shape in candidates.grid(instance)]
         self.add(grids)
 
@@ -71,9 +72,15 @@ class Dictionary:
         ]
         if new:
             self._append(rows[seen])
+            for at, entry in enumerate(new, start=len(self.entries)):
+                self._numbers.setdefault(entry.label, []).append(at)
             self.entries += new
             self._sizes = None
         return new
+
+    def numbers_of(self, labels: Iterable[str]) -> list[int]:
+        """Return the numbers of the entries with these labels, in whatever shape."""
+        return [number for label in labels for number in self._numbers.get(label, ())]
 
     def _append(self, added: Floats) -> None:
         now, then = len(self._right), len(self._right) + len(added)

@@ -112,6 +112,7 @@ class Hunt:
         self._per_number = level * float(np.log(runs))
         self._per_effect = 2.0 * level * float(np.log(max(2, len(candidates.instances))))
         self._noise = level * float(problem.obs.mask.sum())
+        self._prices: list[float] = []
 
     def left(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set leaves."""
@@ -144,17 +145,15 @@ class Hunt:
 
     def _best(self, chosen: Sequence[Entry]) -> tuple[Entry, float] | None:
         """Return the entry that would lower the cost most beside a set, and its gain."""
-        have = {entry.label for entry in chosen}
+        entries = self.dictionary.entries
+        self._prices += [self._price(entry) for entry in entries[len(self._prices) :]]
         gains = self.dictionary.gains(chosen)
-        free = [
-            (float(gain) - self._price(entry), number)
-            for number, (gain, entry) in enumerate(zip(gains, self.dictionary.entries, strict=True))
-            if entry.label not in have
-        ]
-        if not free:
+        worth = gains - np.array(self._prices)
+        worth[self.dictionary.numbers_of({entry.label for entry in chosen})] = -np.inf
+        if not np.isfinite(worth).any():
             return None
-        number = max(free)[1]
-        return self.dictionary.entries[number], float(gains[number])
+        number = len(worth) - 1 - int(np.argmax(worth[::-1]))
+        return entries[number], float(gains[number])
 
     def _grown(self, chosen: list[Entry]) -> list[Entry]:
         while True:

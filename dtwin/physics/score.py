@@ -86,7 +86,8 @@ def score_test(
     summed = np.zeros((int(unit.max()) + 1, k))
     np.add.at(summed, unit, scores)
     variance = summed.T @ summed
-    dof = _satterthwaite(summed, unit, group, count, lost=k if within else 0)
+    power = (summed**2).sum(axis=1, keepdims=True)
+    dof = float(_satterthwaite(power, unit, group, count, lost=k if within else 0)[0])
     foretold = _foretold(problem, z)
     variance, dof = _moderated(variance, dof, foretold, level)
     if level.misfit is not None and not within:
@@ -132,7 +133,8 @@ def _of_few(problem: Problem, visible: Floats, residual: Floats, level: NoiseLev
         scores = np.zeros((runs, k))
         np.add.at(scores, obs.run_of, np.einsum("nqk,nq->nk", by_row, deviation))
         variance = scores.T @ scores
-        dof = _satterthwaite(scores, obs.run_of, obs.condition_of, count, lost=0)
+        power = (scores**2).sum(axis=1, keepdims=True)
+        dof = float(_satterthwaite(power, obs.run_of, obs.condition_of, count, lost=0)[0])
         told = replace(level, prior_dof=level.prior_dof * (1.0 - smooth_share(problem, z)))
         variance, dof = _moderated(variance, dof, _foretold(problem, by_row), told)
     expected = float(np.trace(variance))
@@ -161,9 +163,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     usable = (found > 0) & (foretold > 0)
     if usable.sum() < 8:
         return NoiseLevel()
-    dofs = np.array(
-        [_satterthwaite(summed[:, [i]], obs.run_of, obs.condition_of, count, lost=0) for i in np.flatnonzero(usable)]
-    )
+    dofs = _satterthwaite(summed[:, usable] ** 2, obs.run_of, obs.condition_of, count, lost=0)
     logs = np.log(found[usable] / foretold[usable])
     bias = np.log(dofs / 2.0) - polygamma(0, dofs / 2.0)
     spread = float(np.var(logs, ddof=1) - np.mean(polygamma(1, dofs / 2.0)))
@@ -291,24 +291,19 @@ def _moderated(variance: Floats, dof: float, foretold: Floats, level: NoiseLevel
     return (dof * variance + level.prior_dof * level.ratio * foretold) / total, total
 
 
-def _satterthwaite(summed: Floats, unit: Indices, condition_of: Indices, count: Indices, lost: int) -> float:
-    """Effective degrees of freedom of a variance that differs between conditions.
+def _satterthwaite(power: Floats, unit: Indices, condition_of: Indices, count: Indices, lost: int) -> Floats:
+    """Effective degrees of freedom of variances that differ between conditions, shape (k,).
 
     A run that goes there and back is in two conditions, and is one unit all the same.
+    ``power``, (units, k): squares of what is summed over each unit.
     """
     first = np.full(int(unit.max()) + 1, condition_of.max())
     np.minimum.at(first, unit, condition_of)
-    condition_of = first[unit]
-    power: dict[int, float] = {}
-    units: dict[int, set[int]] = {}
-    size = (summed**2).sum(axis=1)
-    for row in np.flatnonzero(count > 1):
-        condition = int(condition_of[row])
-        units.setdefault(condition, set()).add(int(unit[row]))
-    for condition, members in units.items():
-        power[condition] = sum(float(size[u]) for u in members)
-    shares = np.array([(power[c], len(units[c]) - 1) for c in units if len(units[c]) > 1 and power[c] > 0.0])
-    if not len(shares):
-        return 0.0
-    dof = float(shares[:, 0].sum() ** 2 / (shares[:, 0] ** 2 / shares[:, 1]).sum())
-    return max(dof - lost, 0.0)
+    repeated = np.unique(unit[count > 1])
+    members = np.bincount(first[repeated])
+    shares = np.zeros((len(members), power.shape[1]))
+    np.add.at(shares, first[repeated], power[repeated])
+    shares, free = shares[members > 1], members[members > 1] - 1.0
+    total, squared = shares.sum(axis=0) ** 2, (shares**2 / free[:, None]).sum(axis=0)
+    dof = np.divide(total, squared, out=np.zeros_like(total), where=squared > 0.0)
+    return np.maximum(dof - lost, 0.0)
