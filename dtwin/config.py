@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dtwin.errors import InputError
+from dtwin.home_file import Bucket, HomeFile, read_home_file
 
 # Set before the libraries are imported; a user who wants telemetry sets them otherwise.
 _TELEMETRY_OFF = {
@@ -29,7 +30,13 @@ SETTINGS: dict[str, tuple[str, str]] = {
         "local",
         "where `dtwin fleet` and the flow `nightly` work: `local`, `dask://host:port`, `dask+tls://host:port`",
     ),
-    "MLFLOW_TRACKING_URI": ("a SQLite file in `DTWIN_HOME`", "where models are logged and registered"),
+    "AWS_ACCESS_KEY_ID": ("none", "with `AWS_SECRET_ACCESS_KEY`, the key of a shared store; other `AWS_...` as usual"),
+    "AWS_ENDPOINT_URL": ("Amazon's", "address of the shared store where `home.toml` names none"),
+    "PGPASSWORD": ("none, or `~/.pgpass`", "password of the databases that `home.toml` names"),
+    "MLFLOW_TRACKING_URI": (
+        "the registry of `home.toml`, else a SQLite file in `DTWIN_HOME`",
+        "where models are logged and registered",
+    ),
     "DTWIN_MLFLOW": (
         "later",
         "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
@@ -83,9 +90,15 @@ class Home:
         return self
 
     @property
-    def lake(self) -> Path:
-        """Delta tables."""
-        return self.root / "lake"
+    def file(self) -> HomeFile:
+        """What ``home.toml`` says of parts that are shared with other computers."""
+        return read_home_file(self.root)
+
+    @property
+    def lake(self) -> Path | Bucket:
+        """Delta tables: a folder here, or one of the shared store."""
+        bucket = self.file.bucket
+        return self.root / "lake" if bucket is None else bucket / "lake"
 
     @property
     def reduced(self) -> Path:
@@ -128,14 +141,22 @@ class Home:
         return self.root / "prefect"
 
     @property
-    def mlflow_artifacts(self) -> Path:
+    def mlflow_artifacts(self) -> Path | Bucket:
         """MLflow's artifacts when no server is configured."""
-        return self.root / "mlflow" / "artifacts"
+        file = self.file
+        shared = file.bucket if file.registry.startswith("postgresql:") else None
+        return self.root / "mlflow" / "artifacts" if shared is None else shared / "artifacts"
 
     @property
     def mlflow_uri(self) -> str:
-        """Tracking store: ``MLFLOW_TRACKING_URI``, by default a local SQLite file."""
-        return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow/mlflow.db"
+        """Tracking store: ``MLFLOW_TRACKING_URI``, else the registry of ``home.toml``, else a local SQLite file."""
+        shared = self.file.registry.replace("postgresql:", "postgresql+psycopg2:")
+        return os.environ.get("MLFLOW_TRACKING_URI") or shared or f"sqlite:///{self.root}/mlflow/mlflow.db"
+
+    @property
+    def prefect_database(self) -> str:
+        """Prefect's database where ``home.toml`` names one; empty for the local one."""
+        return self.file.flows.replace("postgresql:", "postgresql+asyncpg:")
 
     @property
     def engine(self) -> str:

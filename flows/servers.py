@@ -261,13 +261,17 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
         found.addresses["mlflow"] = home.mlflow_uri.rstrip("/")
         return
     port = _port(wanted, "--mlflow-port")
-    home.mlflow_artifacts.mkdir(parents=True, exist_ok=True)
+    artifacts = home.mlflow_artifacts
+    if isinstance(artifacts, Path):
+        artifacts.mkdir(parents=True, exist_ok=True)
     # At its defaults the server is fifteen processes and 2.4 GB.
     env = _environment(home) | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    if home.file.endpoint:
+        env["MLFLOW_S3_ENDPOINT_URL"] = home.file.endpoint
     command = [
         *(sys.executable, "-m", "mlflow", "server", "--host", HOST, "--port", str(port)),
         *("--workers", "1", "--backend-store-uri", home.mlflow_uri),
-        *("--artifacts-destination", str(home.mlflow_artifacts)),
+        *("--artifacts-destination", str(artifacts)),
     ]
     found.children.append(Child("MLflow", command, env, home.logs / "mlflow-server.log"))
     found.addresses["mlflow"] = f"http://{HOST}:{port}"
@@ -307,7 +311,12 @@ def _await_answers(found: Servers) -> None:
 
 def _environment(home: Home) -> dict[str, str]:
     kept = {k: v for k, v in os.environ.items() if k != "PREFECT_API_URL"}
-    return kept | {"DTWIN_HOME": str(home.root), "PREFECT_HOME": str(home.prefect)}
+    database = home.prefect_database
+    return (
+        kept
+        | {"DTWIN_HOME": str(home.root), "PREFECT_HOME": str(home.prefect)}
+        | ({"PREFECT_API_DATABASE_CONNECTION_URL": database} if database else {})
+    )
 
 
 def _write_addresses(home: Home, found: Servers) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import pyarrow as pa
 from blake3 import blake3
@@ -35,15 +34,15 @@ def content_hash(data: bytes | memoryview) -> str:
     return str(blake3(data).hexdigest())
 
 
-def added(entry: Path) -> Iterator[str]:
+def added(entry: str) -> Iterator[str]:
     """Yield the files that a log entry adds."""
-    for line in entry.read_text(encoding="utf-8").splitlines():
+    for line in entry.splitlines():
         action = json.loads(line)
         if "add" in action:
             yield str(action["add"]["path"])
 
 
-def sort_of(field: pa.Field, folder: Path) -> str:
+def sort_of(field: pa.Field, folder: object) -> str:
     """Return the Delta type that a column is declared as."""
     if field.type not in _SORTS:
         raise StoreError(
@@ -56,7 +55,7 @@ def sort_of(field: pa.Field, folder: Path) -> str:
     return _SORTS[field.type]
 
 
-def declared(field: pa.Field, folder: Path) -> Field:
+def declared(field: pa.Field, folder: object) -> Field:
     """Return the Delta field of a column, with its unit."""
     unit = unit_of(field.name)
     metadata = {} if unit is None else {"unit": unit}

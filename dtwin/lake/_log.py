@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from dtwin.atomic import sync
+from dtwin.lake._folders import Folder
 
 # Who opens a table reads the entries since the last summary of the log, which is written every so many.
 _SUMMARY = 10
@@ -20,63 +20,79 @@ class Log:
     Entries are never deleted: every version can be read, and repair finds in them which files were ever committed.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Folder) -> None:
         self.folder = folder
 
-    def entry(self, version: int) -> Path:
-        """Return the place of an entry."""
-        return self.folder / f"{version:020d}.json"
+    def entries(self) -> list[str]:
+        """Return the names of all entries, the oldest first."""
+        return self.folder.names(".json")
 
-    def entries(self) -> list[Path]:
-        """Return all entries, the oldest first."""
-        return sorted(self.folder.glob("*.json"))
+    def text(self, entry: str) -> str:
+        """Return the content of an entry."""
+        return self.folder.read(entry).to_pybytes().decode()
 
     def newest(self) -> int:
         """Return the newest version, -1 without any."""
-        found = self._summed_up()
-        if found < 0:
-            entries = self.entries()
-            return int(entries[-1].stem) if entries else -1
-        while self.entry(found + 1).exists():
-            found += 1
-        return found
+        if isinstance(self.folder.place, Path):
+            return self._newest_here()
+        # Each question to a store takes as long as a list.
+        after = max(self._summed_up(), 0)
+        found = self.folder.names(".json", after=entry_of(after - 1) if after else "")
+        return int(found[-1].removesuffix(".json")) if found else -1
 
     def committed(self, version: int, sum_up: Callable[[], None]) -> None:
         """Bring a new entry to disk, and every so often write a summary and drop those that it replaces.
 
         ``sum_up``: writes the summary of the newest version.
         """
-        sync(self.entry(version))
+        self.folder.settle(entry_of(version))
         if version % _SUMMARY == _SUMMARY - 1:
             sum_up()
-            sync(self.folder)
+            self.folder.settle()
             self.drop_summaries()
-        sync(self.folder)
+        self.folder.settle()
 
     def drop_summaries(self) -> int:
         """Delete summaries that newer ones replaced, and return how many; every version can still be read."""
-        found = sorted(self.folder.glob("*.checkpoint.parquet"))
-        old = [path for path in found[:-_NEWEST_KEPT] if (int(path.name[:20]) + 1) % _KEPT_EVERY]
-        for path in old:
-            path.unlink(missing_ok=True)
+        found = self.folder.names(".checkpoint.parquet")
+        old = [name for name in found[:-_NEWEST_KEPT] if (int(name[:20]) + 1) % _KEPT_EVERY]
+        for name in old:
+            self.folder.delete(name)
         return len(old)
 
     def set_aside_cut_entry(self) -> str | None:
         """Rename the newest entry when it is empty, as a power cut leaves it; return its name.
 
-        What it would have added is invisible already; its sources can be ingested again.
+        What it would have added is invisible already; its sources can be ingested again. A shared store
+        takes an entry as a whole.
         """
-        entries = self.entries()
-        if not entries or entries[-1].stat().st_size:
+        place = self.folder.place
+        entries = self.entries() if isinstance(place, Path) else []
+        if not entries or not isinstance(place, Path) or (place / entries[-1]).stat().st_size:
             return None
-        entries[-1].rename(entries[-1].with_suffix(".cut"))
-        sync(self.folder)
-        return entries[-1].name
+        cut = place / entries[-1]
+        cut.rename(cut.with_suffix(".cut"))
+        self.folder.settle()
+        return cut.name
+
+    def _newest_here(self) -> int:
+        found = self._summed_up()
+        if found < 0:
+            entries = self.entries()
+            return int(entries[-1].removesuffix(".json")) if entries else -1
+        while self.folder.has(entry_of(found + 1)):
+            found += 1
+        return found
 
     def _summed_up(self) -> int:
         """Return the version of the newest summary, -1 where the log does not say: long logs are not listed for it."""
         try:
-            version = int(json.loads((self.folder / "_last_checkpoint").read_bytes())["version"])
-            return version if self.entry(version).exists() else -1
+            version = int(json.loads(self.folder.read("_last_checkpoint").to_pybytes())["version"])
+            return version if self.folder.has(entry_of(version)) else -1
         except (OSError, ValueError, TypeError, KeyError, OverflowError):
             return -1
+
+
+def entry_of(version: int) -> str:
+    """Return the name of an entry."""
+    return f"{version:020d}.json"

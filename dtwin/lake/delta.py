@@ -6,7 +6,6 @@ import json
 import re
 import time
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import pyarrow as pa
@@ -15,11 +14,13 @@ from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundErr
 from deltalake.schema import Schema as DeltaSchema
 from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
-from dtwin.atomic import make_folder, sync
+from dtwin.bucket import store_error
 from dtwin.errors import StoreError
+from dtwin.home_file import Bucket
 from dtwin.lake._delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
-from dtwin.lake._log import Log
-from dtwin.lake.parquet import encoded, read_encoded, write_bytes
+from dtwin.lake._folders import Place, folder_at
+from dtwin.lake._log import Log, entry_of
+from dtwin.lake.parquet import decoded, encoded
 
 _COMMIT_TRIES = 20
 # Log entries stay: repair reads in them which files were ever committed.
@@ -29,6 +30,10 @@ _DIGITS = 24
 _NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
 # One group of rows of a data file.
 _PART = re.compile(r"([^\x00]+\.parquet)#([0-9]{1,6})")
+
+
+class Moved(Exception):
+    """Another writer has changed a table since it was looked at."""
 
 
 class Written(NamedTuple):
@@ -59,17 +64,18 @@ class DeltaFiles:
 
     Parameters
     ----------
-    folder : Path
+    place : Path or Bucket
         Folder of the table; created with the first commit.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.log = Log(folder / "_delta_log")
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self.folder = folder_at(place)
+        self.log = Log(self.folder.below("_delta_log"))
 
     def exists(self) -> bool:
         """Tell whether the table was ever written."""
-        return self.log.folder.is_dir()
+        return self.log.folder.exists()
 
     def version(self) -> int:
         """Return the current table version; -1 when the table does not exist."""
@@ -92,7 +98,7 @@ class DeltaFiles:
         if not self.exists():
             return False
         try:
-            return not any(LIVE in path.read_text(encoding="utf-8") for path in self.log.entries())
+            return not any(LIVE in self.log.text(entry) for entry in self.log.entries())
         except (OSError, ValueError):
             return False
 
@@ -112,12 +118,12 @@ class DeltaFiles:
         present = {field.name: str(field.type.type) for field in fields}
         union: dict[str, pa.Field] = {}
         for field in (field for schema in schemas for field in schema):
-            sort = sort_of(field, self.folder)
+            sort = sort_of(field, self.place)
             if present.setdefault(field.name, sort) != sort:
                 raise StoreError(
                     "a column changed its type",
                     code="store.schema",
-                    where=f"{self.folder} {field.name}",
+                    where=f"{self.place} {field.name}",
                     got=str(field.type),
                     allowed="numbers" if present[field.name] == "double" else present[field.name],
                     hint="rename the column in the file, or mend what it holds",
@@ -139,9 +145,14 @@ class DeltaFiles:
     def write_encoded(self, stem: str, data: bytes | memoryview, rows: int) -> Written:
         """Write the bytes of a Parquet file, without committing it; otherwise as :meth:`write`."""
         name = f"{stem}.{content_hash(data)[:_DIGITS]}.parquet"
-        return Written(name, write_bytes(self._path(name)[0], data), rows)
+        self._digest(name)
+        return Written(name, self.folder.write(name, data), rows)
 
-    def commit(self, written: Sequence[Written], schema: pa.Schema) -> int:
+    def ready(self, schema: pa.Schema) -> int:
+        """Make the table, or extend it, so that it has these columns, and return its version."""
+        return self._with_columns(schema).version()
+
+    def commit(self, written: Sequence[Written], schema: pa.Schema, *, only_at: int | None = None) -> int:
         """Add files to the table in one atomic step that a power cut cannot undo.
 
         Files that are live already are left alone, so a repeated commit changes nothing.
@@ -152,14 +163,23 @@ class DeltaFiles:
             Files from :meth:`write`.
         schema : pyarrow.Schema
             Their columns as :meth:`accepted` returned them; new ones extend the table.
+        only_at : int, optional
+            Version that the table must be at.
 
         Returns
         -------
         int
             Table version after the commit.
+
+        Raises
+        ------
+        Moved
+            When the table is at another version than it must be.
         """
         table = self._with_columns(schema)
         for attempt in range(_COMMIT_TRIES):
+            if only_at not in (None, table.version()):
+                raise Moved
             live = self._verified(table)
             now_ms = int(time.time() * 1000)
             new = {file.name: file for file in written if file.name not in live}
@@ -176,7 +196,7 @@ class DeltaFiles:
         raise StoreError(
             "another writer kept the table busy",
             code="store.busy",
-            where=str(self.folder),
+            where=str(self.place),
             hint="wait for the other ingest to finish and run this again",
         )
 
@@ -197,10 +217,9 @@ class DeltaFiles:
             raise
         except (DeltaError, OSError) as error:
             raise self._refused(error) from error
-        return self._synced()
+        return self._synced(table.version() + 1)
 
-    def _synced(self) -> int:
-        version = self.version()
+    def _synced(self, version: int) -> int:
         self.log.committed(version, lambda: self._open().create_checkpoint())
         return version
 
@@ -230,18 +249,22 @@ class DeltaFiles:
             When the file is missing or not the one that was written.
         """
         file, group = _split(name)
-        path, digest = self._path(file)
+        digest = self._digest(file)
 
         def verify(data: memoryview) -> None:
             if not content_hash(data).startswith(digest):
                 raise OSError("its content is not the one that was written")
 
-        return read_encoded(path, verify, group)[0]
+        return decoded(lambda: self.folder.read(file), f"{self.place}/{file}", verify, group)[0]
 
     def intact(self, name: str) -> bool:
         """Return whether a data file is there as it was written."""
-        path, digest = self._path(file_of(name))
-        return path.is_file() and content_hash(path.read_bytes()).startswith(digest)
+        file = file_of(name)
+        digest = self._digest(file)
+        try:
+            return content_hash(memoryview(self.folder.read(file))).startswith(digest)
+        except OSError:
+            return False
 
     def read(self, names: Iterable[str] | None = None) -> pa.Table:
         """Read files, every live one by default, verified; files that lack a column give nulls."""
@@ -250,31 +273,26 @@ class DeltaFiles:
 
     def sweep(self) -> int:
         """Delete files that no commit ever named, and return how many."""
-        if not self.folder.is_dir():
+        if not self.folder.exists():
             return 0
         try:
-            kept = {path for entry in self.log.entries() for path in added(entry)}
+            kept = {path for entry in self.log.entries() for path in added(self.log.text(entry))}
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise self._damaged(str(error)) from error
-        stray = [
-            path
-            for pattern in ("*.parquet", ".*.partial")
-            for path in self.folder.rglob(pattern)
-            if "_delta_log" not in path.parts and str(path.relative_to(self.folder)) not in kept
-        ]
-        for path in stray:
-            path.unlink(missing_ok=True)
+        stray = list(self.folder.strays(kept))
+        for name in stray:
+            self.folder.delete(name)
         return len(stray)
 
-    def _path(self, name: str) -> tuple[Path, str]:
-        """Return the place of a data file, which must lie inside the table, and its hash."""
-        path, named = self.folder / name, _NAME.fullmatch(name)
-        if named and path.resolve().is_relative_to(self.folder.resolve()):
-            return path, named[1]
+    def _digest(self, name: str) -> str:
+        """Return the hash in the name of a data file, which must lie inside the table."""
+        named = _NAME.fullmatch(name)
+        if named and self.folder.inside(name):
+            return named[1]
         raise StoreError(
             "this is no name of a data file of the table",
             code="store.name",
-            where=str(self.folder),
+            where=str(self.place),
             got=repr(name)[:120],
             hint="restore the lake from a backup",
         )
@@ -285,7 +303,7 @@ class DeltaFiles:
             # Not by pyarrow, which would import pandas to see what it is given.
             live = set(table.get_add_actions()["path"].to_pylist())
             # Not table.history: of an older version it returns the newest entries.
-            entry = self.log.entry(table.version()).read_text(encoding="utf-8")
+            entry = self.log.text(entry_of(table.version()))
             actions = [json.loads(line) for line in entry.splitlines()]
             hashes = [action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action]
         except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
@@ -296,22 +314,28 @@ class DeltaFiles:
             raise StoreError(
                 "an earlier version of dtwin made this lake",
                 code="store.earlier",
-                where=str(self.folder),
+                where=str(self.place),
                 hint="dtwin migrate",
             )
         raise self._damaged("the newest entry does not agree with the files that are live")
 
     def _open(self, version: int | None = None) -> DeltaTable:
         try:
-            return DeltaTable(self.folder, version=version)
+            return DeltaTable(self._address, version=version, storage_options=self.folder.options)
         except (TableNotFoundError, DeltaError, OSError, ValueError) as error:
             raise self._damaged(str(error)) from error
 
+    @property
+    def _address(self) -> str:
+        return str(self.place)
+
     def _damaged(self, got: str) -> StoreError:
+        if isinstance(self.place, Bucket) and _is_of_store(got):
+            return store_error(got, str(self.place))
         return StoreError(
             "the log of a table is damaged",
             code="store.open",
-            where=str(self.log.folder),
+            where=str(self.log.folder.place),
             got=got[:200],
             hint="restore _delta_log from a backup; after a power cut: dtwin repair, then ingest "
             "the newest measurements again",
@@ -321,7 +345,7 @@ class DeltaFiles:
         """Return the newest table, made or extended so that it has these columns."""
         table = self._open() if self.exists() else self._create(schema)
         present = {field.name for field in table.schema().fields}
-        fresh = [declared(field, self.folder) for field in schema if field.name not in present]
+        fresh = [declared(field, self.place) for field in schema if field.name not in present]
         if not fresh:
             return table
         properties = CommitProperties(live_hash(self._verified(table)), max_commit_retries=0)
@@ -334,25 +358,31 @@ class DeltaFiles:
         return self._open()
 
     def _create(self, schema: pa.Schema) -> DeltaTable:
-        fields = [declared(field, self.folder) for field in schema]
+        fields = [declared(field, self.place) for field in schema]
         try:
-            make_folder(self.folder)
+            self.folder.make()
             made = DeltaTable.create(
-                self.folder,
+                self._address,
                 schema=DeltaSchema(fields),
                 mode="ignore",
                 commit_properties=CommitProperties(live_hash(())),
+                storage_options=self.folder.options,
             )
-            sync(self.folder)
+            self.folder.settle()
             return made
+        except CommitFailedError:
+            # Another computer was first.
+            return self._open()
         except (DeltaError, OSError) as error:
             raise self._refused(error) from error
 
     def _refused(self, error: Exception) -> StoreError:
+        if isinstance(self.place, Bucket):
+            return store_error(str(error), str(self.place))
         return StoreError(
             "the lake cannot be written",
             code="store.write",
-            where=str(self.folder),
+            where=str(self.place),
             got=str(error)[:200],
             hint="check free space and permissions; nothing was committed",
         )
@@ -362,3 +392,8 @@ def _split(name: str) -> tuple[str, int | None]:
     """Return a file and the group of rows in it that a name means."""
     part = _PART.fullmatch(name)
     return (part[1], int(part[2])) if part else (name, None)
+
+
+def _is_of_store(text: str) -> bool:
+    """Tell whether an error is one of the store, or the way to it, and not of what the log says."""
+    return any(sign in text for sign in ("S3 error", "HTTP", "sending request", "retries"))

@@ -100,17 +100,8 @@ def read_parquet(path: Path) -> pa.Table:
     return read_encoded(path)[0]
 
 
-def read_encoded(
-    path: Path, verify: Callable[[memoryview], None] | None = None, group: int | None = None
-) -> tuple[pa.Table, memoryview | None]:
+def read_encoded(path: Path) -> tuple[pa.Table, memoryview | None]:
     """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
-
-    Parameters
-    ----------
-    verify : callable, optional
-        Raises OSError for a file that is damaged; its pages are then not checked one by one.
-    group : int, optional
-        The one group of rows to read.
 
     Returns
     -------
@@ -120,11 +111,30 @@ def read_encoded(
         The file; None when it is not one of :func:`write_parquet`, so that its pages may lack
         checksums.
     """
+    return decoded(lambda: content_of(path), str(path))
+
+
+def decoded(
+    content: Callable[[], pa.Buffer],
+    where: str,
+    verify: Callable[[memoryview], None] | None = None,
+    group: int | None = None,
+) -> tuple[pa.Table, memoryview | None]:
+    """Return what :func:`read_encoded` does of a Parquet file, wherever it lies.
+
+    Parameters
+    ----------
+    content : callable
+        Returns the file in memory of Arrow; raises OSError.
+    where : str
+        The file, for the error message.
+    verify : callable, optional
+        Raises OSError for a file that is damaged; its pages are then not checked one by one.
+    group : int, optional
+        The one group of rows to read.
+    """
     try:
-        # Memory of Arrow, not of Python: a thread of Arrow that frees the last reference to Python's
-        # while the process ends would abort it (seen about once in 5000 reads).
-        with pa.OSFile(str(path)) as file:
-            buffer = file.read_buffer()
+        buffer = content()
         data = memoryview(buffer)
         if verify is not None:
             verify(data)
@@ -135,11 +145,21 @@ def read_encoded(
         raise StoreError(
             "a data file is missing or damaged",
             code="store.damaged",
-            where=str(path),
+            where=where,
             got=str(error)[:200],
             hint="restore the file from a backup, or ingest its source again",
         ) from error
     return table, data if _CHECKSUMS.items() <= (table.schema.metadata or {}).items() else None
+
+
+def content_of(path: Path) -> pa.Buffer:
+    """Return the content of a file, in memory of Arrow.
+
+    Not of Python: a thread of Arrow that frees the last reference to Python's while the process ends
+    would abort it (seen about once in 5000 reads).
+    """
+    with pa.OSFile(str(path)) as file:
+        return file.read_buffer()
 
 
 def columns_of(table: pa.Table) -> dict[str, NDArray[Any]]:

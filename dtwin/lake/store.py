@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from dtwin.atomic import make_folder
-from dtwin.errors import InputError, StoreError
+from dtwin.errors import InputError
+from dtwin.home_file import Bucket
 from dtwin.lake._admission import accepted, fresh
 from dtwin.lake._delta_columns import content_hash
 from dtwin.lake._file_batch import Batch, samples_part, signal_parts
-from dtwin.lake.delta import DeltaFiles, file_of, part_of, stem_of
+from dtwin.lake._folders import Place
+from dtwin.lake._named import campaign_named, names_of, of_machines
+from dtwin.lake._writers import writing
+from dtwin.lake.delta import DeltaFiles, Moved, file_of, part_of
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed
-from dtwin.locks import take
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
@@ -55,11 +56,11 @@ class Lake:
 
     Parameters
     ----------
-    root : Path
+    root : Path or Bucket
         Folder of the lake; created with the first commit.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Place) -> None:
         self.root = root
         self.tables = {name: DeltaFiles(root / name) for name in TABLES}
 
@@ -98,10 +99,14 @@ class Lake:
                 for batch in batches:
                     batch.commit()
                 self._commit_rejects(campaign, rejected)
-                # Another writer may have been faster.
-                new = fresh(campaign.name, self._known(campaign), new)
-                if new:
-                    self._add_rows("runs", f"{campaign.name}/{campaign.machine}", list(new.values()), RUN_SCHEMA)
+                while True:
+                    # Another writer may have been faster.
+                    at = self._at("runs", RUN_SCHEMA)
+                    new = fresh(campaign.name, self._known(campaign), new)
+                    with suppress(Moved):
+                        if new:
+                            self._add_rows("runs", f"{campaign.name}/{campaign.machine}", new.values(), RUN_SCHEMA, at)
+                        break
         return _CommitReport(added=tuple(new), unchanged=tuple(sorted(set(rows) - set(new))), versions=self.versions())
 
     def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
@@ -119,17 +124,23 @@ class Lake:
             or ``left_out``.
         """
         with self._lock():
-            version = 1 + max((r["metadata_version"] for r in self.runs(campaign, True)), default=0)
-            rows = [
-                {
-                    **{name: str(record[name]) for name in ("run_id", "who", "when", "because")},
-                    "campaign": campaign,
-                    "version": version,
-                    "changes_json": json.dumps(dict(record["changes"]), sort_keys=True),
-                }
-                for record in records
-            ]
-            self._add_rows("amendments", require_name(campaign, "the campaign name"), rows, AMENDMENT_SCHEMA)
+            while True:
+                at = self._at("amendments", AMENDMENT_SCHEMA)
+                version = 1 + max((r["metadata_version"] for r in self.runs(campaign, True)), default=0)
+                rows = [
+                    {
+                        **{name: str(record[name]) for name in ("run_id", "who", "when", "because")},
+                        "campaign": campaign,
+                        "version": version,
+                        "changes_json": json.dumps(dict(record["changes"]), sort_keys=True),
+                    }
+                    for record in records
+                ]
+                with suppress(Moved):
+                    self._add_rows(
+                        "amendments", require_name(campaign, "the campaign name"), rows, AMENDMENT_SCHEMA, at
+                    )
+                    break
         return version
 
     def runs(
@@ -159,15 +170,15 @@ class Lake:
         StoreError
             When the log, a file or a row is not what was written.
         """
-        wanted, machines = _names(campaign), _names(machine)
+        wanted, machines = names_of(campaign), names_of(machine)
 
         def rows_of(name: str, schema: pa.Schema, anew: Collection[str] | None = None) -> list[dict[str, Any]]:
             table = self.tables[name]
             files = table.files(None if at is None else at.get(name, -1))
             if wanted is not None:
-                files = [f for f in files if _campaign_of(f) in wanted]
+                files = [f for f in files if campaign_named(f) in wanted]
             if machines is not None and anew is not None:
-                files = _of_machines(files, machines, anew)
+                files = of_machines(files, machines, anew)
             return unsealed(table.read(files), schema, str(self.root / name))
 
         told = rows_of("amendments", AMENDMENT_SCHEMA)
@@ -202,7 +213,7 @@ class Lake:
 
     def campaigns(self) -> list[str]:
         """Return the names of all campaigns that have visible runs."""
-        return sorted({_campaign_of(file) for file in self.tables["runs"].files()})
+        return sorted({campaign_named(file) for file in self.tables["runs"].files()})
 
     def files_by_campaign(self, machine: str | None = None) -> dict[str, list[str]]:
         """Return the files that say what the runs of each campaign are: others say the same only of the same rows.
@@ -213,9 +224,9 @@ class Lake:
         told = self.tables["amendments"].files()
         runs = self.tables["runs"].files()
         if machine is not None:
-            runs = _of_machines(runs, {machine}, {_campaign_of(file) for file in told})
+            runs = of_machines(runs, {machine}, {campaign_named(file) for file in told})
         for file in [*runs, *told]:
-            found.setdefault(_campaign_of(file), []).append(file)
+            found.setdefault(campaign_named(file), []).append(file)
         return found
 
     def campaign(self, name: str) -> Campaign:
@@ -255,13 +266,20 @@ class Lake:
         with self._lock():
             return self._add(table_name, content_hash(key.encode())[:24], table)
 
-    def _add(self, table_name: str, stem: str, table: pa.Table) -> int:
+    def _at(self, table_name: str, schema: pa.Schema) -> int | None:
+        """Return the version that a commit must follow; None where a lock keeps other writers away."""
+        table = self.tables[table_name]
+        return table.ready(table.accepted([schema])) if isinstance(self.root, Bucket) else None
+
+    def _add(self, table_name: str, stem: str, table: pa.Table, only_at: int | None = None) -> int:
         files = self.tables[table_name]
         schema = files.accepted([table.schema])
-        return files.commit([files.write(stem, table)], schema)
+        return files.commit([files.write(stem, table)], schema, only_at=only_at)
 
-    def _add_rows(self, table_name: str, stem: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> None:
-        self._add(table_name, stem, sealed(rows, schema))
+    def _add_rows(
+        self, table_name: str, stem: str, rows: Iterable[Mapping[str, Any]], schema: pa.Schema, only_at: int | None
+    ) -> None:
+        self._add(table_name, stem, sealed(list(rows), schema), only_at)
 
     def repair(self) -> dict[str, Any]:
         """Drop what a killed ingest or a power cut left behind.
@@ -349,50 +367,14 @@ class Lake:
 
     @contextmanager
     def at_rest(self) -> Iterator[None]:
-        """Keep every writer waiting."""
+        """Keep every writer of this computer waiting; those of others at a shared store do not wait."""
         with self._writing(alone=True), self._lock():
             yield
 
     def _lock(self) -> AbstractContextManager[None]:
         """Return the lock that one writer holds while it commits."""
-        return self._locked(".lock")
+        return writing(self.root, ".lock")
 
     def _writing(self, *, alone: bool = False) -> AbstractContextManager[None]:
         """Return the lock that writers of data files share, and a sweep holds alone."""
-        return self._locked(".writing", shared=not alone)
-
-    @contextmanager
-    def _locked(self, name: str, *, shared: bool = False) -> Iterator[None]:
-        try:
-            make_folder(self.root, private=True)
-            handle = (self.root / name).open("w")
-        except OSError as error:
-            raise StoreError(
-                "the lake cannot be written",
-                code="store.write",
-                where=str(self.root),
-                got=str(error),
-                hint="check free space and permissions; nothing was committed",
-            ) from error
-        with handle:
-            take(handle, shared=shared, wait=True)
-            yield
-
-
-def _names(told: str | Collection[str] | None) -> set[str] | None:
-    return {told} if isinstance(told, str) else None if told is None else set(told)
-
-
-def _campaign_of(file: str) -> str:
-    """Return the campaign whose rows a file holds."""
-    return stem_of(file).split("/")[0]
-
-
-def _of_machines(files: Sequence[str], machines: Collection[str], anew: Collection[str]) -> list[str]:
-    """Return the files of runs of machines; what was stated ``anew`` of a campaign may be its machine."""
-    return [f for f in files if _machine_of(f) in {*machines, None} or _campaign_of(f) in anew]
-
-
-def _machine_of(file: str) -> str | None:
-    """Return the machine of which a campaign was ingested; None where the name of its file does not say."""
-    return stem_of(file).partition("/")[2] or None
+        return writing(self.root, ".writing", shared=not alone)

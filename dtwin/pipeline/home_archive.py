@@ -68,7 +68,8 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
     if out.exists():
         raise InputError("the file is there already", code="home.exists", where=str(out), hint="give another name")
     entries: dict[str, list[Any]] = {}
-    at_rest = Lake(home.lake).at_rest() if home.lake.is_dir() else nullcontext()
+    _require_local(home)
+    at_rest = Lake(home.lake).at_rest() if (home.root / "lake").is_dir() else nullcontext()
     with at_rest, whole_file(out, "the backup") as partial:
         partial.touch(mode=0o600)
         found = list(_files(home.root, partial))
@@ -128,6 +129,18 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
     finally:
         shutil.rmtree(made, ignore_errors=True)
     return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()))
+
+
+def _require_local(home: Home) -> None:
+    """Refuse to take for whole what lies here of a home that lies elsewhere."""
+    if home.file.as_dict():
+        raise InputError(
+            "what this home holds lies on a shared store and in shared databases",
+            code="home.shared",
+            where=str(home.root),
+            got=", ".join(home.file.as_dict().values())[:200],
+            hint="keep versions of the bucket and copies of the databases there; or dtwin home move --local, then backup",
+        )
 
 
 def _files(root: Path, but: Path) -> Iterator[Path]:

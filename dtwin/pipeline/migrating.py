@@ -17,6 +17,7 @@ from dtwin.atomic import sync
 from dtwin.config import Home
 from dtwin.documents import write_document
 from dtwin.errors import InputError, StoreError
+from dtwin.home_file import Bucket
 from dtwin.lake.delta import DeltaFiles
 from dtwin.lake.parquet import columns_of, read_parquet
 from dtwin.lake.rows import RUN_SCHEMA, meta_of
@@ -71,10 +72,14 @@ def migrate(home: Home, progress: Progress) -> _Migrated:
 def _lake(home: Home, progress: Progress) -> tuple[tuple[str, ...], int]:
     """Write the lake anew, put it in the place of the old one, and return its campaigns and runs."""
     before, made = home.root / BEFORE, home.root / MADE
-    if not home.lake.exists() and made.exists() and before.exists():
+    place = home.lake
+    if isinstance(place, Bucket):
+        # No version without hashes ever wrote there.
+        return (), 0
+    if not place.exists() and made.exists() and before.exists():
         # A kill between the two renames.
-        made.rename(home.lake)
-    if not DeltaFiles(home.lake / "runs").is_earlier():
+        made.rename(place)
+    if not DeltaFiles(place / "runs").is_earlier():
         return (), 0
     if before.exists():
         raise InputError(
@@ -84,16 +89,16 @@ def _lake(home: Home, progress: Progress) -> tuple[tuple[str, ...], int]:
             hint="look which of both is wanted, and move the other one away",
         )
     lake, n_runs, names = Lake(made), 0, []
-    rejected = _rejected(home.lake)
-    campaigns = _campaigns(home.lake)
+    rejected = _rejected(place)
+    campaigns = _campaigns(place)
     for number, (campaign, rows) in enumerate(campaigns):
         progress(number, len(campaigns), campaign.name)
-        runs = [_run(home.lake, row) for row in rows]
+        runs = [_run(place, row) for row in rows]
         lake.commit(campaign, runs, rejected[campaign.name])
         names.append(campaign.name)
         n_runs += len(runs)
-    home.lake.rename(before)
-    made.rename(home.lake)
+    place.rename(before)
+    made.rename(place)
     sync(home.root)
     return tuple(names), n_runs
 

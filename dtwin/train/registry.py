@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ from typing import Any
 from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
+from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
@@ -74,7 +76,19 @@ class Registry:
                 raise StoreError(
                     "the model registry cannot be written", code="registry.write", where=self.uri, got=str(error)
                 ) from error
-        self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
+        if home.file.endpoint:
+            # MLflow asks the environment only.
+            os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
+        try:
+            self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
+        except (MlflowException, SQLAlchemyError) as error:
+            raise StoreError(
+                "the model registry does not answer",
+                code="registry.away",
+                where=self.uri,
+                got=str(error).split("\n")[0][:200],
+                hint="run this again when it is back",
+            ) from error
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
@@ -344,8 +358,8 @@ class Registry:
         experiment = self.client.get_experiment_by_name(_EXPERIMENT)
         if experiment is not None:
             return str(experiment.experiment_id)
-        local = self.uri.startswith("sqlite:")
-        where = str(self.home.mlflow_artifacts) if local else None
+        own = not self.uri.startswith("http")
+        where = str(self.home.mlflow_artifacts) if own else None
         try:
             return str(self.client.create_experiment(_EXPERIMENT, artifact_location=where))
         except MlflowException:

@@ -379,7 +379,7 @@ def test_few_summaries_of_the_log_stay_and_every_version_can_be_read(
 ) -> None:
     monkeypatch.setattr("dtwin.lake._log._KEPT_EVERY", 40)
     table = DeltaFiles(tmp_path / "table")
-    log = table.folder / "_delta_log"
+    log = tmp_path / "table" / "_delta_log"
     names = []
     for number in range(105):
         rows = pa.table({"a": [f"row {number}"]})

@@ -1,0 +1,164 @@
+"""``home.toml``: where the parts of a home lie that are shared with other computers. A home without it is all local."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from dtwin.errors import InputError
+
+HOME_FILE = "home.toml"
+_MAX_BYTES = 10_000
+_STORE = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9._=-]+)*")
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """A folder of an S3-compatible store.
+
+    Attributes
+    ----------
+    url : str
+        Where the home lies: ``s3://bucket/prefix``.
+    endpoint : str
+        Address of the server; empty for what the usual environment says, else Amazon's.
+    below : str
+        The folder inside the home; empty for all of it.
+    """
+
+    url: str
+    endpoint: str = ""
+    below: str = ""
+
+    def __truediv__(self, name: str) -> Bucket:
+        """Return a folder below this one."""
+        return Bucket(self.url, self.endpoint, f"{self.below}/{name}".strip("/"))
+
+    def __str__(self) -> str:
+        return f"{self.url}/{self.below}".rstrip("/")
+
+    @property
+    def name(self) -> str:
+        """The bucket."""
+        return urlsplit(self.url).netloc
+
+    @property
+    def prefix(self) -> str:
+        """The folder inside the bucket; empty for all of it."""
+        return urlsplit(str(self)).path.strip("/")
+
+
+@dataclass(frozen=True)
+class HomeFile:
+    """What ``home.toml`` states; what is empty is local.
+
+    Attributes
+    ----------
+    store : str
+        ``s3://bucket/prefix``: lake, twins, records of machines, bundles.
+    endpoint : str
+        Address of the store's server.
+    registry : str
+        ``postgresql://host/database``, or an MLflow server's address: models.
+    flows : str
+        ``postgresql://host/database``: Prefect's runs and schedules.
+    """
+
+    store: str = ""
+    endpoint: str = ""
+    registry: str = ""
+    flows: str = ""
+
+    @property
+    def bucket(self) -> Bucket | None:
+        """The shared store, None where everything is local."""
+        return Bucket(self.store, self.endpoint) if self.store else None
+
+    def as_dict(self) -> dict[str, str]:
+        """Return what the file holds."""
+        return {f.name: value for f in fields(self) if (value := getattr(self, f.name))}
+
+
+def read_home_file(root: Path) -> HomeFile:
+    """Return what ``home.toml`` of a home states.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or states what is not known.
+    """
+    path = root / HOME_FILE
+    try:
+        state = path.stat()
+    except OSError:
+        return HomeFile()
+    return _read(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=16)
+def _read(path: Path, _changed: int, size: int) -> HomeFile:
+    try:
+        if size > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _refused(str(path), str(error)[:120], "a TOML file") from error
+    return home_file_of(stated, str(path))
+
+
+def home_file_of(stated: Mapping[str, Any], where: str) -> HomeFile:
+    """Check what is stated of a home.
+
+    Raises
+    ------
+    InputError
+        When a key or a value is not usable; a password is refused, too: files are copied.
+    """
+    known = [f.name for f in fields(HomeFile)]
+    for key, value in stated.items():
+        if key not in known:
+            raise _refused(where, str(key)[:40], ", ".join(known))
+        if not isinstance(value, str) or not value or len(value) > 500:
+            raise _refused(f"{where}: {key}", str(value)[:60], "text")
+    found = HomeFile(**stated)
+    if found.store and not _STORE.fullmatch(found.store):
+        raise _refused(f"{where}: store", found.store, "s3://bucket or s3://bucket/prefix")
+    if found.endpoint and not found.store:
+        raise _refused(f"{where}: endpoint", found.endpoint, "a store that it is the address of")
+    for key, schemes in _ADDRESSES.items():
+        _require_address(f"{where}: {key}", getattr(found, key), schemes)
+    if found.registry.startswith("postgresql") and not found.store:
+        raise _refused(f"{where}: registry", found.registry, "a store too: there its artifacts lie")
+    return found
+
+
+_ADDRESSES = {"endpoint": ("http", "https"), "registry": ("postgresql", "http", "https"), "flows": ("postgresql",)}
+
+
+def _require_address(where: str, address: str, schemes: tuple[str, ...]) -> None:
+    if not address:
+        return
+    parts = urlsplit(address)
+    try:
+        secret, host = parts.password, parts.hostname
+    except ValueError:
+        secret, host = None, None
+    if secret is not None:
+        raise InputError(
+            "a password stands in the settings of a home",
+            code="home.secret",
+            where=where,
+            hint="PGPASSWORD, or a file .pgpass that only you can read; AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+        )
+    if parts.scheme not in schemes or (not host and "host=" not in parts.query):
+        raise _refused(where, address, ", ".join(f"{scheme}://..." for scheme in schemes))
+
+
+def _refused(where: str, got: str, allowed: str) -> InputError:
+    return InputError("the settings of a home are not usable", code="home.file", where=where, got=got, allowed=allowed)
