@@ -56,13 +56,24 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+# They begin and end with the shared store themselves, or are about it.
+_FOLLOW_THEMSELVES = ("home", "ui", "up")
+
+
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand in _FOLLOW_THEMSELVES or {"--help", "-h"} & set(sys.argv):
+        return
+    state = home()
+    if state.file.store:
+        from dtwin.shared_documents import following
+
+        context.with_resource(following(state, without=context.invoked_subcommand == "serve"))
 
 
 def main() -> None:

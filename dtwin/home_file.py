@@ -133,6 +133,8 @@ def home_file_of(stated: Mapping[str, Any], where: str) -> HomeFile:
         raise _refused(f"{where}: endpoint", found.endpoint, "a store that it is the address of")
     for key, schemes in _ADDRESSES.items():
         _require_address(f"{where}: {key}", getattr(found, key), schemes)
+    if found.store and not found.registry:
+        raise _refused(f"{where}: registry", "none", "a registry too: versions of twins and models are counted there")
     if found.registry.startswith("postgresql") and not found.store:
         raise _refused(f"{where}: registry", found.registry, "a store too: there its artifacts lie")
     return found

@@ -7,7 +7,9 @@ import sys
 
 from prefect import serve
 
+from dtwin.config import home
 from dtwin.errors import DtwinError
+from dtwin.shared_documents import following
 from flows.cron import require_cron
 from flows.schedule import deployments
 
@@ -31,7 +33,8 @@ def main(arguments: list[str] | None = None) -> None:
     except DtwinError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(error.exit_code)
-    serve(*made, limit=_AT_ONCE, print_starting_message=False)
+    with following(home()):
+        serve(*made, limit=_AT_ONCE, print_starting_message=False)
 
 
 if __name__ == "__main__":

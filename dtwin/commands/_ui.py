@@ -41,6 +41,7 @@ def ui(
             "no such folder for effects", code="ui.effects_path", where=str(effects_path), hint=f"mkdir {effects_path}"
         )
     from dtwin.config import home
+    from dtwin.shared_documents import following
     from dtwin.workbench import listening, only_one
 
     def announce(address: str) -> None:
@@ -53,7 +54,8 @@ def ui(
             webbrowser.open(address)
 
     own = None if effects_path is None else effects_path.absolute()
-    with only_one(home()), listening(host, port) as bound:
+    # Over before the process may end at once.
+    with following(home()), only_one(home()), listening(host, port) as bound:
         from dtwin.workbench import run
 
         # The server has ended in order by then, and raises the signal once more.

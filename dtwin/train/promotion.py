@@ -16,6 +16,7 @@ from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
+from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
@@ -97,6 +98,8 @@ def promote(
     if on_trial(version.machine, home) == int(version.version):
         # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
         clear_trial(version.machine, home)
+    # Another computer may have promoted at the same time: then nothing is written in the books.
+    follow_shared(home)
     if previous is not None and previous.version != version.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
     tags = {"state": "champion", "evidence": kind, "proved": proved}

@@ -23,6 +23,7 @@ from dtwin.config import Home, quiet_environment
 from dtwin.documents import read_document, write_document
 from dtwin.errors import StoreError
 from dtwin.locks import locked
+from dtwin.shared_documents import following
 
 if TYPE_CHECKING:
     from dtwin.train.registry import Registry
@@ -264,6 +265,11 @@ def _lock(home: Home, name: str) -> Path:
 def _main(root: Path) -> None:
     """Log what waits, unless another process that has not begun yet will see the same."""
     home = Home(root)
+    with following(home):
+        _log_next(home)
+
+
+def _log_next(home: Home) -> None:
     if not waiting(home):
         return
     with contextlib.ExitStack() as held:

@@ -12,6 +12,7 @@ from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
 from dtwin.schema import DEFAULT_KIND, require_name
+from dtwin.shared_documents import follow_shared
 from dtwin.twins.registration import VERSIONS, log_soon, place_of
 
 if TYPE_CHECKING:
@@ -206,6 +207,8 @@ class TwinShelf:
     def _write(self, document: Mapping[str, Any], file: str) -> None:
         at_once = self.home.mlflow_at_once
         write_document(self.root / document["twin"] / file, document, "the twin")
+        # Before MLflow is told: another computer may have made the same version.
+        follow_shared(self.home)
         log_soon(self.home, document["twin"], at_once=at_once)
 
 
