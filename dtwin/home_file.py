@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 
 HOME_FILE = "home.toml"
 _MAX_BYTES = 10_000
-_STORE = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9._=-]+)*")
+_STORE = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9_=-][A-Za-z0-9._=-]*)*")
 
 
 @dataclass(frozen=True)

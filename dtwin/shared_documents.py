@@ -190,15 +190,15 @@ class _Copy:
         except FileNotFoundError:
             return {}, ""
         try:
-            files = json.loads(raw)["files"] if len(raw) <= _MAX_LIST else None
-            good = isinstance(files, dict) and all(_is_name(n) and _is_hash(h) for n, h in files.items())
+            files = dict(json.loads(raw)["files"]) if len(raw) <= _MAX_LIST else {"/": ""}
+            good = all(_is_name(n) and _is_hash(h) for n, h in files.items())
         except (ValueError, TypeError, KeyError, RecursionError):
-            good = False
+            files, good = {}, False
         if not good or not _is_unit(unit):
             raise StoreError(
                 "a list of shared files is damaged", code="shared.list", where=f"{self.objects.bucket}/{name}"
             )
-        return dict(files), tag
+        return files, tag
 
     def _fetched(self, unit: str, mine: Files, theirs: Files, merged: Files) -> None:
         """Write here what the store has anew, and remove what it has no more."""

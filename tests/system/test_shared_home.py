@@ -1,0 +1,271 @@
+"""A home on a shared store: several computers write, one is killed, the store is away, and nothing is lost or doubled."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fleet_lake import fill
+from shared_servers import BUCKET, KEYS, StoreProxy, running_store
+from shared_writer import campaign
+
+from dtwin.atomic import write_toml
+from dtwin.bucket import Objects
+from dtwin.config import Home
+from dtwin.documents import read_document, write_document
+from dtwin.errors import InputError, StoreError
+from dtwin.home_file import HOME_FILE
+from dtwin.lake.store import Lake
+from dtwin.shared_documents import follow_shared, following
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+
+
+@pytest.fixture(scope="module")
+def store() -> Iterator[int]:
+    with running_store() as port:
+        yield port
+
+
+@pytest.fixture
+def proxy(store: int) -> Iterator[StoreProxy]:
+    proxy = StoreProxy(store)
+    yield proxy
+    proxy.close()
+
+
+@pytest.fixture(autouse=True)
+def _keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in KEYS.items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.bucket._RETRIES", 1)
+
+
+def shared(root: Path, port: int, name: str) -> Home:
+    """A computer's home on the store; ``name``: the place there."""
+    stated = {
+        "store": f"s3://{BUCKET}/{name}",
+        "endpoint": f"http://127.0.0.1:{port}",
+        # Nobody asks it in these tests.
+        "registry": "http://127.0.0.1:9",
+    }
+    write_toml(root / HOME_FILE, stated, "the settings")
+    return Home(root)
+
+
+def test_two_computers_see_the_same_runs_and_amendments(store: int, tmp_path: Path) -> None:
+    a, b = (Lake(shared(tmp_path / who, store, "same").lake) for who in "ab")
+    fill(Home(tmp_path / "a"), 2)
+    assert b.campaigns() == ["c00", "c01"]
+    rows = b.runs("c00")
+    here = Home(tmp_path / "here")
+    fill(here, 2)
+    local = Lake(here.lake)
+    for row, other in zip(rows, local.runs("c00"), strict=True):
+        there, mine = b.load(row), local.load(other)
+        assert there.meta == mine.meta
+        for column, values in mine.samples.items():
+            np.testing.assert_array_equal(there.samples[column], values)
+    records = [{"run_id": "r0", "who": "me", "when": "now", "because": "wrong", "changes": {"repeat": 7}}]
+    assert (a.amend("c00", records), b.amend("c00", records)) == (1, 2)
+    assert [row["repeat"] for row in a.runs("c00") if row["run_id"] == "r0"] == [7]
+    # More commits than between two summaries of the log.
+    for k in range(12):
+        a.commit(*campaign(f"more-{k}"))
+    assert len(b.campaigns()) == 14
+    before = b.versions()["runs"] - 12
+    assert {row["campaign"] for row in b.runs(at={"runs": before, "amendments": -1})} == {"c00", "c01"}
+
+
+def test_writers_that_are_killed_at_random_lose_nothing_and_double_nothing(store: int, tmp_path: Path) -> None:
+    count, rng = 3, np.random.default_rng(4)
+    homes = [shared(tmp_path / f"pc{k}", store, "killed") for k in range(3)]
+
+    def started(number: int) -> subprocess.Popen[bytes]:
+        writer = Path(__file__).with_name("shared_writer.py")
+        command = [sys.executable, str(writer), str(homes[number].root), str(number), str(count)]
+        return subprocess.Popen(command, env=os.environ | KEYS, stdout=subprocess.DEVNULL)
+
+    writers = [started(k) for k in range(3)]
+    kills = 0
+    while kills < 6:
+        time.sleep(float(rng.uniform(0.3, 1.0)))
+        number = int(rng.integers(3))
+        # One that is over begins again, and finds all of it there.
+        writers[number].kill()
+        writers[number].wait()
+        writers[number] = started(number)
+        kills += 1
+    assert [writer.wait(60) for writer in writers] == [0, 0, 0]
+    lake = Lake(homes[0].lake)
+    wanted = {*(f"of-{n}-{k}" for n in range(3) for k in range(count)), *(f"of-all-{k}" for k in range(count))}
+    rows = lake.runs()
+    assert Counter((row["campaign"], row["run_id"]) for row in rows) == Counter(
+        (name, run) for name in wanted for run in ("r0", "r1")
+    )
+    for row in rows:
+        run = next(run for run in campaign(row["campaign"])[1] if run.meta.run_id == row["run_id"])
+        np.testing.assert_array_equal(lake.load(row).samples["deviation_um"], run.samples["deviation_um"])
+    fourth = shared(tmp_path / "fourth", store, "killed")
+    follow_shared(fourth)
+    for number in range(3):
+        for k in range(count):
+            assert read_document(fourth.root / "twins" / f"twin-{number}" / f"v{k + 1:03d}.json")["twin"] == number
+    lines = (fourth.root / "bundles" / "mill-a" / "promotions.jsonl").read_text().splitlines()
+    assert Counter(lines) == Counter(json.dumps({"by": n, "version": k}) for n in range(3) for k in range(count))
+
+
+def test_a_store_that_drops_conditions_is_refused_before_anything_is_written(
+    store: int, proxy: StoreProxy, tmp_path: Path
+) -> None:
+    proxy.wrong = "no_conditions"
+    home = shared(tmp_path / "a", proxy.port, "unsafe")
+    with pytest.raises(StoreError, match="ignores the condition") as caught:
+        Lake(home.lake).commit(*campaign("c"))
+    assert "If-None-Match, If-Match" in (caught.value.got or "")
+    assert caught.value.exit_code == 1
+    (home.root / "twins" / "t").mkdir(parents=True)
+    write_document(home.root / "twins" / "t" / "v001.json", {"a": 1}, "a twin")
+    with pytest.raises(StoreError, match="ignores the condition"):
+        follow_shared(home)
+    assert Objects(shared(tmp_path / "b", store, "unsafe").file.bucket or pytest.fail("no store")).list() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("AWS_S3_ALLOW_UNSAFE_RENAME", "true"), ("AWS_CONDITIONAL_PUT", "disabled")]
+)
+def test_an_environment_that_asks_for_unsafe_commits_is_refused(
+    store: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(InputError, match="without a condition") as caught:
+        Lake(shared(tmp_path / "a", store, "renames").lake).commit(*campaign("c"))
+    assert caught.value.where == name
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [("away", "does not answer"), ("busy", "does not answer"), ("expired", "expired"), ("skewed", "clock")],
+)
+def test_a_store_in_trouble_in_the_middle_leaves_nothing_half_and_the_next_try_goes_on(
+    store: int, proxy: StoreProxy, tmp_path: Path, wrong: str, said: str
+) -> None:
+    home = shared(tmp_path / "a", proxy.port, f"trouble-{wrong}")
+    lake = Lake(home.lake)
+    lake.commit(*campaign("before"))
+    reader = Lake(shared(tmp_path / "b", store, f"trouble-{wrong}").lake)
+    finished = 0
+    # After so many writes, wherever in the commit that is.
+    for passed in (0, 2, 4) if wrong == "away" else (1,):
+        name = f"c{passed}"
+        proxy.wrong, proxy.passes = wrong, passed
+        # A commit of fewer writes is over before it goes wrong.
+        with contextlib.suppress(StoreError):
+            lake.commit(*campaign(name))
+            finished += 1
+        proxy.wrong = ""
+        assert all(Counter(r["campaign"] for r in reader.runs())[c] == 2 for c in reader.campaigns())
+        assert lake.commit(*campaign(name)).added in ((), ("r0", "r1"))
+        assert Counter(r["campaign"] for r in reader.runs())[name] == 2
+    assert finished == 0
+    twin = home.root / "twins" / "t" / "v001.json"
+    write_document(twin, {"a": 1}, "a twin")
+    proxy.wrong, proxy.passes = wrong, 0
+    with pytest.raises(StoreError, match=said):
+        follow_shared(home)
+    assert read_document(twin) == {"a": 1}
+    # Who serves a machine begins all the same.
+    with following(home, without=True):
+        pass
+    proxy.wrong = ""
+    follow_shared(home)
+    other = shared(tmp_path / "c", store, f"trouble-{wrong}")
+    follow_shared(other)
+    assert read_document(other.root / "twins" / "t" / "v001.json") == {"a": 1}
+
+
+def test_a_storm_of_refusals_and_lost_answers_is_outlived(store: int, proxy: StoreProxy, tmp_path: Path) -> None:
+    lake = Lake(shared(tmp_path / "a", proxy.port, "storm").lake)
+    lake.commit(*campaign("c0"))
+    for number, wrong in enumerate(("busy", "away", "deaf", "slow"), start=1):
+        proxy.wrong, proxy.left, proxy.only = wrong, 3, "PUT"
+        lake.commit(*campaign(f"c{number}"))
+        assert proxy.left == 0
+    rows = Lake(shared(tmp_path / "b", store, "storm").lake).runs()
+    assert Counter(row["campaign"] for row in rows) == dict.fromkeys([f"c{k}" for k in range(5)], 2)
+
+
+def test_who_comes_second_with_the_same_version_is_told_and_loses_nothing(store: int, tmp_path: Path) -> None:
+    a, b = (shared(tmp_path / who, store, "conflict") for who in "ab")
+    for home, said in ((a, "first"), (b, "second")):
+        write_document(home.root / "twins" / "t" / "v001.json", {"by": said}, "a twin")
+    write_document(b.root / "twins" / "other" / "v001.json", {"by": "b"}, "a twin")
+    follow_shared(a)
+    with pytest.raises(StoreError, match="was first") as caught:
+        follow_shared(b)
+    assert "twins/t" in (caught.value.where or "")
+    assert read_document(b.root / "twins" / "t" / "v001.json") == {"by": "first"}
+    aside = next((b.root / "set-aside").glob("*/twins/t/v001.json"))
+    assert read_document(aside) == {"by": "second"}
+    follow_shared(b)
+    follow_shared(a)
+    assert read_document(a.root / "twins" / "other" / "v001.json") == {"by": "b"}
+    # What does not contradict comes together: a receipt of one, a new version of the other; and what one took away is gone.
+    write_document(a.root / "twins" / "t" / "v001.mlflow.json", {"x": 1}, "a receipt")
+    write_document(b.root / "twins" / "t" / "v002.json", {"by": "second"}, "a twin")
+    (b.root / "twins" / "other" / "v001.json").unlink()
+    follow_shared(b)
+    follow_shared(a)
+    follow_shared(b)
+    names = {"v001.json", "v001.mlflow.json", "v002.json"}
+    for home in (a, b):
+        assert {path.name for path in (home.root / "twins" / "t").iterdir()} == names
+        assert not (home.root / "twins" / "other").exists()
+
+
+def test_a_damaged_object_is_told_and_not_taken_over(store: int, tmp_path: Path) -> None:
+    a = shared(tmp_path / "a", store, "damaged")
+    write_document(a.root / "twins" / "t" / "v001.json", {"by": "a"}, "a twin")
+    follow_shared(a)
+    objects = Objects(a.file.bucket or pytest.fail("no store"))
+    name = next(stored.name for stored in objects.list("content/"))
+    objects.put(name, b"something else")
+    b = shared(tmp_path / "b", store, "damaged")
+    with pytest.raises(StoreError, match="missing or damaged"):
+        follow_shared(b)
+    assert not (b.root / "twins" / "t" / "v001.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("stated", "wrong"),
+    [
+        ({"store": "s3://b-1/x"}, "registry"),
+        ({"store": "/tmp/x", "registry": "http://h"}, "store"),
+        ({"store": "s3://bucket/../x", "registry": "http://h"}, "store"),
+        ({"flows": "mysql://h/d"}, "flows"),
+        ({"flows": "postgresql://me:word@h/d"}, "flows"),
+        ({"registry": "postgresql://h/d"}, "registry"),
+        ({"endpoint": "http://h"}, "endpoint"),
+        ({"shop": "x"}, "home.toml"),
+    ],
+)
+def test_settings_that_are_not_usable_are_refused(tmp_path: Path, stated: dict[str, str], wrong: str) -> None:
+    write_toml(tmp_path / HOME_FILE, stated, "the settings")
+    with pytest.raises(InputError) as caught:
+        _ = Home(tmp_path).lake
+    assert wrong in (caught.value.where or "")
+    assert "word" not in caught.value.render()
