@@ -23,6 +23,7 @@ from dtwin.atomic import whole_file, write_text
 from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
+from dtwin.home_file import Bucket
 from dtwin.locks import locked
 from dtwin.processes import process
 
@@ -45,15 +46,17 @@ class _Known:
     stamps: dict[str, list[int]] = field(default_factory=dict)
 
 
-def follow_shared(home: Home) -> None:
+def follow_shared(home: Home, at: Bucket | None = None) -> None:
     """Take over what other computers changed, and give them what changed here; nothing happens in a local home.
+
+    ``at``: the store; the one of the home by default.
 
     Raises
     ------
     StoreError
         When the store does not answer, or another computer changed the same: then what was made here lies aside.
     """
-    bucket = home.file.bucket
+    bucket = home.file.bucket if at is None else at
     if bucket is None:
         return
     home.made()
@@ -148,7 +151,7 @@ class _Copy:
 
     def _joined(self, unit: str, known: _Known, mine: Files) -> None:
         for attempt in range(_TRIES):
-            theirs, tag = self._list(unit)
+            theirs, tag = _listed(self.objects, unit)
             merged, lost = _merged(known.files, mine, theirs)
             if lost:
                 self._set_aside(unit, lost)
@@ -182,24 +185,6 @@ class _Copy:
         name = f"{LISTS}/{unit}.json"
         return self.objects.replace(name, text, tag) if tag else self.objects.put_new(name, text)
 
-    def _list(self, unit: str) -> tuple[Files, str]:
-        """Return the files that the store has of a unit, and the tag of their list; empty for none."""
-        name = f"{LISTS}/{unit}.json"
-        try:
-            raw, tag = self.objects.tagged(name)
-        except FileNotFoundError:
-            return {}, ""
-        try:
-            files = dict(json.loads(raw)["files"]) if len(raw) <= _MAX_LIST else {"/": ""}
-            good = all(_is_name(n) and _is_hash(h) for n, h in files.items())
-        except (ValueError, TypeError, KeyError, RecursionError):
-            files, good = {}, False
-        if not good or not _is_unit(unit):
-            raise StoreError(
-                "a list of shared files is damaged", code="shared.list", where=f"{self.objects.bucket}/{name}"
-            )
-        return files, tag
-
     def _fetched(self, unit: str, mine: Files, theirs: Files, merged: Files) -> None:
         """Write here what the store has anew, and remove what it has no more."""
         place = self.home.root / unit
@@ -208,9 +193,9 @@ class _Copy:
                 continue
             path = place / name if name else place
             if name in theirs and theirs[name] == digest:
-                data = self._content(digest)
+                data = _content(self.objects, digest)
             else:
-                data = _both_lines(path.read_bytes(), self._content(theirs[name]))
+                data = _both_lines(path.read_bytes(), _content(self.objects, theirs[name]))
                 merged[name] = hashlib.sha256(data).hexdigest()
             with whole_file(path, "a shared file") as partial:
                 partial.touch(mode=0o600)
@@ -220,21 +205,6 @@ class _Copy:
         if not merged:
             with contextlib.suppress(OSError):
                 place.rmdir()
-
-    def _content(self, digest: str) -> bytes:
-        where = f"{self.objects.bucket}/{CONTENT}/{digest}"
-        try:
-            data = self.objects.read(f"{CONTENT}/{digest}")
-        except FileNotFoundError:
-            data = b""
-        if hashlib.sha256(data).hexdigest() != digest:
-            raise StoreError(
-                "a shared file is missing or damaged",
-                code="shared.damaged",
-                where=where,
-                hint="a computer that has it writes it again: remove the object, and let that one follow",
-            )
-        return data
 
     def _set_aside(self, unit: str, lost: Mapping[str, str]) -> None:
         place = self.home.root / unit
@@ -287,6 +257,50 @@ class _Copy:
         path = self.home.root / _INDEX
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             write_text(path, text, "what is known of the shared store", private=True)
+
+
+def shared_units(bucket: Bucket) -> dict[str, Files]:
+    """Return the files of each unit that a store has, by the hash of their content."""
+    objects = Objects(bucket)
+    units = [s.name.removeprefix(f"{LISTS}/").removesuffix(".json") for s in objects.list(f"{LISTS}/")]
+    return {unit: _listed(objects, unit)[0] for unit in units}
+
+
+def shared_content(bucket: Bucket, digest: str) -> bytes:
+    """Return the content of a shared file; raises StoreError when it is missing or damaged."""
+    return _content(Objects(bucket), digest)
+
+
+def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
+    """Return the files that the store has of a unit, and the tag of their list; empty for none."""
+    name = f"{LISTS}/{unit}.json"
+    try:
+        raw, tag = objects.tagged(name)
+    except FileNotFoundError:
+        return {}, ""
+    try:
+        files = dict(json.loads(raw)["files"]) if len(raw) <= _MAX_LIST else {"/": ""}
+        good = all(_is_name(n) and _is_hash(h) for n, h in files.items())
+    except (ValueError, TypeError, KeyError, RecursionError):
+        files, good = {}, False
+    if not good or not _is_unit(unit):
+        raise StoreError("a list of shared files is damaged", code="shared.list", where=f"{objects.bucket}/{name}")
+    return files, tag
+
+
+def _content(objects: Objects, digest: str) -> bytes:
+    try:
+        data = objects.read(f"{CONTENT}/{digest}")
+    except FileNotFoundError:
+        data = b""
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise StoreError(
+            "a shared file is missing or damaged",
+            code="shared.damaged",
+            where=f"{objects.bucket}/{CONTENT}/{digest}",
+            hint="a computer that has it writes it again: remove the object, and let that one follow",
+        )
+    return data
 
 
 def _merged(base: Files, mine: Files, theirs: Files) -> tuple[Files, Files]:

@@ -1,4 +1,4 @@
-"""Commands about a home: what it holds, whether it is sound, a backup, and back."""
+"""Commands about a home: what it holds, whether it is sound, a backup, a move, and back."""
 
 from __future__ import annotations
 
@@ -22,16 +22,21 @@ def register(app: typer.Typer) -> None:
 def show(as_json: Json = False) -> None:
     """Show where the home is and what its parts take."""
     from dtwin.config import home
-    from dtwin.pipeline.home_check import home_parts
+    from dtwin.pipeline.home_check import home_parts, shared_parts
     from dtwin.report.text import table
 
-    parts = home_parts(home())
     where = home()
+    parts, shared = home_parts(where), shared_parts(where)
     payload = {"root": str(where.root), "mlflow": where.mlflow_uri, "engine": where.engine, "parts": parts}
-    rows = [[name, part["files"], f"{part['bytes'] / 1e6:z.1f}"] for name, part in parts.items()]
+    if where.file.as_dict():
+        payload["shared"] = where.file.as_dict() | {"parts": shared}
+    every = {**parts, **{f"{where.file.store}/{name}": part for name, part in shared.items()}}
+    rows = [[name, part["files"], f"{part['bytes'] / 1e6:z.1f}"] for name, part in every.items()]
 
     def text() -> str:
         head = f"home    {where.root}\nMLflow  {where.mlflow_uri}\nengine  {where.engine}"
+        head += f"\nstore   {where.file.store}" if where.file.store else ""
+        head += f"\nflows   {where.file.flows}" if where.file.flows else ""
         return f"{head}\n\n{table(('part', 'files', 'MB'), rows)}" if rows else f"{head}\n\nnothing is kept here yet"
 
     emit(payload, text, as_json=as_json)
@@ -76,3 +81,42 @@ def restore(
 
     made = read(archive, home(), ProgressLine("files", quiet=as_json))
     emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB are back in {made.path}", as_json=as_json)
+
+
+@app_home.command()
+def move(
+    store: Annotated[str | None, typer.Option(help="To this store: s3://bucket/prefix.")] = None,
+    registry: Annotated[
+        str | None, typer.Option(help="Models go there: postgresql://user@host/database, or an MLflow server.")
+    ] = None,
+    endpoint: Annotated[
+        str | None, typer.Option(help="Address of the store's server, where it is not Amazon's.")
+    ] = None,
+    flows: Annotated[str | None, typer.Option(help="Flows go there: postgresql://user@host/database.")] = None,
+    local: Annotated[bool, typer.Option("--local", help="Back to this computer.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Move the home to a shared store, or back; it is compared before it changes, and what was stays. Can be repeated."""
+    from dtwin.config import home
+    from dtwin.errors import InputError
+    from dtwin.pipeline.home_moving import bring_home, share
+
+    given = {"store": store, "registry": registry, "endpoint": endpoint, "flows": flows}
+    stated = {name: value for name, value in given.items() if value is not None}
+    if local == bool(stated):
+        raise InputError(
+            "a home moves to a store, or back to this computer",
+            code="move.where",
+            got="both" if local else "neither",
+            allowed="--store and --registry, or --local",
+        )
+    line = ProgressLine("files", quiet=as_json)
+    made = bring_home(home(), line) if local else share(home(), stated, line)
+    emit(
+        vars(made),
+        lambda: (
+            f"{made.lake_files} files of the lake and {made.registry_rows} rows of the registry are the same at "
+            f"{made.store or home().root}\nbefore, and kept: {made.before}"
+        ),
+        as_json=as_json,
+    )

@@ -26,7 +26,7 @@ from dtwin.progress import Progress
 
 MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.
-_LEFT_OUT = ("logs", "reduced", "locks", "servers.json", "prefect-auth")
+_LEFT_OUT = ("logs", "reduced", "locks", "servers.json", "prefect-auth", "shared.json")
 _SQLITE = b"SQLite format 3\x00"
 _OF_SQLITE = ("-wal", "-shm", "-journal")
 _PLACES = ("artifact_location", "artifact_uri", "source", "storage_location")

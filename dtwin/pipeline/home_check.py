@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.documents import read_document
 from dtwin.errors import DtwinError
@@ -17,6 +18,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
 from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
+from dtwin.shared_documents import shared_content, shared_units
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class HomeCheck:
     Attributes
     ----------
     looked_at : dict of str to int
-        Number of runs, documents, records, databases and served bundles.
+        Number of runs, documents, records, databases and served bundles; of a shared home also what the store has, and models.
     wrong : dict of str to str
         By file, run or machine.
     """
@@ -45,6 +47,17 @@ def home_parts(home: Home) -> dict[str, dict[str, int]]:
     return parts
 
 
+def shared_parts(home: Home) -> dict[str, dict[str, int]]:
+    """Return objects and bytes of every part of a home on a shared store; empty for a local one."""
+    bucket = home.file.bucket
+    parts: dict[str, dict[str, int]] = {}
+    for stored in [] if bucket is None else Objects(bucket).list():
+        part = parts.setdefault(stored.name.split("/")[0], {"files": 0, "bytes": 0})
+        part["files"] += 1
+        part["bytes"] += stored.size
+    return parts
+
+
 def check_home(home: Home, progress: Progress | None = None) -> HomeCheck:
     """Read everything that a home has a hash of, and ask its databases."""
     looked_at: dict[str, int] = {}
@@ -55,6 +68,7 @@ def check_home(home: Home, progress: Progress | None = None) -> HomeCheck:
         "records": _records(home),
         "databases": _databases(home),
         "served": _served(home),
+        **({"shared": _shared(home), "models": _models(home)} if home.file.store else {}),
     }
     for name, found in steps.items():
         looked_at[name] = 0
@@ -110,6 +124,26 @@ def _served(home: Home) -> Iterator[tuple[str, str]]:
             yield f"bundles/{folder.name}", error.message if damaged else ""
         else:
             yield f"bundles/{folder.name}", ""
+
+
+def _shared(home: Home) -> Iterator[tuple[str, str]]:
+    """Compare what the store has of twins, records and bundles with its hashes."""
+    bucket = home.file.bucket
+    if bucket is not None:
+        for unit, files in shared_units(bucket).items():
+            for name, digest in files.items():
+                yield f"{unit}/{name}".rstrip("/"), _said(shared_content, bucket, digest)
+
+
+def _models(home: Home) -> Iterator[tuple[str, str]]:
+    """Read the bundle of every version in a shared registry."""
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home)
+    for machine in registry.machines():
+        for version in registry.versions(machine):
+            if "candidate" in version.tags:
+                yield f"model {machine} version {version.version}", _said(registry.bundle, version)
 
 
 def _said(read: Any, *arguments: Any) -> str:
