@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.physics._pooled import determined, normal_inverse, spread
+from dtwin.physics._pooled import Part, determined, normal_inverse, spread
 from dtwin.physics.machine_terms import is_shared, is_wave
+from dtwin.physics.observations import Observations
 from dtwin.physics.several import Pool, SeveralFit, amplitude, regrouped, seen_estimates
 from dtwin.physics.state import AXES_OF
+from dtwin.physics.whitening import condition_sums, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail, holm, t_tail
 
 _ALPHA = 0.01
 _MOST = 6
+# What is alike in the repeats of a test is seen where its variance is a larger share than this of that of the noise.
+_UNSEEN = 0.05
+# No law says what an effect does better than to this share of it.
+_INEXACT = 0.02
 
 What = Literal["change", "mistake", "change or mistake"]
 _Side = frozenset[int]
@@ -41,6 +47,8 @@ class Contradiction:
     what : str
         ``change`` of the machine where later tests agree with it, ``mistake`` where tests before and after agree with each
         other, ``change or mistake`` where the newest test alone differs.
+    rivals : tuple of str
+        Effects of which these tests might as well have another size instead.
     """
 
     campaigns: tuple[str, ...]
@@ -54,10 +62,12 @@ class Contradiction:
     p_value: float
     since: str
     what: What
+    rivals: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return {**vars(self), "campaigns": list(self.campaigns), "others": list(self.others)}
+        lists = {name: list(getattr(self, name)) for name in ("campaigns", "others", "rivals")}
+        return {**vars(self), **lists}
 
 
 @dataclass(frozen=True)
@@ -71,6 +81,7 @@ class _Tested:
     k2: float
     p_value: float
     beside: tuple[int, ...]
+    beyond: _Side = frozenset()
 
 
 def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
@@ -91,7 +102,7 @@ def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[
         new = 1 + max(groups.values(), default=0)
         moved = worst.side if _stays(mine - worst.side, worst.side, started) else mine - worst.side
         groups |= {(c, worst.term): new for c in moved}
-        found.append(_told(worst, fitted.pool, mine, started))
+        found.append(replace(_told(worst, fitted.pool, mine, started), rivals=_rivals(fitted.pool, worst)))
         fitted = regrouped(fitted, groups)
     return fitted, (*found, *_of_waves(fitted, started))
 
@@ -137,7 +148,8 @@ def _stays(rest: _Side, side: _Side, started: Sequence[str]) -> bool:
 
 
 def _worst(fitted: SeveralFit, started: Sequence[str]) -> _Tested | None:
-    tests = [t for side in _sides(len(started), started) for t in _tested(fitted.pool, side)]
+    compared = _comparisons(fitted.pool, started)
+    tests = [t for side, beyond in compared for t in _tested(fitted.pool, side, beyond)]
     if not tests:
         return None
     p_values = holm([t.p_value for t in tests])
@@ -147,54 +159,149 @@ def _worst(fitted: SeveralFit, started: Sequence[str]) -> _Tested | None:
     return replace(tests[first], p_value=float(p_values[first])) if p_values[first] <= _ALPHA else None
 
 
-def _sides(number: int, started: Sequence[str]) -> list[_Side]:
+def _comparisons(pool: Pool, started: Sequence[str]) -> list[tuple[_Side, _Side]]:
+    """Return what is tested against the rest, and which campaigns belong to neither: among all of them, and among equal tests.
+
+    Equal tests miss the same by the same law, so that they tell a change that laws which are not exact hide from others.
+    """
+    every = frozenset(range(len(pool.parts)))
+    made: dict[frozenset[Hashable], list[int]] = {}
+    for c, part in enumerate(pool.parts):
+        made.setdefault(frozenset(_measured(part)), []).append(c)
+    equal = [frozenset(alike) for alike in made.values() if 1 < len(alike) < len(every)]
+    return [(side, every - among) for among in (every, *equal) for side in _sides(sorted(among), started)]
+
+
+def _sides(among: Sequence[int], started: Sequence[str]) -> list[_Side]:
     """Return each campaign alone, and all from a day on."""
-    singles = [frozenset([c]) for c in range(number)]
-    if len(set(started)) < number or not all(started):
+    singles = [frozenset([c]) for c in among[: 1 if len(among) == 2 else None]]
+    days = [started[c] for c in among]
+    if len(set(days)) < len(days) or not all(days):
         return singles
-    order = sorted(range(number), key=lambda c: started[c])
-    later = [frozenset(order[i:]) for i in range(1, number)]
-    return list(dict.fromkeys([*later, *singles]))
+    order = sorted(among, key=lambda c: started[c])
+    later = [frozenset(order[i:]) for i in range(1, len(order))]
+    return later if len(among) == 2 else list(dict.fromkeys([*later, *singles]))
 
 
-def _tested(pool: Pool, side: _Side) -> list[_Tested]:
-    """Test all shared parameters of one side against the rest: Wald tests of one common fit in which they may differ."""
-    maps, meaning = pool.maps()
+def _measured(part: Part) -> list[Hashable]:
+    """Return what says which conditions of different campaigns are the same."""
+    return [(part.obs.grid.kind, part.obs.n_bins, condition) for condition in part.obs.conditions]
+
+
+def _bound(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Floats) -> Floats:
+    """Return by how much laws that are not exact can move the common parameters, shape (total,).
+
+    A law misses what repeats agree on and the fit leaves, and a share of what it explains: alike in equal conditions. What is too
+    small to be seen beside the noise is of each campaign. All of it may lie where a parameter takes it up.
+    """
+    moved: dict[Hashable, Floats] = {}
+    missed: dict[Hashable, list[float]] = {}
+    unseen = np.zeros(len(x))
+    for part, to_own in zip(parts, maps, strict=True):
+        obs, own = part.obs, to_own @ x
+        count = np.bincount(obs.condition_of)
+
+        def by_condition(values: Floats, obs: Observations = obs) -> Floats:
+            return condition_sums(values.reshape(obs.n_rows, obs.n_bins, -1), obs.condition_of)
+
+        influence = by_condition((part.columns * part.root**2) @ to_own @ inverse)
+        left = part.problem.y - part.columns @ own
+        deviation, of = within_condition(left.reshape(obs.n_rows, obs.n_bins), obs.condition_of)
+        noise = float((deviation[of > 1] ** 2).sum(axis=1).mean()) if (of > 1).any() else 0.0
+        unseen += _UNSEEN * noise * len(count) * (influence**2).sum(axis=(0, 1))
+        left_over = np.maximum((by_condition(left)[..., 0] ** 2).sum(axis=1) / count**2 - noise / count, 0.0)
+        explained = np.zeros(len(count))
+        for _, span in part.spans():
+            explained += (by_condition(part.columns[:, span] @ own[span])[..., 0] ** 2).sum(axis=1) / count**2
+        for i, key in enumerate(_measured(part)):
+            moved[key] = moved.get(key, 0.0) + influence[i]
+            missed.setdefault(key, []).append(float(left_over[i] + _INEXACT**2 * explained[i]))
+    together = sum(float(np.mean(each)) for each in missed.values())
+    return np.asarray(np.sqrt(together * sum((one**2).sum(axis=0) for one in moved.values()) + unseen))
+
+
+def _tested(pool: Pool, side: _Side, beyond: _Side) -> list[_Tested]:
+    """Test all shared parameters of one side against the rest: Wald tests of one common fit in which they may differ.
+
+    Those ``beyond`` have values of their own; equal tests, which are compared without them, tell one parameter after the other.
+    """
+    _maps, meaning = pool.maps()
     # Without repeats nobody knows whether a campaign differs.
     repeated = frozenset(c for c, part in enumerate(pool.parts) if part.problem.noise is not None)
 
     def testable(term: int) -> bool:
         mine = _with_term(pool, term)
         own = side & mine
-        return is_shared(pool.terms[term]) and bool(own) and own <= repeated and bool((mine - side) & repeated)
+        return is_shared(pool.terms[term]) and bool(own) and own <= repeated and bool((mine - side - beyond) & repeated)
 
     wanted = [n for n, (term, _, where) in enumerate(meaning) if term >= 0 and where == -1 and testable(term)]
-    if not wanted:
-        return []
-    wider = [np.concatenate([m, np.where(c in side, 1.0, 0.0) * m[:, wanted]], axis=1) for c, m in enumerate(maps)]
+    base = _base(pool, beyond, wanted)
+    if not beyond:
+        return _wald(pool, side, beyond, base, wanted, ()) if wanted else []
+    return [t for n in wanted for t in _wald(pool, side, beyond, base, [n], [m for m in wanted if m != n])]
+
+
+def _base(pool: Pool, beyond: _Side, wanted: Sequence[int]) -> list[Floats]:
+    """Return the maps of a fit in which those beyond have values of their own."""
+    maps, _ = pool.maps()
+    if not beyond:
+        return maps
+    return [np.concatenate([m, float(c in beyond) * m[:, wanted]], axis=1) for c, m in enumerate(maps)]
+
+
+def _rivals(pool: Pool, found: _Tested) -> tuple[str, ...]:
+    """Return the effects beside which, were they to differ, what was found among equal tests is none."""
+    if not found.beyond:
+        return ()
+    _, meaning = pool.maps()
+    among = frozenset(range(len(pool.parts))) - found.beyond
+    shared = [n for n, (t, _, w) in enumerate(meaning) if t >= 0 and w == -1 and is_shared(pool.terms[t])]
+    seen = [n for n in shared if among <= _with_term(pool, meaning[n][0])]
+    mine = next(n for n in shared if meaning[n][:2] == (found.term, found.parameter))
+    base = _base(pool, found.beyond, seen)
+    out = []
+    for n in seen:
+        term = meaning[n][0]
+        if term == found.term or term in found.beside:
+            continue
+        told = _wald(pool, found.side, found.beyond, base, [n, mine], ())
+        if all(t.p_value > _ALPHA for t in told if (t.term, t.parameter) == (found.term, found.parameter)):
+            out.append(pool.terms[term].label)
+    return tuple(dict.fromkeys(out))
+
+
+def _wald(
+    pool: Pool, side: _Side, beyond: _Side, base: Sequence[Floats], wanted: Sequence[int], others: Sequence[int]
+) -> list[_Tested]:
+    """Test those common parameters that are wanted beside each other; only what exceeds what laws miss is a difference.
+
+    ``others`` have the same value on both sides, and are said to be beside what cannot be told from them.
+    """
+    _, meaning = pool.maps()
+    first, split = base[0].shape[1], [*wanted, *others]
+    wider = [np.concatenate([m, float(c in side) * m[:, split]], axis=1) for c, m in enumerate(base)]
     told = determined(pool.parts, wider)
-    base = len(meaning)
-    kept = [n for n in range(base) if told[n]] + [base + i for i in range(len(wanted)) if told[base + i]]
+    last = first + len(wanted)
+    kept = np.flatnonzero(told[:last])
+    dropped = [meaning[n][0] for i, n in enumerate(split) if not told[first + i]]
     wider = [m[:, kept] for m in wider]
     inverse = normal_inverse(pool.parts, wider)
     x: Floats = inverse @ np.sum([m.T @ p.side for p, m in zip(pool.parts, wider, strict=True)], axis=0)
-    wide = spread(pool.parts, wider, x, inverse)
-    k2 = wide.expanded
-    dropped = [meaning[wanted[i]][0] for i in range(len(wanted)) if not told[base + i]]
+    wide, missed = spread(pool.parts, wider, x, inverse), _bound(pool.parts, wider, x, inverse)
+    k2 = wide.expanded + missed
     out = []
     for at, column in enumerate(kept):
-        if column < base or not np.isfinite(k2[at]) or k2[at] <= 0.0:
+        if column < first or not np.isfinite(k2[at]) or k2[at] <= 0.0:
             continue
-        term, parameter, _ = meaning[wanted[column - base]]
+        term, parameter, _ = meaning[wanted[column - first]]
         if abs(float(x[at])) > pool.terms[term].instance.effect.parameters[parameter].largest:
             continue  # No machine changes by so much: the campaign errs in something else.
-        p_value = 2.0 * t_tail(abs(float(x[at])) / float(wide.standard[at]), float(wide.dof[at]))
-        beside = tuple(
-            t for t in dropped if pool.terms[t].instance.effect.name == pool.terms[term].instance.effect.name
-        )
-        out.append(
-            _Tested(side & _with_term(pool, term), term, parameter, float(x[at]), float(k2[at]), p_value, beside)
-        )
+        excess = max(0.0, abs(float(x[at])) - float(missed[at]))
+        p_value = 2.0 * t_tail(excess / float(wide.standard[at]), float(wide.dof[at]))
+        name = pool.terms[term].instance.effect.name
+        beside = tuple(t for t in dropped if pool.terms[t].instance.effect.name == name)
+        own = side & _with_term(pool, term)
+        out.append(_Tested(own, term, parameter, float(x[at]), float(k2[at]), p_value, beside, beyond))
     return out
 
 
@@ -203,7 +310,7 @@ def _told(worst: _Tested, pool: Pool, mine: _Side, started: Sequence[str]) -> Co
     effect = term.instance.effect
     parameter = effect.parameters[worst.parameter]
     name = [part.obs.campaign.name for part in pool.parts]
-    rest = _leaned_on(worst.term, mine, pool) - worst.side
+    rest = _leaned_on(worst.term, mine, pool) - worst.side - worst.beyond
     since, what = _since(worst.side, rest, started)
     pair = {term.instance.axis, *(pool.terms[t].instance.axis for t in worst.beside)}
     plane = next((plane for plane, axes in AXES_OF.items() if set(axes) == pair), None)

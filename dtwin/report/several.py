@@ -101,9 +101,12 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
         size = with_k2(one["difference"], one["k2"], one["unit"])
         since = f" since {one['since'][:10]}" if one["since"] else ""
         where = f"{one['effect']} {one['axis']}".rstrip()
+        rivals = (
+            f", or {' or '.join(one['rivals'])}, which these tests cannot tell from it" if one.get("rivals") else ""
+        )
         out.append(
             f"contradiction{since}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
-            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}): "
+            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
             + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
         )
     return out

@@ -29,7 +29,9 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
         parts=tuple(_twin_from(entry["part"], library, where) for entry in document["campaigns"]),
         about=tuple({name: entry[name] for name in _ABOUT} for entry in document["campaigns"]),
         contradictions=tuple(
-            Contradiction(**{**entry, "campaigns": tuple(entry["campaigns"]), "others": tuple(entry["others"])})
+            Contradiction(
+                **{**entry, **{name: tuple(entry.get(name, ())) for name in ("campaigns", "others", "rivals")}}
+            )
             for entry in document["contradictions"]
         ),
     )

@@ -118,6 +118,32 @@ def test_a_lead_that_circles_deny_names_all_that_say_so() -> None:
     assert {*told.campaigns, *told.others} == {"bar", "laser-X", "laser-Y"}
 
 
+STIFF = {"friction_mm_s2": 248.45, "play_um": 5.61}
+
+
+def bar_laser_and_bar_again(step_um: float) -> list[Observations]:
+    mill = MillParameters().with_axis("X", **STIFF)
+    later = mill.with_axis("X", play_um=STIFF["play_um"] + step_um)
+    return [
+        circles(mill, 10006, "bar", "2026-01-05"),
+        laser("X", 0.0, STIFF["play_um"], 10006, day="2026-01-12"),
+        circles(later, 10007, "again", "2026-03-09"),
+    ]
+
+
+def test_circles_that_hardly_tell_friction_from_backlash_contradict_nobody() -> None:
+    # At one feed a reading that is 0.02 µm off moves 7 µm from the one to the other.
+    assert apart(bar_laser_and_bar_again(0.0), "friction:X", "backlash:X")[1] == ()
+
+
+def test_equal_tests_still_show_a_change_whose_name_they_cannot_tell() -> None:
+    (told, *_) = apart(bar_laser_and_bar_again(1.0), "friction:X", "backlash:X")[1]
+    assert "backlash X" in (f"{told.effect} {told.axis}", *told.rivals)
+    assert (told.since[:10], told.others) == ("2026-03-09", ("bar",))
+    assert told.difference == pytest.approx(1.0, abs=0.4)
+    assert told.k2 < 0.5
+
+
 def bars_with_screws(*screws: tuple[float, float]) -> list[Observations]:
     return [
         circles(
