@@ -71,9 +71,10 @@ def _options(
         return
     state = home()
     if state.file.store:
-        from dtwin.shared_documents import following
+        from dtwin.shared_documents import followed_beside, following
 
-        context.with_resource(following(state, without=context.invoked_subcommand == "serve"))
+        beside = context.invoked_subcommand == "serve"
+        context.with_resource(followed_beside(state) if beside else following(state))
 
 
 def main() -> None:
@@ -99,6 +100,10 @@ def _run() -> None:
         absent = _missing_part(missing)
         _report(absent)
         sys.exit(absent.exit_code)
+    except _of_database() as error:
+        away = _registry_away(error)
+        _report(away)
+        sys.exit(away.exit_code)
     except BrokenPipeError:
         # The reader of our output went away, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -111,6 +116,25 @@ def _run() -> None:
     except KeyboardInterrupt:
         print("interrupted; run the same command again to continue", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
+
+
+def _of_database() -> tuple[type[Exception], ...]:
+    """Return what the libraries of a registry raise when a shared one is lost; nothing is imported for it."""
+    found = (sys.modules.get(module) for module in ("mlflow.exceptions", "sqlalchemy.exc"))
+    names = ("MlflowException", "SQLAlchemyError")
+    shared = home().file.registry
+    return tuple(getattr(m, n) for m, n in zip(found, names, strict=True) if m is not None) if shared else ()
+
+
+def _registry_away(error: Exception) -> StoreError:
+    """Say that the shared registry was lost while a command asked it."""
+    return StoreError(
+        "the model registry was lost, or refused",
+        code="registry.away",
+        where=home().file.registry,
+        got=str(error).split("\n")[0][:200],
+        hint="run this again when it is back: what is done already is not done twice",
+    )
 
 
 def _not_usable(error: OSError) -> StoreError:

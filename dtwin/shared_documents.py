@@ -10,11 +10,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
+import select
+import subprocess
 import sys
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -69,24 +72,14 @@ def follow_shared(home: Home, at: Bucket | None = None) -> None:
 
 
 @contextlib.contextmanager
-def following(home: Home, *, without: bool = False) -> Iterator[None]:
-    """Follow the shared store at the begin, every few seconds, and at the end.
-
-    Parameters
-    ----------
-    without : bool
-        Whether to begin with what is here when the store does not answer: who serves a machine needs no store.
-    """
+def following(home: Home) -> Iterator[None]:
+    """Follow the shared store at the begin, every few seconds, and at the end."""
     if home.file.bucket is None:
         yield
         return
-    begun = _tried(home)
-    if begun is not None:
-        if not without:
-            raise begun
-        print(begun.render(), file=sys.stderr, flush=True)
+    follow_shared(home)
     over = threading.Event()
-    thread = threading.Thread(target=_follow_on, args=(home, over), name="shared store", daemon=True)
+    thread = threading.Thread(target=_follow_on, args=(home, over.wait), name="shared store", daemon=True)
     thread.start()
     try:
         yield
@@ -100,8 +93,31 @@ def following(home: Home, *, without: bool = False) -> Iterator[None]:
     over.set()
     thread.join()
     ended = _tried(home)
-    if ended is not None and not without:
+    if ended is not None:
         raise ended
+
+
+@contextlib.contextmanager
+def followed_beside(home: Home) -> Iterator[None]:
+    """Follow the shared store in a process of its own, for one that has no time for it and needs no store.
+
+    It begins with what is here when the store does not answer.
+    """
+    if home.file.bucket is None:
+        yield
+        return
+    begun = _tried(home)
+    if begun is not None:
+        print(begun.render(), file=sys.stderr, flush=True)
+    command = [sys.executable, "-m", "dtwin.shared_documents", str(home.root)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as child:
+        # When this process ends, however it does, the pipe is closed and the child ends.
+        try:
+            yield
+        finally:
+            child.terminate()
+            child.wait()
+            _tried(home)
 
 
 def _tried(home: Home) -> DtwinError | None:
@@ -112,9 +128,9 @@ def _tried(home: Home) -> DtwinError | None:
     return None
 
 
-def _follow_on(home: Home, over: threading.Event) -> None:
+def _follow_on(home: Home, over: Callable[[float], bool]) -> None:
     said = ""
-    while not over.wait(_EVERY_S):
+    while not over(_EVERY_S):
         error = _tried(home)
         text = error.render() if error else ""
         if text and text != said:
@@ -349,3 +365,9 @@ def _is_name(name: Any) -> bool:
 
 def _is_hash(digest: Any) -> bool:
     return isinstance(digest, str) and len(digest) == 64 and set(digest) <= set("0123456789abcdef")
+
+
+if __name__ == "__main__":
+    os.nice(10)
+    with contextlib.suppress(KeyboardInterrupt):
+        _follow_on(Home(Path(sys.argv[1])), lambda wait_s: bool(select.select([sys.stdin], [], [], wait_s)[0]))

@@ -84,6 +84,22 @@ def restore(
 
 
 @app_home.command()
+def key(as_json: Json = False) -> None:
+    """Make the key by which hosts that serve machines prove that they may fetch bundles, and say where it is."""
+    from dtwin.config import home
+    from dtwin.serve.delivery import make_key
+
+    path = make_key(home())
+    emit(
+        {"key": str(path)},
+        lambda: (
+            f"{path}\ncopy it to DTWIN_HOME of each serving host; there: dtwin serve --machine NAME --pull http://HOST:PORT"
+        ),
+        as_json=as_json,
+    )
+
+
+@app_home.command()
 def move(
     store: Annotated[str | None, typer.Option(help="To this store: s3://bucket/prefix.")] = None,
     registry: Annotated[

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,6 +68,10 @@ def serve(
         ),
     ] = None,
     expired: Annotated[str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")] = "refuse",
+    pull: Annotated[
+        str | None,
+        typer.Option(help="Fetch the machine's bundles from the workbench at this address, before and meanwhile."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
@@ -95,7 +100,8 @@ def serve(
         _when_expired(expired),
         fade,
     )
-    served = serve_session(request, home(), _announce, _sensors(sensors))
+    with _bundles(pull, machine):
+        served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
     if served.status.fault is not None:
         _announce(DtwinError(**served.status.fault).render())
@@ -103,6 +109,18 @@ def serve(
         _announce("interrupted before the time was over; run the same command again to continue")
     if served.exit_code != EXIT_DONE:
         raise typer.Exit(served.exit_code)
+
+
+def _bundles(url: str | None, machine: str | None) -> AbstractContextManager[None]:
+    """Return what keeps the bundles of a machine those of another computer."""
+    if url is None:
+        return nullcontext()
+    if machine is None:
+        raise InputError("the machine must be named", code="pull.machine", hint="--machine NAME beside --pull")
+    from dtwin.config import home
+    from dtwin.serve.pulling import pulled
+
+    return pulled(url, machine, home(), _announce)
 
 
 def _when_expired(said: str) -> WhenExpired:

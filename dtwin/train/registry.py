@@ -16,6 +16,7 @@ from typing import Any
 from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
 from mlflow.exceptions import MlflowException
+from sqlalchemy import create_engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
@@ -27,6 +28,7 @@ from dtwin.train.results import Candidate, TrainingReport, held_out_text
 _EXPERIMENT = "dtwin"
 _BUNDLE_FOLDER = "bundle"
 _PROCESS = "dtwin.process"
+_CONNECT_S = 10
 _ALIASES = ("candidate", "champion", "previous")
 
 
@@ -79,16 +81,9 @@ class Registry:
         if home.file.endpoint:
             # MLflow asks the environment only.
             os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
-        try:
-            self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
-        except (MlflowException, SQLAlchemyError) as error:
-            raise StoreError(
-                "the model registry does not answer",
-                code="registry.away",
-                where=self.uri,
-                got=str(error).split("\n")[0][:200],
-                hint="run this again when it is back",
-            ) from error
+        if self.uri.startswith("postgresql"):
+            _require_answer(self.uri)
+        self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
@@ -368,6 +363,23 @@ class Registry:
             if experiment is None:
                 raise
             return str(experiment.experiment_id)
+
+
+def _require_answer(uri: str) -> None:
+    """Ask a database for nothing: MLflow would try again for minutes, and end in a traceback."""
+    engine = create_engine(uri, connect_args={"connect_timeout": _CONNECT_S})
+    try:
+        engine.connect().close()
+    except SQLAlchemyError as error:
+        raise StoreError(
+            "the model registry does not answer",
+            code="registry.away",
+            where=uri,
+            got=str(error).split("\n")[0][:200],
+            hint="run this again when it is back; its password: PGPASSWORD or ~/.pgpass",
+        ) from error
+    finally:
+        engine.dispose()
 
 
 def model_name(machine: str) -> str:

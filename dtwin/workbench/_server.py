@@ -20,6 +20,7 @@ from starlette.responses import RedirectResponse, Response
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
 from dtwin.workbench import _campaign_routes as campaign_routes
+from dtwin.workbench import _delivery_routes as delivery_routes
 from dtwin.workbench import _effect_routes as effect_routes
 from dtwin.workbench import _heat_pages as heat_pages
 from dtwin.workbench import _import_routes as import_routes
@@ -59,6 +60,7 @@ def application(bench: Bench) -> Guarded:
         live_routes,
         measuring_routes,
         job_routes,
+        delivery_routes,
     ):
         app.include_router(part.router)
     app.add_api_route("/", lambda: RedirectResponse("/machines", 303), include_in_schema=False)
