@@ -39,7 +39,7 @@ from controls import answers
 from judge import answer
 from table import table_text
 
-SHORT_ROWS = ("null_plain", "single_one", "unknown_gear_harmonic", "one_repeat", "robot_joint_one")
+SHORT_ROWS = ("null_plain", "single_one", "one_repeat")
 SHORT_CASES = 1
 SHORT_CONTROLS = 1
 WITH_CONTROLS = 20
@@ -102,7 +102,7 @@ def main() -> None:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--short", action="store_true", help="a few cases of four rows")
+    parser.add_argument("--short", action="store_true", help="a case of three rows")
     parser.add_argument("--rows", default="", help="names with commas")
     parser.add_argument("--cases", type=int, default=0, help="at most so many cases of a row")
     parser.add_argument("--jobs", type=int, default=1)

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 from running_servers import Up, measured, running_up
 
 from dtwin.config import Home
 
+_running = ExitStack()
+
 
 @pytest.fixture(scope="session")
-def scheduled_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+def scheduled_up(tmp_path_factory: pytest.TempPathFactory) -> Up:
     """``dtwin up`` that trains every minute, on a home with one quick campaign.
 
     Servers take half a minute to start: modules that name this one as a plugin share them.
     """
     home = Home(tmp_path_factory.mktemp("up"))
     measured(home, "quick")
-    with running_up(home, "--cron", "* * * * *") as up:
-        yield up
+    return _running.enter_context(running_up(home, "--cron", "* * * * *"))
+
+
+def pytest_runtest_teardown(nextitem: pytest.Item | None) -> None:
+    """Stop the servers when the next test is of a module that does not share them: a flow a minute costs much."""
+    if nextitem is None or __name__ not in getattr(getattr(nextitem, "module", None), "pytest_plugins", ()):
+        _running.close()

@@ -39,17 +39,16 @@ def _records(out: Path) -> list[dict]:
 @pytest.mark.system
 def test_every_case_is_answered_and_marked(short):
     records = _records(short[0])
-    assert len(records) == 5
+    assert len(records) == 3
     assert all(r["verdict"] in VERDICTS for r in records)
     assert all(r["right"] for r in records if r["row"] == "one_repeat")
-    for row in ("single_one", "robot_joint_one"):
-        assert any(r["right"] for r in records if r["row"] == row), row
+    assert all(r["right"] for r in records if r["row"] == "single_one")
 
 
 @pytest.mark.system
 def test_the_controls_sat_the_same_cases_and_everything_says_the_most(short):
     seen = [r for r in _records(short[0]) if r.get("controls")]
-    assert {r["row"] for r in seen} == {"null_plain", "single_one", "unknown_gear_harmonic"}
+    assert {r["row"] for r in seen} == {"null_plain", "single_one"}
     for record in seen:
         everything = record["controls"]["everything"]
         assert len(everything) > 5 + len(record["group"])

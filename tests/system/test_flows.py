@@ -234,6 +234,7 @@ def test_a_flow_started_on_the_page_keeps_to_its_folders(scheduled_up: Up, tmp_p
     assert "keeps to its folders" in wait_for(ended, 120, "the flow did not end")
 
 
+@pytest.mark.long
 def test_a_night_leaves_two_lists(up: Up) -> None:
     found = run(nightly_flow)
     assert found["diagnosed"]["done"]

@@ -20,7 +20,7 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "freezes" / "run.py"
         "axes",
         pytest.param("axes, machine clock", marks=pytest.mark.long),
         pytest.param("analogue", marks=pytest.mark.long),
-        "linuxcnc",
+        pytest.param("linuxcnc", marks=pytest.mark.long),
     ],
 )
 def test_no_freeze_makes_a_correction_jump(link: str) -> None:

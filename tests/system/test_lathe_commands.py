@@ -125,6 +125,7 @@ def invoke(*words: str, code: int = 0) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_positions_are_trained_promoted_and_tried_like_circles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     plan = replace(mapping_plan(), name="map", end=4.0, runs=3)

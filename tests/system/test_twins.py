@@ -198,6 +198,7 @@ def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> N
         twins.add("mill-a", "squareness")
 
 
+@pytest.mark.long
 def test_an_unknown_effect_is_said_to_be_unknown_until_a_law_or_a_file_explains_it(home: Home, tmp_path: Path) -> None:
     folder = write_campaign(tmp_path / "odd", "strange", name="odd-mill", machine="odd")
     twins = Twins(home)

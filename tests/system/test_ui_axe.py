@@ -119,7 +119,7 @@ def test_every_page_is_among_those_that_are_looked_at(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("width", "scheme"),
     [
-        (1440, "light"),
+        pytest.param(1440, "light", marks=pytest.mark.long),
         pytest.param(820, "dark", marks=pytest.mark.long),
         pytest.param(1440, "dark", marks=pytest.mark.long),
         pytest.param(820, "light", marks=pytest.mark.long),
