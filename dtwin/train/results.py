@@ -218,11 +218,13 @@ def worse_in_sample(candidates: Sequence[Candidate]) -> list[str]:
 
 
 def condition_name(condition: Mapping[str, Any]) -> str:
-    """Return what a condition of closed-loop evidence is called: a circle, a tone, hours ..."""
+    """Return what a condition of closed-loop evidence is called: a circle, a tone, hours, a log ..."""
     if "frequency_hz" in condition:
         return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} µm"
     if "from_h" in condition:
         return f"{condition['campaign']} {condition['from_h']:g} to {condition['to_h']:g} h"
+    if "test" in condition:
+        return f"{condition['axis']} {condition['test']} {condition['hours']:g} h".replace("  ", " ")
     if "approached" in condition:
         return f"{condition['axis']} {condition['approached']}"
     return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"

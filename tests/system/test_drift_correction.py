@@ -147,3 +147,16 @@ def test_logs_that_name_no_axis_cannot_correct_one(home: Path) -> None:
     assert "which axis moved" in kind.training_obstacle(lake.runs("warm"))
     with pytest.raises(InputError, match="which axis moved"):
         kind.training()(lake, "warm")
+
+
+def test_warm_ups_by_turns_make_a_correction_champion(home: Path) -> None:
+    said("simulate", "--machine", "column", "--quick", "--out", str(home / "column"))
+    said("ingest", str(home / "column"))
+    assert said("train", "warm-column-surface")["proposed"] == "temperatures late"
+    made = said("promote", "candidate", "--machine", "virtual-warm-column", "--comment", "first")
+    assert made["champion"]
+    (condition,) = made["evidence"]["conditions"]
+    assert (condition["n_without"], condition["n_with"]) == (3, 3)
+    assert condition["better"]
+    assert condition["after_um"] < 0.25 * condition["before_um"]
+    assert condition["after_um"] > 0.9 * condition["oracle_um"]

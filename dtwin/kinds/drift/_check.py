@@ -38,7 +38,8 @@ def judge_drift(run: Run) -> list[Finding]:
             "lost reference, or a probing that went wrong; nothing is to be fitted to this run"
         )
         findings.append(Finding("drift.jump", "error", said, {"largest_um": float(steps.max())}))
-    if series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
+    # What a correction leaves may be little more than noise.
+    if not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
         said = f"readings of one sample scatter by {series.floor_um:z.1f} µm, a tenth of all that moved or more: the probing does not repeat"
         findings.append(Finding("drift.noise", "error", said, {"scatter_um": series.floor_um}))
     if not np.isfinite(series.floor_um):
@@ -48,7 +49,8 @@ def judge_drift(run: Run) -> list[Finding]:
 
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
     """Return what logs of one machine say together: whether they move alike for the same temperatures."""
-    known = {r.meta.run_id: series_of(r) for r in runs if not any(f.severity == "error" for f in judge_drift(r))}
+    sound = [r for r in runs if not r.meta.correction and not any(f.severity == "error" for f in judge_drift(r))]
+    known = {r.meta.run_id: series_of(r) for r in sound}
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
     findings = []

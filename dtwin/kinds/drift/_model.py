@@ -163,35 +163,76 @@ def missing(series: Series, base: Fitted) -> list[Step]:
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """Something that a model may lack.
+
+    ``left`` (blocks,): squares that are left in each block when it was held out, µm².
+    ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
+    ``added``: the term that is new, which may stand in place of an old one of the same sensor.
+    """
+
+    left: Floats
+    terms: tuple[Term, ...]
+    added: Term
+    said: str
+    gain: float
+    p_value: float
+
+    @property
+    def pays(self) -> bool:
+        """Whether it takes enough, and surely."""
+        return self.gain > _MATERIAL and self.p_value < _ALPHA
+
+    def equals(self, other: Addition) -> bool:
+        """Tell whether another takes no more than chance may."""
+        return _share(self.left, other.left) <= _MATERIAL or _paid(self.left, other.left) >= _ALPHA
+
+
 def _next(series: Series, now: Fitted) -> Step | None:
-    before = _held_out(series, now.terms)
-    tried: list[tuple[Floats, tuple[Term, ...], str]] = []
-    for i, term in enumerate(now.terms):
-        others = (*now.terms[:i], *now.terms[i + 1 :])
+    best = next((one for one in additions(series, now.terms) if one.pays), None)
+    return None if best is None else Step(fitted(series, best.terms), best.said, best.gain, best.p_value)
+
+
+def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
+    """Return what a model may lack, those that leave least first: lags, curves of sensors, further sensors."""
+    before = _held_out(series, terms)
+    tried: list[tuple[Floats, tuple[Term, ...], Term, str]] = []
+    for i, term in enumerate(terms):
+        others = (*terms[:i], *terms[i + 1 :])
         kinds = {"steady": ("lag",), "lag": ("lag2",)}.get(term.kind, ())
         for kind in kinds:
-            late = [(*others, Term(kind, term.channel, tau)) for tau in _TAUS_S]
+            late = [Term(kind, term.channel, tau) for tau in _TAUS_S]
             # The time constant is chosen on blocks that are not the one it is judged on.
-            each = np.array([_held_out(series, terms) for terms in late])
+            each = np.array([_held_out(series, (*others, one)) for one in late])
             best = int(np.argmin(each.sum(axis=1)))
             nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
-            tried.append((nested, late[best], f"the lag of {term.name}"))
-    used = {term.channel for term in now.terms}
+            tried.append((nested, (*others, late[best]), late[best], f"the lag of {term.name}"))
+    used = {term.channel for term in terms}
     for channel in series.temperatures_c:
         term = Term("curve" if channel in used else "steady", channel)
-        if term not in now.terms:
-            terms = (*now.terms, term)
-            left = _held_out(series, terms)
-            tried.append((left, terms, f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"))
-    paying = [
-        (left, terms, said, p)
-        for left, terms, said in tried
-        if _share(before, left) > _MATERIAL and (p := min(1.0, len(tried) * _paid(before, left))) < _ALPHA
+        if term not in terms:
+            left = _held_out(series, (*terms, term))
+            said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
+            tried.append((left, (*terms, term), term, said))
+    made = [
+        Addition(left, new, term, said, _share(before, left), min(1.0, len(tried) * _paid(before, left)))
+        for left, new, term, said in tried
     ]
-    if not paying:
-        return None
-    left, terms, said, p = min(paying, key=lambda one: float(one[0].sum()))
-    return Step(fitted(series, terms), said, _share(before, left), p)
+    return sorted(made, key=lambda one: float(one.left.sum()))
+
+
+def best_lag(series: Series, others: Sequence[Term], late: Term) -> Term:
+    """Return a lag with the time constant that leaves least on blocks held out, beside others."""
+    made = [Term(late.kind, late.channel, tau) for tau in _TAUS_S]
+    return min(made, key=lambda one: float(_held_out(series, (*others, one)).sum()))
+
+
+def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the terms each of which pays nothing beside the others."""
+    now = _held_out(series, terms)
+    without = {term: _held_out(series, [t for t in terms if t != term]) for term in terms}
+    return tuple(t for t, left in without.items() if _share(left, now) <= _MATERIAL or _paid(left, now) >= _ALPHA)
 
 
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
+    from dtwin.kinds.machine import VirtualMachine
+    from dtwin.lake.store import Lake
+    from dtwin.physics.effect import Effect
+    from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
+    from dtwin.train.run_errors import RunError
+    from dtwin.twins.verbs import Twins
 
 
 class _Drift(Kind):
@@ -23,10 +32,17 @@ class _Drift(Kind):
     columns = ("t_s", "displacement_um")
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
+    always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {
-        "twins": "dtwin check CAMPAIGN tells what the displacement follows, and what that lacks",
-        "rows": "dtwin check CAMPAIGN tells what the displacement follows, and what that lacks",
+        "rows": "dtwin twin fit CAMPAIGN --effects follows --name NAME fits a twin of drift",
+        "twin_correction": "dtwin train CAMPAIGN makes the same terms an equation",
     }
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        from dtwin.kinds.drift._machines import MACHINES
+
+        return MACHINES
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
@@ -75,6 +91,40 @@ class _Drift(Kind):
         from dtwin.kinds.drift._training import drift_gates
 
         return drift_gates(bundle, metrics)
+
+    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
+        from dtwin.kinds.drift._evidence import drift_errors
+
+        return drift_errors(runs)
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        from dtwin.kinds.drift._champion import logs_error
+
+        return logs_error(lake, rows, bundle)
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        from dtwin.kinds.drift._champion import logs_held_out
+
+        return logs_held_out(known, fresh)
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.kinds.drift._twins import DriftTwins
+
+        # The same verbs, for a twin of a log.
+        return cast("Twins", DriftTwins(home))
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.kinds.drift import _twin_report as twin_report
+
+        return twin_report
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.drift._check import drift_figures

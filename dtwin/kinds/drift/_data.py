@@ -1,0 +1,53 @@
+"""The log of a campaign that a twin is fitted to."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.campaign_name import in_lake
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.drift._model import Series, series_of
+from dtwin.lake.store import Lake
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The longest sound log of a campaign; ``data``: table versions and a hash of what was used."""
+
+    campaign: str
+    machine: str
+    run_id: str
+    series: Series
+    data: Mapping[str, Any]
+
+
+def load(home: Home, campaign: str) -> Loaded:
+    """Return a campaign of the lake or of a folder, which is ingested first.
+
+    Raises ``InputError`` when it is of another kind, or has no sound log that was measured without a correction.
+    """
+    lake, name = Lake(home.lake), in_lake(home, campaign)
+    known = lake.campaign(name)
+    if known.kind != "drift":
+        raise InputError("not a campaign of drift", code="drift.kind", where=name, got=known.kind, allowed="drift")
+    rows = [row for row in lake.runs(name) if row["n_errors"] == 0 and not row["correction"]]
+    runs = sorted((lake.load(row) for row in rows), key=lambda run: -float(np.ptp(run.samples["t_s"])))
+    if not runs:
+        raise InputError(
+            "the campaign has no sound log without a correction",
+            code="drift.runs",
+            where=name,
+            got=f"{len(lake.runs(name))} logs",
+            hint="dtwin check tells what is wrong with them",
+        )
+    digest = hashlib.sha256()
+    for row in rows:
+        digest.update(str(row["content_sha256"]).encode())
+    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(rows), "fitted_to": runs[0].meta.run_id}
+    return Loaded(name, known.machine, runs[0].meta.run_id, series_of(runs[0]), data)

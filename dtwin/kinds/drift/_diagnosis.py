@@ -1,0 +1,126 @@
+"""What a twin of drift lacks: sensors, lags, curves, each judged on stretches of time that were held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from dtwin.kinds.drift._effects import effect_of, finite, written
+from dtwin.kinds.drift._model import Addition, Series, Term, additions, fitted, held_out_um, idle
+from dtwin.statistics import rms
+
+KIND = "drift"
+REPLICATION = "stretch of time"
+BEYOND = 1.5
+"""What is left on times held out is more than noise when it is this many times it."""
+Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
+
+
+@dataclass(frozen=True)
+class DriftDiagnosis:
+    """What is missing.
+
+    ``group``: what the verdict is about: the best, and what takes no less for all that these times tell.
+    ``idle``: terms of the twin that pay nothing beside the others.
+    """
+
+    verdict: Verdict
+    headline: str
+    figures: dict[str, float]
+    candidates: tuple[Addition, ...]
+    group: tuple[Addition, ...]
+    idle: tuple[Term, ...]
+
+    @property
+    def additions(self) -> tuple[str, ...]:
+        """What to add, best first."""
+        return tuple(written(one.added) for one in self.group)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        now = self.figures["held_out_rms_um"]
+        return {
+            "kind": KIND,
+            "verdict": self.verdict,
+            "headline": self.headline,
+            "residual_rms_um": self.figures["rms_after_um"],
+            "held_out_rms_um": now,
+            "noise_floor_um": finite(self.figures["noise_floor_um"]),
+            "replication": REPLICATION,
+            "lack_of_fit_p": None,
+            "candidates": [
+                {
+                    "effect": effect_of(one.added).name,
+                    "axis": one.added.name,
+                    "label": written(one.added),
+                    "time_constant_min": one.added.tau_s / 60.0 or None,
+                    "rms_after_um": now * float(np.sqrt(max(1.0 - one.gain, 0.0))),
+                    "cv_gain": one.gain,
+                    "p_value": one.p_value,
+                    "in_group": one in self.group,
+                    "grade": "shape-consistent" if one in self.group else None,
+                    "confounded_with": [other for other in self.additions if other != written(one.added)]
+                    if one in self.group
+                    else [],
+                    "remedy": effect_of(one.added).remedy,
+                }
+                for one in self.candidates
+            ],
+            "invisible": [],
+            "idle": [written(term) for term in self.idle],
+            "where": [],
+            "next_experiment": self._experiment(),
+        }
+
+    def _experiment(self) -> dict[str, Any] | None:
+        if self.verdict == "need_repeats":
+            return {"text": "read the place twice each time, and number the readings in a column sample"}
+        if self.verdict == "ambiguous":
+            names = " and ".join(sorted({one.added.name for one in self.group}))
+            return {
+                "text": f"a log in which {names} do not warm together: other jobs, a cold morning, one source alone"
+            }
+        if self.verdict == "unknown_effect":
+            return {"text": "log a temperature nearer to what moves, or what else changes with the time of day"}
+        return None
+
+
+def drift_figures_of(series: Series, terms: Sequence[Term]) -> dict[str, float]:
+    """Return errors before and after, RMS in µm; before: about the mean of the log."""
+    return {
+        "rms_before_um": float(np.std(series.moved_um)),
+        "rms_after_um": fitted(series, terms).left_um,
+        "held_out_rms_um": rms(held_out_um(series, terms)),
+        "noise_floor_um": series.floor_um,
+    }
+
+
+def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
+    """Find out what a twin of drift lacks."""
+    figures = drift_figures_of(series, terms)
+    tried = additions(series, terms)
+    paying = [one for one in tried if one.pays]
+    group = tuple(one for one in paying if one is paying[0] or one.equals(paying[0]))
+    left, floor = figures["held_out_rms_um"], figures["noise_floor_um"]
+    verdict: Verdict
+    if group:
+        verdict = "missing_effect" if len(group) == 1 else "ambiguous"
+        said = f"{' or '.join(_words(one) for one in group)}"
+        said += " is missing" if len(group) == 1 else ": this log does not tell which"
+    elif not np.isfinite(floor):
+        verdict, said = "need_repeats", "no reading was repeated at once, so that nobody knows what is noise"
+    elif left > BEYOND * floor:
+        verdict = "unknown_effect"
+        said = f"{left:z.1f} µm are left on times held out, {left / floor:z.1f} times the noise of a reading"
+        said += "; no sensor, lag or curve surely explains it"
+    else:
+        verdict, said = "nothing_missing", f"what is left on times held out, {left:z.1f} µm, is noise ({floor:z.1f} µm)"
+    return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))
+
+
+def _words(one: Addition) -> str:
+    late = f", {one.added.tau_s / 60.0:.3g} min" if one.added.tau_s else ""
+    return f"{one.said}{late} ({written(one.added)})"

@@ -1,0 +1,115 @@
+"""Warm-ups with and without a correction, by turns, and what logs say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import timedelta
+
+import numpy as np
+
+from dtwin.acquire.virtual import EPOCH
+from dtwin.kinds.drift._simulate import AGAIN, AXIS, PROBED_S, column_of, probed
+from dtwin.machines.warm_column import STEP_S, Day, WarmColumn
+from dtwin.progress import Progress
+from dtwin.schema import Floats, Run, RunMeta
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import Guard
+from dtwin.statistics import rms
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.results import condition_name
+from dtwin.train.run_errors import Condition, RunError
+
+_DAYS = 3
+_STRETCHES = 60
+# The warm-up of ISO 230-3: the spindle runs, then it stands.
+_WARM_H, _COOL_H, _WARM_W = 2.5, 1.5, 330.0
+_CLOCK = f"machine clock, a state every {STEP_S:g} s, one state late"
+
+
+def drift_errors(runs: Sequence[Run]) -> list[RunError]:
+    """Return the drift of every log since it began, as evidence compares them.
+
+    Logs of one axis, one test and the same whole hours are repeats.
+    """
+    out = []
+    for number, run in enumerate(runs):
+        t_s, moved = run.samples["t_s"], run.samples["displacement_um"]
+        since = moved - float(moved[t_s <= t_s[0] + PROBED_S / 2.0].mean())
+        middle = t_s[0] + float(np.ptp(t_s)) * (np.arange(_STRETCHES) + 0.5) / _STRETCHES
+        order = np.argsort(t_s, kind="stable")
+        stated = run.meta.condition
+        condition: Condition = {
+            "axis": str(stated.get("axis", "")),
+            "test": str(stated.get("test", "")),
+            "hours": float(round(float(np.ptp(t_s)) / 3600.0)),
+        }
+        rest = np.interp(middle, t_s[order], since[order])
+        out.append(RunError(number, condition, "", rms(since), rest))
+    return out
+
+
+def measured_warm_ups(bundle: Bundle, truth: str, seed: int, progress: Progress | None = None) -> MeasuredWays:
+    """Warm the virtual column up on several days with a bundle, and on as many between without.
+
+    Every day has its own hall, its own start and its own noise; no log of training was such a warm-up. The oracle knows how far
+    the nose moves, and is left with the noise of the probe.
+
+    ``truth``: as for :func:`dtwin.kinds.drift._simulate.column_of`.
+    """
+    column = column_of(truth)
+    heat = np.full(round((_WARM_H + _COOL_H) * 3600.0 / STEP_S), _WARM_W)
+    heat[round(_WARM_H * 3600.0 / STEP_S) :] = 0.0
+    runs: list[Run] = []
+    oracle: list[Run] = []
+    guards: list[Mapping[str, int]] = []
+    for number in range(2 * _DAYS):
+        drawn = 100_000 + 1000 * seed + number
+        day = column.day(heat, drawn)
+        corrected = number % 2 == 1
+        sent, guard = _served(bundle, day) if corrected else (np.zeros(day.t_s.size), None)
+        runs.append(_run(column, day, day.moved_um + sent, number, drawn, bundle.model_sha256 if corrected else ""))
+        if guard is not None:
+            guards.append(guard)
+        else:
+            oracle.append(_run(column, day, np.zeros(day.t_s.size), number, drawn, ""))
+        if progress is not None:
+            progress(number + 1, 2 * _DAYS, "warm-ups")
+    (name,) = {condition_name(error.condition) for error in drift_errors(runs)}
+    return MeasuredWays(
+        numbered(runs), _CLOCK, {"one state": STEP_S}, tuple(oracle), {name: guard_shares(guards)}, lambda _: False
+    )
+
+
+def _served(bundle: Bundle, day: Day) -> tuple[Floats, Mapping[str, int]]:
+    """Return the offset of the axis that is in force at each step, and how often each reason of the guard acted."""
+    told = {f"temperature_{name}_c": values for name, values in day.read_c.items()}
+    told["timestamp_s"] = EPOCH.timestamp() + day.t_s
+    wanted = np.zeros((day.t_s.size, 3))
+    moved = "xyz".index(bundle.outputs[0].frame[-1])
+    asked = CompiledBundle(bundle).run(np.column_stack([told[name] for name in bundle.tick_inputs]))
+    wanted[:, moved] = -asked[:, 0]
+    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
+    box = np.column_stack([told[i.name] for i in bundle.inputs])
+    sent = guard.run(wanted, box, elapsed_s=STEP_S)[:, moved]
+    return np.concatenate([[0.0], sent[:-1]]), guard.counted()
+
+
+def _run(column: WarmColumn, day: Day, moved_um: Floats, number: int, seed: int, correction: str) -> Run:
+    """Return what the probe reads once the correction has engaged, zero where the log begins."""
+    at = probed(day)[AGAIN:]
+    read = column.probed_um(moved_um[at], seed)
+    samples = {
+        "t_s": day.t_s[at] - day.t_s[at[0]] + np.tile(np.arange(float(AGAIN)), at.size // AGAIN),
+        "displacement_um": read - float(read[:AGAIN].mean()),
+        "sample_1": np.repeat(np.arange(at.size // AGAIN, dtype=float), AGAIN),
+        **{f"temperature_{name}_c": values[at] for name, values in day.read_c.items()},
+    }
+    meta = RunMeta(
+        "e",
+        kind="drift",
+        condition={"axis": AXIS, "test": "warm-up"},
+        correction=correction,
+        started=(EPOCH + timedelta(days=number)).isoformat(),
+    )
+    return Run(meta, samples, source="virtual column")

@@ -1,0 +1,121 @@
+"""Twins of drift as text, and as sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dtwin.report.html import Section, Table
+from dtwin.report.text import decimals, micrometres, table
+from dtwin.report.twin_plots import ranked_figure, waterfall_figure
+from dtwin.report.twins import history_text
+
+if TYPE_CHECKING:
+    from dtwin.kinds.drift._twins import DriftTwin
+
+_UNITS = {"um/K": "µm/K", "um/K^2": "µm/K²"}
+
+
+def parameter_table(twin: DriftTwin) -> Table:
+    """Return the parameters."""
+    document = twin.as_dict()
+    rows = []
+    for effect, parameter in zip(document["effects"], document["parameters"], strict=True):
+        late, half = effect["time_constant_s"], parameter["uncertainty"] or 0.0
+        digits = decimals(half) if half else 3
+        rows.append(
+            (
+                effect["effect"],
+                effect["axis"],
+                f"{late / 60.0:.3g} min" if late else "",
+                f"{parameter['value']:z.{digits}f} ± {half:z.{digits}f}",
+                _UNITS[parameter["unit"]],
+            )
+        )
+    return Table(("effect", "sensor", "time constant", "value, ± 95 %", "unit"), rows)
+
+
+def twin_text(twin: DriftTwin) -> str:
+    """Return a twin for the terminal."""
+    shown = parameter_table(twin)
+    head = (
+        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}, "
+        f"log {twin.as_dict()['data']['fitted_to']}\n{_fell(twin.figures)}"
+    )
+    return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet: the mean alone"])
+
+
+def comparison_text(result: Mapping[str, Any]) -> str:
+    """Return a comparison for the terminal."""
+    floor = result["noise_floor_um"]
+    return "\n".join(
+        [
+            f"twin {result['twin']} version {result['version']} against log {result['log']} of campaign "
+            f"{result['campaign']} ({result['runs']} readings)",
+            f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS about the mean; "
+            + ("no repeats, no floor" if floor is None else f"noise of a reading {micrometres(floor)} µm"),
+            "worst:",
+            *(
+                f"  {w['from_h']:z.2f} to {w['to_h']:z.2f} h: {micrometres(w['residual_rms_um'])} µm"
+                for w in result["where"]
+            ),
+        ]
+    )
+
+
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+    """Return a diagnosis for the terminal."""
+    lines = [
+        f"{result['verdict']}: {result['headline']}",
+        f"{micrometres(result['held_out_rms_um'])} µm RMS on times held out (unit of replication: the stretch of time)",
+    ]
+    rows = [
+        (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
+        for c in result["candidates"]
+        if c["cv_gain"] > 0.0
+    ]
+    if rows:
+        lines.append(table(("effect", "gain held out", "p", "in group"), rows))
+    if result["idle"]:
+        lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
+    if result["next_experiment"]:
+        lines.append(f"next: {result['next_experiment']['text']}")
+    best = next((c for c in result["candidates"] if c["in_group"]), None)
+    if best is None:
+        return "\n".join([*lines, "nothing to add"])
+    return "\n".join([*lines, f"remedy: {best['remedy']}", f"try: dtwin twin add {name} {best['label']}"])
+
+
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+    """Return a diagnosis for a report."""
+    figures = [ranked_figure(result)] if result["candidates"] else []
+    return Section(
+        "What is missing", [], [("warning", result["headline"])], [], figures, [diagnosis_text(name, result)]
+    )
+
+
+def twin_section(twin: DriftTwin) -> Section:
+    """Return a twin for a report."""
+    return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
+
+
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+    """Return the versions of a twin for a report."""
+    return Section(
+        "From version to version", figures=[waterfall_figure(rungs, begun="no effects")], code=[history_text(rungs)]
+    )
+
+
+def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
+    """Return a comparison for a report."""
+    return [Section("Measured against predicted", code=[comparison_text(result)])]
+
+
+def _fell(figures: Mapping[str, float | None]) -> str:
+    before, after, held = (float(figures[n] or 0.0) for n in ("rms_before_um", "rms_after_um", "held_out_rms_um"))
+    floor = figures["noise_floor_um"]
+    return (
+        f"{micrometres(before)} -> {micrometres(after)} µm RMS about the mean, {micrometres(held)} µm on times held out "
+        "(unit of replication: the stretch of time); "
+        + ("no repeats: the floor is not known" if floor is None else f"noise of a reading {micrometres(floor)} µm")
+    )

@@ -1,0 +1,136 @@
+"""Twins and evidence of drift, on a column that is a network of bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.drift._check import judge_drift
+from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose
+from dtwin.kinds.drift._effects import asked, joined, written
+from dtwin.kinds.drift._evidence import drift_errors
+from dtwin.kinds.drift._model import Series
+from dtwin.kinds.drift._simulate import AGAIN, column_of, probed, simulate_drift
+from dtwin.kinds.drift._twins import DriftTwins
+from dtwin.schema import Run, RunMeta
+from dtwin.twins.shelf import TwinShelf
+
+
+@cache
+def log(truth: str, seed: int = 1) -> Series:
+    column = column_of(truth)
+    day = column.day(column.drawn_program_w(8.0, seed), seed)
+    at = probed(day)
+    read = {f"temperature_{name}_c": values[at] for name, values in day.read_c.items()}
+    return Series(
+        day.t_s[at], column.probed_um(day.moved_um[at], seed), read, np.repeat(np.arange(at.size // AGAIN), AGAIN)
+    )
+
+
+def said_of(truth: str, *effects: str) -> DriftDiagnosis:
+    series = log(truth)
+    return diagnose(series, joined(series, (), asked(series, effects)))
+
+
+def test_a_sensor_on_the_skin_is_told_to_be_late_and_one_in_the_casting_is_not() -> None:
+    on_skin = said_of("surface", "follows")
+    assert (on_skin.verdict, on_skin.additions) == ("missing_effect", ("lag@front",))
+    assert said_of("pockets", "follows").verdict == "nothing_missing"
+    assert "follows@hall" in [written(term) for term in said_of("pockets", "follows").idle]
+
+
+def test_a_bent_scale_is_told_as_that_and_not_as_a_lag() -> None:
+    bent = said_of("thermistor", "follows")
+    assert (bent.verdict, bent.additions) == ("missing_effect", ("sensor_curve@front",))
+
+
+def test_without_readings_taken_at_once_nobody_knows_what_is_noise() -> None:
+    series = replace(log("pockets"), sample=None)
+    said = diagnose(series, joined(series, (), asked(series, ["follows"])))
+    assert said.verdict == "need_repeats"
+    assert said.as_dict()["noise_floor_um"] is None
+
+
+def test_two_sensors_that_read_alike_are_ambiguous() -> None:
+    series = log("pockets")
+    twice = {**series.temperatures_c, "temperature_beside_c": series.temperatures_c["temperature_back_c"] + 0.005}
+    said = diagnose(replace(series, temperatures_c=twice), ())
+    assert said.verdict == "ambiguous"
+    assert set(said.additions) == {"follows@back", "follows@beside"}
+    assert "do not warm together" in said.as_dict()["next_experiment"]["text"]
+
+
+@pytest.fixture(scope="module")
+def twins(tmp_path_factory: pytest.TempPathFactory) -> DriftTwins:
+    root = tmp_path_factory.mktemp("drift")
+    simulate_drift(root / "column", lambda *_: None, quick=True)
+    return DriftTwins(Home(root / "home"))
+
+
+@pytest.fixture(autouse=True)
+def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+
+
+def test_the_verbs_of_a_twin(twins: DriftTwins) -> None:
+    folder = str(twins.root.parent.parent / "column")
+    first = twins.fit(folder, ["follows"], "c")
+    late = twins.add("c", "lag", "front")
+    assert set(late.labels) == {"follows@spindle", "follows@back", "follows@hall", "lag@front"}
+    assert late.figures["held_out_rms_um"] < 0.8 * first.figures["held_out_rms_um"]
+    (entry,) = [e for e in late.as_dict()["effects"] if e["effect"] == "lag"]
+    assert 120.0 < entry["time_constant_s"] < 3600.0
+    result = twins.compare("c").as_dict()
+    assert result["residual_rms_um"] == pytest.approx(late.figures["rms_after_um"], rel=0.02)
+    assert twins.remove("c", "lag", "front").labels == tuple(one for one in late.labels if one != "lag@front")
+    assert twins.restore("c", late.version).labels == late.labels
+    with pytest.raises(InputError, match="has this effect already"):
+        twins.add("c", "lag", "front")
+    with pytest.raises(InputError, match="does not have this effect"):
+        twins.remove("c", "sensor_curve", "back")
+    for wrong, code in (("backlash", "effect.unknown"), ("lag@nowhere", "effect.axis")):
+        with pytest.raises(InputError) as refused:
+            twins.fit(folder, [wrong], "other")
+        assert refused.value.code == code
+    assert TwinShelf(twins.home, "drift").names() == ["c"]
+
+
+def corrected(moved_um: float, correction: str = "") -> Run:
+    rng = np.random.default_rng(3)
+    t_s = np.repeat(60.0 * np.arange(240.0), 2)
+    shape = moved_um * (1.0 - np.exp(-t_s / 4000.0)) + 7.0
+    samples = {
+        "t_s": t_s,
+        "displacement_um": shape + 0.5 * rng.standard_normal(t_s.size),
+        "sample_1": np.repeat(np.arange(240.0), 2),
+        "temperature_frame_c": 20.0 + shape,
+    }
+    meta = RunMeta("r", kind="drift", condition={"axis": "Z", "test": "warm-up"}, correction=correction)
+    return Run(meta, samples, source="here")
+
+
+def test_what_a_correction_leaves_is_not_stopped_for_being_little() -> None:
+    assert [f.code for f in judge_drift(corrected(0.5)) if f.severity == "error"] == ["drift.noise"]
+    assert not judge_drift(corrected(0.5, "abc"))
+
+
+def test_evidence_counts_how_far_a_place_moves_since_its_log_began() -> None:
+    one, other = drift_errors([corrected(30.0), corrected(0.0, "abc")])
+    assert one.condition == other.condition == {"axis": "Z", "test": "warm-up", "hours": 4.0}
+    # The root mean square of 30 (1 - exp(-t / 4000 s)) over four hours, by a sum of its own.
+    t_s = np.linspace(0.0, 14400.0, 5000)
+    assert one.size_um == pytest.approx(np.sqrt(np.mean((30.0 * (1.0 - np.exp(-t_s / 4000.0))) ** 2)), rel=0.03)
+    assert other.size_um < 1.0
+    assert one.rest_um.shape == other.rest_um.shape
+
+
+def test_a_folder_that_holds_a_campaign_is_not_written_over(tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match="holds a campaign already"):
+        simulate_drift(tmp_path, lambda *_: None)
