@@ -249,6 +249,11 @@ def store_error(text: str, where: str) -> StoreError:
     return StoreError(known[0], code="shared.store", where=where, got=text.split("\n")[0][:200], hint=known[1])
 
 
+def is_of_store(text: str) -> bool:
+    """Tell whether an error is one of a store, or of the way to it, and not of what it holds."""
+    return any(sign in text for sign in ("S3 error", "HTTP", "sending request", "retries"))
+
+
 def _environment() -> tuple[tuple[str, str], ...]:
     """Return what the environment says of stores: a client is made anew when that changes."""
     found = {key.upper(): value for key, value in os.environ.items() if key.upper().startswith("AWS_")}

@@ -127,6 +127,8 @@ class SharedFolder:
         self.place: Place = place
         self._bucket = place
         self._objects = Objects(place)
+        # Runs of a campaign lie in one file, and are read one by one.
+        self._last: tuple[str, pa.Buffer] | None = None
 
     @property
     def options(self) -> dict[str, str]:
@@ -152,12 +154,19 @@ class SharedFolder:
 
     def read(self, name: str) -> pa.Buffer:
         """Return the content of an object, in memory of Arrow as above."""
+        last = self._last
+        if last is not None and last[0] == name:
+            return last[1]
         sink = pa.BufferOutputStream()
         sink.write(self._objects.read(name))
-        return sink.getvalue()
+        content = sink.getvalue()
+        if name.endswith(".parquet"):
+            self._last = name, content
+        return content
 
     def write(self, name: str, data: bytes | memoryview) -> int:
         """Write an object."""
+        self._last = None
         self._objects.put(name, data)
         return len(data)
 

@@ -14,7 +14,7 @@ from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundErr
 from deltalake.schema import Schema as DeltaSchema
 from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
-from dtwin.bucket import store_error
+from dtwin.bucket import is_of_store, store_error
 from dtwin.errors import StoreError
 from dtwin.home_file import Bucket
 from dtwin.lake._delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
@@ -72,6 +72,8 @@ class DeltaFiles:
         self.place = place
         self.folder = folder_at(place)
         self.log = Log(self.folder.below("_delta_log"))
+        # Of a shared store, where reading the log anew takes ten requests.
+        self._kept: DeltaTable | None = None
 
     def exists(self) -> bool:
         """Tell whether the table was ever written."""
@@ -321,16 +323,18 @@ class DeltaFiles:
 
     def _open(self, version: int | None = None) -> DeltaTable:
         try:
-            return DeltaTable(self._address, version=version, storage_options=self.folder.options)
+            if version is None and self._kept is not None:
+                self._kept.update_incremental()
+                return self._kept
+            table = DeltaTable(str(self.place), version=version, storage_options=self.folder.options)
         except (TableNotFoundError, DeltaError, OSError, ValueError) as error:
             raise self._damaged(str(error)) from error
-
-    @property
-    def _address(self) -> str:
-        return str(self.place)
+        if version is None and isinstance(self.place, Bucket):
+            self._kept = table
+        return table
 
     def _damaged(self, got: str) -> StoreError:
-        if isinstance(self.place, Bucket) and _is_of_store(got):
+        if isinstance(self.place, Bucket) and is_of_store(got):
             return store_error(got, str(self.place))
         return StoreError(
             "the log of a table is damaged",
@@ -362,7 +366,7 @@ class DeltaFiles:
         try:
             self.folder.make()
             made = DeltaTable.create(
-                self._address,
+                str(self.place),
                 schema=DeltaSchema(fields),
                 mode="ignore",
                 commit_properties=CommitProperties(live_hash(())),
@@ -392,8 +396,3 @@ def _split(name: str) -> tuple[str, int | None]:
     """Return a file and the group of rows in it that a name means."""
     part = _PART.fullmatch(name)
     return (part[1], int(part[2])) if part else (name, None)
-
-
-def _is_of_store(text: str) -> bool:
-    """Tell whether an error is one of the store, or the way to it, and not of what the log says."""
-    return any(sign in text for sign in ("S3 error", "HTTP", "sending request", "retries"))

@@ -57,13 +57,17 @@ class StoreProxy:
         So many requests it goes wrong, then no more.
     passes : int
         So many writes pass before it goes wrong.
+    wait_s : float
+        How long ``slow`` lasts.
+    asked : int
+        How many requests came.
     only : str
         Method that goes wrong; every one when empty.
     """
 
     def __init__(self, port: int) -> None:
         self.behind, self.wrong, self.left, self.only = port, "", 1 << 30, ""
-        self.passes = 0
+        self.passes, self.asked, self.wait_s = 0, 0, 0.3
         self._lock = threading.Lock()
         proxy = self
 
@@ -84,6 +88,7 @@ class StoreProxy:
 
     def goes_wrong(self, method: str) -> str:
         with self._lock:
+            self.asked += 1
             if not self.wrong or self.left <= 0 or (self.only and self.only != method):
                 return ""
             if self.passes > 0:
@@ -105,7 +110,7 @@ class StoreProxy:
             _send(request, status, {}, f"<Error><Code>{code}</Code><Message>no</Message></Error>".encode())
             return
         if wrong == "slow":
-            time.sleep(0.3)
+            time.sleep(self.wait_s)
         headers = {k: v for k, v in request.headers.items() if k.lower() not in _HOP}
         if wrong == "no_conditions":
             headers = {k: v for k, v in headers.items() if k.lower() not in ("if-none-match", "if-match")}

@@ -29,6 +29,15 @@ def short(script: str, *options: str) -> Any:
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
+def test_a_shared_home_says_what_it_asks_of_its_store() -> None:
+    found = short("bench_shared_home.py", "--way-ms=1")
+    asked = {(row["work"], row["there"]): row["requests"] for row in found["rows"]}
+    assert asked["follow, nothing new", 1] == 1
+    assert asked["list a campaign", 1] >= 3
+    assert {there for _, there in asked} == {1, 3}
+
+
 def test_none_is_left_out() -> None:
     there = {p.name for p in FOLDER.glob("*.py")}
     assert there == {
@@ -42,6 +51,7 @@ def test_none_is_left_out() -> None:
         "bench_help.py",
         "bench_ingest.py",
         "bench_loop.py",
+        "bench_shared_home.py",
         "bench_tone_tick.py",
         "bench_verbs.py",
         "bench_workbench.py",
