@@ -11,8 +11,9 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -143,9 +144,20 @@ def _send(request: BaseHTTPRequestHandler, status: int, headers: dict[str, str],
             request.wfile.write(content)
 
 
+@dataclass(frozen=True)
+class Postgres:
+    """A running server.
+
+    ``does``: runs ``pg_ctl`` with these arguments.
+    """
+
+    port: int
+    does: Callable[..., None]
+
+
 @contextmanager
-def running_postgres(folder: Path) -> Iterator[int]:
-    """Yield the port of a PostgreSQL with the databases ``mlflow`` and ``prefect`` of a user ``dtwin``."""
+def running_postgres(folder: Path) -> Iterator[Postgres]:
+    """Yield a PostgreSQL with the databases ``mlflow`` and ``prefect`` of a user ``dtwin``."""
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
     place = str(found[-1]) if found else ""
     initdb = require_program("initdb", "postgresql", place)
@@ -165,11 +177,16 @@ def running_postgres(folder: Path) -> Iterator[int]:
     options = f"-p {port} -c listen_addresses=127.0.0.1 -c unix_socket_directories= -c fsync=off"
     quiet = {"stdout": subprocess.DEVNULL, "check": True, "cwd": "/"}
     subprocess.run([*other, initdb, "-D", data, "-A", "trust", "-U", "dtwin", "--no-sync", "-E", "UTF8"], **quiet)
-    subprocess.run([*other, control, "-D", data, "-o", options, "-w", "-l", f"{data}/log", "start"], **quiet)
+
+    def does(*arguments: str) -> None:
+        command = [*other, control, "-D", data, "-o", options, "-w", "-l", f"{data}/log", *arguments]
+        subprocess.run(command, **quiet)
+
+    does("start")
     try:
         for name in ("mlflow", "prefect"):
             createdb = require_program("createdb", "postgresql", place)
             subprocess.run([createdb, "-h", "127.0.0.1", "-p", str(port), "-U", "dtwin", name], **quiet)
-        yield port
+        yield Postgres(port, does)
     finally:
-        subprocess.run([*other, control, "-D", data, "-m", "immediate", "stop"], **quiet)
+        does("-m", "immediate", "stop")

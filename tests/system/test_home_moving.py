@@ -5,45 +5,74 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from closed_loop import GEOMETRY, MACHINE, registered, small_bundle
 from fleet_lake import fill
-from shared_servers import BUCKET, KEYS, running_postgres, running_store
+from shared_servers import BUCKET, KEYS, Postgres, running_postgres, running_store
+from shown_commands import Block, blocks, page
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from dtwin.atomic import write_toml
 from dtwin.bucket import Objects
 from dtwin.cli import app
 from dtwin.config import Home, home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.home_file import HOME_FILE, Bucket
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record, write_record
 from dtwin.pipeline import home_moving
 from dtwin.pipeline.home_check import check_home
 from dtwin.serve.pointer import resolve
-from dtwin.shared_documents import follow_shared
 from dtwin.train.promotion import trial
 from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    with running_postgres(tmp_path_factory.mktemp("pg") / "server") as database, running_store() as store:
-        yield {
-            "store": f"s3://{BUCKET}/plant",
-            "endpoint": f"http://127.0.0.1:{store}",
-            "registry": f"postgresql://dtwin@127.0.0.1:{database}/mlflow",
-            "flows": f"postgresql://dtwin@127.0.0.1:{database}/prefect",
+def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
+    with running_postgres(tmp_path_factory.mktemp("pg") / "server") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def shown(database: Postgres) -> Iterator[list[Block]]:
+    """The blocks of the page, with the addresses and names of this test."""
+    text = page("docs/how-to/share-a-home.md")
+    with running_store() as store:
+        ours = {
+            "s3://plant-store/dtwin": f"s3://{BUCKET}/plant",
+            "store.plant:9000": f"127.0.0.1:{store}",
+            "db.plant:5432": f"127.0.0.1:{database.port}",
+            "mill-backlash": "c00",
+            "mill-a": "mine",
         }
+        for told, mine in ours.items():
+            assert told in text
+            text = text.replace(told, mine)
+        yield blocks(text)
+
+
+@pytest.fixture
+def places(shown: list[Block]) -> dict[str, str]:
+    [file] = [block for block in shown if block.title == HOME_FILE]
+    return tomllib.loads("\n".join(file.lines))
+
+
+def commands(block: Block) -> list[list[str]]:
+    return [shlex.split(line, comments=True)[1:] for line in block.lines]
 
 
 def files_of(folder: Path) -> dict[str, str]:
@@ -55,7 +84,7 @@ def files_of(folder: Path) -> dict[str, str]:
 
 
 def test_a_home_moves_there_and_back_and_is_the_same(
-    places: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shown: list[Block], places: dict[str, str], database: Postgres, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in KEYS.items():
         monkeypatch.setenv(name, value)
@@ -67,7 +96,7 @@ def test_a_home_moves_there_and_back_and_is_the_same(
     trial(Registry(here), here, version, geometry=GEOMETRY, comment="first")
     rows, lake_before = Lake(here.lake).runs(), files_of(here.root / "lake")
     bundle, metrics = Registry(here).bundle(version), Registry(here).metrics(version)
-    named = [part for key, value in places.items() for part in (f"--{key}", value)]
+    to_move, to_join, to_go_back = (commands(block) for block in shown if block.language == "sh")
 
     # It dies just before the pointer changes, and is local still; the same command goes on.
     with monkeypatch.context() as dying:
@@ -75,23 +104,29 @@ def test_a_home_moves_there_and_back_and_is_the_same(
         with pytest.raises(RuntimeError, match="killed"):
             home_moving.share(here, places)
     assert not here.file.store
-    moved = shell.invoke(app, ["home", "move", *named, "--json"])
+    [move] = to_move
+    moved = shell.invoke(app, [*move, "--json"])
     assert moved.exit_code == 0, moved.output
     said = json.loads(moved.stdout)
     assert said["lake_files"] == len(lake_before)
     assert files_of(here.root / "lake") == lake_before
     assert isinstance(here.lake, Bucket)
+    assert here.file.as_dict() == places
     assert Lake(here.lake).runs() == rows
-    shown = json.loads(shell.invoke(app, ["home", "show", "--json"]).stdout)
-    assert shown["shared"]["store"] == places["store"]
-    assert shown["shared"]["parts"]["lake"]["files"] == len(lake_before)
+    said = json.loads(shell.invoke(app, ["home", "show", "--json"]).stdout)
+    assert said["shared"]["store"] == places["store"]
+    assert said["shared"]["parts"]["lake"]["files"] == len(lake_before)
 
     # Another computer needs the file alone.
     other = Home(tmp_path / "other")
     write_toml(other.root / HOME_FILE, places, "the settings")
-    follow_shared(other)
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("DTWIN_HOME", str(other.root))
+        for command in to_join:
+            answer = shell.invoke(app, command)
+            assert answer.exit_code == 0, answer.output
     assert Lake(other.lake).runs() == rows
-    assert Twins(other).newest("mine").labels == ("squareness XY",)
+    assert Twins(other).newest("mine").labels == ("squareness XY", "backlash X")
     assert (read_record(other, "mill-0") or MachineRecord("")).facts == {"serial": "7"}
     assert resolve("trial", MACHINE, other).version == 1
     registry = Registry(other)
@@ -102,7 +137,24 @@ def test_a_home_moves_there_and_back_and_is_the_same(
     assert two.version == "2"
     second = registry.bundle(two)
     assert fill(other, 3)[-1] == "c02"
-    Twins(other).add("mine", "backlash", "X")
+    pages = TestClient(application(Bench(other, Access("127.0.0.1", 80), None)), base_url="http://127.0.0.1:80")
+    for address in (
+        "/machines",
+        "/machines/mill-0",
+        "/campaigns",
+        "/campaigns/c02",
+        "/twins",
+        "/twins/mine",
+        "/models",
+    ):
+        assert pages.get(address).status_code == 200, address
+
+    # While the database is away a command says so; when it is back, who was connected goes on.
+    database.does("-m", "immediate", "stop")
+    with pytest.raises(StoreError, match="does not answer"):
+        Registry(other)
+    database.does("start")
+    assert registry.bundle(two) == second
     checked = check_home(other)
     assert checked.wrong == {}
     assert (checked.looked_at["runs"], checked.looked_at["models"]) == (18, 2)
@@ -115,8 +167,9 @@ def test_a_home_moves_there_and_back_and_is_the_same(
     refused = shell.invoke(app, ["home", "backup", str(tmp_path / "x.tar")])
     assert isinstance(refused.exception, InputError)
 
-    moved = shell.invoke(app, ["home", "move", "--local"])
-    assert moved.exit_code == 0, moved.output
+    for command in to_go_back:
+        answer = shell.invoke(app, command)
+        assert answer.exit_code == 0, answer.output
     assert here.lake == here.root / "lake"
     assert len(Lake(here.lake).runs()) == 18
     assert Twins(here).newest("mine").version == 2
