@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.lake.rows import findings_fields
 from dtwin.lake.store import Lake
+from dtwin.people import acting
 from dtwin.schema import Finding, require_name, standard_plane
 
 # Tables of a row, by the name that a setting begins with; the first two are of the campaign.
@@ -236,12 +236,5 @@ def _record(lake: Lake, campaign: str, changes: Mapping[str, Mapping[str, Any]],
             allowed=f"1 to {_LONGEST} printable characters",
             hint='--because "wrong master entered"',
         )
-    said = {"who": who or _user(), "when": datetime.now(UTC).isoformat(timespec="seconds")}
+    said = {"who": who or acting(), "when": datetime.now(UTC).isoformat(timespec="seconds")}
     lake.amend(campaign, [{"run_id": r, "because": reason, "changes": c, **said} for r, c in changes.items()])
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"

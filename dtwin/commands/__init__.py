@@ -25,6 +25,7 @@ from dtwin.commands import (
     _machine_tests,
     _models,
     _papers,
+    _people,
     _planning,
     _rechecking,
     _record,
@@ -72,6 +73,7 @@ _MODULES = (
     _importing,
     _servers,
     _home,
+    _people,
     _ui,
 )
 

@@ -37,7 +37,18 @@ TASKS: dict[str, tuple[str, ...]] = {
         "turning",
         "volumetric",
     ),
-    "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "linuxcnc", "cell", "up", "home"),
+    "Run": (
+        "serve",
+        "robot-program",
+        "robot-targets",
+        "export",
+        "analogue",
+        "linuxcnc",
+        "cell",
+        "up",
+        "home",
+        "people",
+    ),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history", "budget"),

@@ -31,6 +31,7 @@ from dtwin.notebook.results import (
 from dtwin.physics import localise
 from dtwin.physics.library import Library
 from dtwin.schema import Run
+from dtwin.shared_documents import follow_shared
 from dtwin.twins.measured import load, pure_rms_um
 from dtwin.twins.of_kind import fit_twin, twins_with
 
@@ -330,6 +331,7 @@ def open_home(folder: str | Path | None = None, effects: Iterable[str | Path] = 
     """
     quiet_environment()
     root = home() if folder is None else Home(Path(folder).expanduser().absolute())
+    follow_shared(root)
     return OpenHome(root.tightened(), effects)
 
 

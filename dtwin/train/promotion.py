@@ -12,6 +12,7 @@ from typing import Any, Literal
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.kinds.registry import kind_of, machine_of_type
+from dtwin.people import acting, note, read_people
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
@@ -25,7 +26,7 @@ from dtwin.train.registry import RegisteredVersion, Registry, model_name
 _HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
-_Action = Literal["trial", "champion", "refused", "rollback"]
+_Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
 
 
 def check_version(registry: Registry, version: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
@@ -88,6 +89,7 @@ def promote(
     if not all(v.passed for v in verdicts):
         _remember(home, version, "refused", comment, verdicts, despite)
         raise _refusal(version, verdicts)
+    _require_second_person(home, version, comment, verdicts)
     kind = evidence.kind if evidence else "none"
     path = _freeze(home, version, bundle, verdicts, kind, valid_days)
     proved = _proved(evidence)
@@ -217,6 +219,32 @@ def withdraw(
     return present, None
 
 
+def _require_second_person(home: Home, version: RegisteredVersion, comment: str, verdicts: Sequence[Verdict]) -> None:
+    """Let a promotion that two people must want wait for the second.
+
+    Raises
+    ------
+    GateRefusal
+        When nobody else proposed this version since the last that was decided.
+    """
+    if not read_people(home).second_person:
+        return
+    said = history(home, version.machine)
+    decided = max((k for k, e in enumerate(said) if e["action"] in ("champion", "rollback")), default=-1)
+    proposed = [e for e in said[decided + 1 :] if e["action"] == "proposed" and e["version"] == version.version]
+    if any(e.get("who") not in (None, acting()) for e in proposed):
+        return
+    if not proposed:
+        _remember(home, version, "proposed", comment, verdicts)
+    raise GateRefusal(
+        f"version {version.version} of {version.machine} passed, and waits for a second person",
+        code="promote.second",
+        where=f"machine {version.machine}",
+        got=f"proposed by {acting()}",
+        hint="another person promotes the same version, at the workbench or by dtwin promote",
+    )
+
+
 def history(home: Home, machine: str) -> list[dict[str, Any]]:
     """Return everything that was promoted, refused or rolled back, oldest first."""
     path = machine_folder(machine, home) / _HISTORY
@@ -323,6 +351,7 @@ def _remember(
         "time": _now(),
         "version": version.version,
         "action": action,
+        "who": acting(),
         "comment": comment,
         "failed": [v.gate for v in verdicts if not v.passed],
     } | ({"despite": list(despite)} if despite else {})
@@ -330,6 +359,7 @@ def _remember(
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(entry) + "\n")
+        note(home, f"{action}: version {version.version} of {version.machine}", comment, "done")
     except OSError as error:
         raise StoreError(
             "the promotion history cannot be written", code="store.write", where=str(path), got=str(error)

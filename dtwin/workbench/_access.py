@@ -8,12 +8,16 @@ import secrets
 from dataclasses import dataclass, field
 from urllib.parse import quote, urlencode
 
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.requests import cookie_parser
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from dtwin.config import Home
 from dtwin.own_address import is_foreign, names_this_computer
+from dtwin.people import ROLES, Person, act_as, acting, note, read_people
+from dtwin.workbench._roles import overheard, role_for
 
 _READING = ("GET", "HEAD")
 _MOVE_ON = (
@@ -40,13 +44,15 @@ class Access:
 
     ``host``: address that the server listens on.
     ``private``: whether reading needs the token too: where several people use the computer.
-    ``token``: needed for everything that changes something; for everything when others can reach the server.
+    ``home``: whose people have tokens of their own, and whose record says what they did.
+    ``token``: of who started the server, who may do all. One is needed for everything that changes something; for everything when others can reach the server.
     """
 
     host: str
     port: int
     private: bool = False
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    home: Home | None = None
 
     @property
     def cookie(self) -> str:
@@ -67,7 +73,15 @@ class Access:
 
     def knows(self, given: str | None) -> bool:
         """Tell whether a token is the right one."""
-        return given is not None and secrets.compare_digest(given.encode(), self.token.encode())
+        return self.person(given) is not None
+
+    def person(self, given: str | None) -> Person | None:
+        """Return whose token it is; None for a wrong one."""
+        if given is None:
+            return None
+        if secrets.compare_digest(given.encode(), self.token.encode()):
+            return Person(acting(), ROLES, "")
+        return None if self.home is None else read_people(self.home).of_token(given)
 
     def knows_host(self, header: str | None) -> bool:
         """Tell whether a Host header names this server."""
@@ -104,7 +118,24 @@ class Guarded:
             await send(message)
 
         answer = self._refused(scope)
-        await (answer or self.app)(scope, receive, send_with_headers)
+        who, home = scope.get("state", {}).get("who"), self.access.home
+        if answer or scope["method"] in _READING or who is None or home is None:
+            await (answer or self.app)(scope, receive, send_with_headers)
+            return
+        came: list[int] = []
+
+        async def noted(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                came.append(message["status"])
+            await send_with_headers(message)
+
+        act_as(who)
+        hear, reason = overheard(receive)
+        try:
+            await self.app(scope, hear, noted)
+        finally:
+            what = f"{scope['method']} {scope['path']}"
+            await run_in_threadpool(note, home, what, reason(), str(came[0] if came else "died"), who)
 
     def _refused(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
@@ -114,13 +145,19 @@ class Guarded:
         if given is not None and scope["method"] in _READING:
             return self._entered(scope, given)
         cookies = cookie_parser(headers.get("cookie", ""))
-        allowed = self.access.knows(cookies.get(self.access.cookie))
-        scope.setdefault("state", {})["allowed"] = allowed
+        person = self.access.person(cookies.get(self.access.cookie))
+        allowed = person is not None
+        scope.setdefault("state", {}).update(allowed=allowed, who=None if person is None else person.name)
         if scope["method"] not in _READING:
             if headers.get("origin") is None or is_foreign(headers["origin"], headers["host"]):
                 return _refusal("the request comes from another site", "use the workbench's page")
-            if not allowed:
+            if person is None:
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
+            role = role_for(scope["path"]) or "promote"
+            if not person.may(role):
+                return _refusal(
+                    f"{person.name} may not {role}", f"ask for the role: dtwin people add NAME --role {role}"
+                )
             return None
         # A delivery asks for a proof of its own, which no browser has.
         if scope["path"].startswith(("/static/", "/delivery/")):

@@ -9,6 +9,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
+from contextvars import Context, copy_context
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -62,7 +63,7 @@ class Jobs:
                 job.state = "interrupted"
                 job.stage = "the server ended before this was finished; start it again"
                 self._note(job)
-        self._queue: queue.Queue[tuple[Job, Work]] = queue.Queue()
+        self._queue: queue.Queue[tuple[Job, Work, Context]] = queue.Queue()
         threading.Thread(target=self._run, daemon=True, name="workbench-jobs").start()
 
     def start(self, title: str, work: Work) -> Job:
@@ -74,7 +75,8 @@ class Jobs:
         job = Job(secrets.token_hex(8), title, begun=begun)
         self._jobs[job.id] = job
         self._note(job)
-        self._queue.put((job, work))
+        # Of who asked: his name stands under what is done.
+        self._queue.put((job, work, copy_context()))
         return job
 
     def get(self, job_id: str) -> Job | None:
@@ -95,8 +97,8 @@ class Jobs:
 
     def _run(self) -> None:
         while True:
-            job, work = self._queue.get()
-            self._do(job, work)
+            job, work, context = self._queue.get()
+            context.run(self._do, job, work)
             for old in [j for j in list(self._jobs.values()) if j.ended][:-_MOST_KEPT]:
                 self.forget(old.id)
 

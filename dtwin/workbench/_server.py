@@ -92,7 +92,7 @@ def run(
     announce : callable
         Gets the address, once it answers.
     """
-    access = Access(host, int(listening.getsockname()[1]), private)
+    access = Access(host, int(listening.getsockname()[1]), private, home=home)
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
     config = uvicorn.Config(

@@ -1,0 +1,230 @@
+"""Who may do what at the workbench of a home, whose name stands under it, and a record that only grows."""
+
+from __future__ import annotations
+
+import getpass
+import hashlib
+import hmac
+import json
+import secrets
+import tomllib
+from collections.abc import Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from dtwin.atomic import sync, write_toml
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.locks import locked
+from dtwin.schema import require_name
+
+ROLES = ("look", "measure", "train", "promote", "stop")
+"""What a person may do; everybody with a token may look."""
+AUDIT = "audit.jsonl"
+_FILE, _MAX_BYTES, _LONGEST = "people.toml", 200_000, 500
+_FIRST = "0" * 64
+_acting: ContextVar[str] = ContextVar("acting", default="")
+
+
+@dataclass(frozen=True)
+class Person:
+    """Somebody with a token of his own.
+
+    ``token_sha256``: of the token, which is shown once and kept nowhere.
+    """
+
+    name: str
+    roles: tuple[str, ...]
+    token_sha256: str
+
+    def may(self, role: str) -> bool:
+        """Tell whether the person has a role."""
+        return role == "look" or role in self.roles
+
+
+@dataclass(frozen=True)
+class People:
+    """Who is known; ``second_person``: whether a champion needs two of them."""
+
+    people: tuple[Person, ...] = ()
+    second_person: bool = False
+
+    def of_token(self, token: str) -> Person | None:
+        """Return whose token it is."""
+        given = hashlib.sha256(token.encode()).hexdigest()
+        found = [person for person in self.people if hmac.compare_digest(person.token_sha256, given)]
+        return found[0] if found else None
+
+
+def acting() -> str:
+    """Return who acts: the person of a request, else the user of this process."""
+    if name := _acting.get():
+        return name
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"
+
+
+def act_as(name: str) -> None:
+    """Let what follows in this context be done by a person."""
+    _acting.set(name)
+
+
+def read_people(home: Home) -> People:
+    """Return who is known; nobody without the file.
+
+    Raises
+    ------
+    InputError
+        When the file is not usable.
+    """
+    path = home.root / _FILE
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+        second = stated.pop("second_person", False)
+        people = stated.pop("people", {})
+        if stated or not isinstance(second, bool) or not isinstance(people, dict):
+            raise ValueError("second_person, or a table people.NAME")
+        return People(tuple(_person(name, about) for name, about in people.items()), second)
+    except FileNotFoundError:
+        return People()
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "the list of people is not usable",
+            code="people.file",
+            where=str(path),
+            got=str(error)[:120],
+            hint="dtwin people add NAME --role ... writes it",
+        ) from error
+
+
+def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
+    """Make a token for a person, in the place of an earlier one, and return it: it is kept nowhere.
+
+    Raises
+    ------
+    InputError
+        When a role is not known.
+    """
+    require_name(name, "the person")
+    unknown = sorted(set(roles) - set(ROLES))
+    if unknown or not roles:
+        raise InputError(
+            "the roles are not usable", code="people.role", got=", ".join(unknown) or "none", allowed=", ".join(ROLES)
+        )
+    token = secrets.token_urlsafe(24)
+    known = read_people(home)
+    person = Person(name, tuple(r for r in ROLES if r in roles), hashlib.sha256(token.encode()).hexdigest())
+    _write(home, People((*(p for p in known.people if p.name != name), person), known.second_person))
+    return token
+
+
+def remove_person(home: Home, name: str) -> None:
+    """Take a person's token away; the name stays under what was done.
+
+    Raises
+    ------
+    InputError
+        When nobody has the name.
+    """
+    known = read_people(home)
+    if name not in [p.name for p in known.people]:
+        names = ", ".join(p.name for p in known.people)
+        raise InputError("nobody has this name", code="people.unknown", got=name[:80], allowed=names or "nobody yet")
+    _write(home, People(tuple(p for p in known.people if p.name != name), known.second_person))
+
+
+def require_second_person(home: Home, wanted: bool) -> None:
+    """State whether a champion needs two people."""
+    _write(home, People(read_people(home).people, wanted))
+
+
+def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
+    """Add a line to the record: when, who, what, why, and what came of it.
+
+    Each line has the hash of the one before: none can be changed or taken out without those after it.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be written.
+    """
+    path = home.made().root / AUDIT
+    try:
+        with locked(home.root / "locks" / "audit.lock", wait=True), path.open("a+b") as file:
+            path.chmod(0o600)
+            before = _hash_of_last(path)
+            about = {
+                "when": datetime.now(UTC).isoformat(timespec="seconds"),
+                "who": who or acting(),
+                "what": what[:_LONGEST],
+                "why": why[:_LONGEST],
+                "came": came[:_LONGEST],
+                "after": before,
+            }
+            file.write((json.dumps(about) + "\n").encode())
+            file.flush()
+            sync(path)
+    except OSError as error:
+        raise StoreError(
+            "the record of who did what cannot be written", code="store.write", where=str(path), got=str(error)
+        ) from error
+
+
+def audit(home: Home) -> list[dict[str, Any]]:
+    """Return the record, oldest first.
+
+    Raises
+    ------
+    StoreError
+        When a line was changed, taken out or put in.
+    """
+    path, before, found = home.root / AUDIT, _FIRST, []
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    for number, line in enumerate(lines, start=1):
+        try:
+            said = json.loads(line)
+            whole = said["after"] == before
+        except (ValueError, TypeError, KeyError):
+            said, whole = {}, False
+        if not whole:
+            raise StoreError(
+                "the record of who did what was changed, or a line of it is cut",
+                code="audit.changed",
+                where=f"{path} line {number}",
+                hint="compare it with a backup",
+            )
+        found.append(said)
+        before = hashlib.sha256(line).hexdigest()
+    return found
+
+
+def _hash_of_last(path: Path) -> str:
+    """Return the hash of the last line; one that a kill cut short is closed first, and shows as changed."""
+    content = path.read_bytes()
+    if content and not content.endswith(b"\n"):
+        with path.open("ab") as file:
+            file.write(b"\n")
+    lines = content.splitlines()
+    return hashlib.sha256(lines[-1]).hexdigest() if lines else _FIRST
+
+
+def _person(name: str, about: Mapping[str, Any]) -> Person:
+    roles, digest = about["roles"], about["token_sha256"]
+    if set(about) != {"roles", "token_sha256"} or not set(roles) <= set(ROLES) or len(bytes.fromhex(digest)) != 32:
+        raise ValueError(f"people.{name}: roles and token_sha256")
+    return Person(require_name(name, "the person"), tuple(roles), str(digest))
+
+
+def _write(home: Home, people: People) -> None:
+    content = {
+        "second_person": people.second_person,
+        "people": {p.name: {"roles": list(p.roles), "token_sha256": p.token_sha256} for p in people.people},
+    }
+    write_toml(home.made().root / _FILE, content, "the list of people")

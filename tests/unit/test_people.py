@@ -1,0 +1,146 @@
+"""Roles, a second person, and a record that shows when it was changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+from closed_loop import MACHINE, registered, small_bundle
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from dtwin.cli import app
+from dtwin.config import Home, home
+from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.machine_record import MachineRecord, write_record
+from dtwin.people import (
+    AUDIT,
+    act_as,
+    acting,
+    add_person,
+    audit,
+    note,
+    read_people,
+    remove_person,
+    require_second_person,
+)
+from dtwin.train import promotion
+from dtwin.train.registry import Registry
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._roles import role_for
+from dtwin.workbench._server import application
+
+BASE = "http://127.0.0.1:8765"
+
+
+def entered(state: Home, token: str) -> TestClient:
+    access = Access("127.0.0.1", 8765, True, home=state)
+    client = TestClient(application(Bench(state, access, None)), base_url=BASE, headers={"origin": BASE})
+    client.get("/machines", params={"token": token})
+    return client
+
+
+def test_a_person_may_what_the_role_says_and_stands_in_the_record() -> None:
+    state = home()
+    looks, measures = add_person(state, "lena", ["look"]), add_person(state, "max", ["measure"])
+    write_record(state, MachineRecord("mill-1"))
+    event = {"what": "repair", "on": "2026-05-04", "note": "new spindle"}
+    lena, maxim = entered(state, looks), entered(state, measures)
+    assert lena.get("/machines").status_code == 200
+    refused = lena.post("/api/machines/mill-1/event", json=event)
+    assert (refused.status_code, "lena may not measure" in refused.text) == (403, True)
+    taken = maxim.post("/api/machines/mill-1/event", json=event)
+    assert taken.status_code < 300, taken.text
+    assert maxim.post("/api/live/mill-1/stop").status_code == 403
+    [line] = audit(state)
+    assert (line["who"], line["what"], line["why"]) == ("max", "POST /api/machines/mill-1/event", "new spindle")
+    assert line["came"] == str(taken.status_code)
+    assert measures not in (state.root / "people.toml").read_text()
+    assert entered(state, "wrong").get("/machines").status_code == 403
+    # A token that was taken away, or replaced, holds no more; nor does the page that was open.
+    remove_person(state, "max")
+    add_person(state, "lena", ["measure"])
+    assert [client.get("/machines").status_code for client in (lena, maxim)] == [403, 403]
+
+
+def test_every_change_at_the_workbench_needs_a_role_that_was_thought_of() -> None:
+    bench = Bench(home(), Access("127.0.0.1", 8765), None)
+    routes = application(bench).app.routes  # type: ignore[attr-defined]
+    paths = [
+        r.path
+        for part in routes
+        for r in getattr(getattr(part, "original_router", None), "routes", [part])
+        if {"POST", "PUT", "DELETE", "PATCH"} & set(getattr(r, "methods", None) or ())
+    ]
+    assert len(paths) > 20
+    assert [path for path in paths if role_for(path.replace("{", "").replace("}", "")) is None] == []
+
+
+def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
+    state = Home(tmp_path / "home")
+    for k in range(4):
+        note(state, f"did {k}", "because", "done")
+    path = state.root / AUDIT
+    assert [line["what"] for line in audit(state)] == [f"did {k}" for k in range(4)]
+    lines = path.read_text().splitlines(keepends=True)
+    for spoilt in (
+        [lines[0].replace("did 0", "did 9"), *lines[1:]],
+        [lines[0], *lines[2:]],
+        [lines[1], lines[0], *lines[2:]],
+        [*lines[:3], lines[3][:20]],
+        [lines[0], lines[0], *lines[1:]],
+    ):
+        path.write_text("".join(spoilt))
+        with pytest.raises(StoreError, match="changed"):
+            audit(state)
+    path.write_text("".join(lines))
+    note(state, "more", "", "done")
+    assert len(audit(state)) == 5
+
+
+def test_a_champion_may_need_two_people(monkeypatch: pytest.MonkeyPatch) -> None:
+    state = home()
+    registry = Registry(state)
+    [version] = registered(state, small_bundle())
+    require_second_person(state, True)
+    monkeypatch.setattr(promotion, "evidence_gate", lambda *args, **settings: [])
+    monkeypatch.setattr(promotion, "records", lambda *args: [])
+    evidence = dataclasses.make_dataclass("Told", ["kind", "runs"])("virtual", ())
+
+    def by(name: str) -> None:
+        act_as(name)
+        promotion.promote(registry, state, version, geometry={"type": "mill"}, evidence=evidence, comment="good")
+
+    try:
+        for _ in range(2):
+            with pytest.raises(GateRefusal, match="waits for a second person"):
+                by("lena")
+        assert registry.champion(MACHINE) is None
+        by("max")
+    finally:
+        act_as("")
+    champion = registry.champion(MACHINE)
+    assert champion is not None
+    assert champion.version == "1"
+    said = [(line["action"], line["who"]) for line in promotion.history(state, MACHINE)]
+    assert said == [("proposed", "lena"), ("champion", "max")]
+    assert [line["who"] for line in audit(state)] == ["lena", "max"]
+
+
+def test_the_commands_make_list_and_take_away() -> None:
+    shell = CliRunner()
+    made = json.loads(shell.invoke(app, ["people", "add", "lena", "--role", "promote", "--json"]).stdout)
+    assert read_people(home()).of_token(made["token"])
+    listed = json.loads(shell.invoke(app, ["people", "list", "--json"]).stdout)
+    assert listed == {"people": [{"name": "lena", "roles": ["promote"]}], "second_person": False}
+    assert "two people" in shell.invoke(app, ["people", "second", "--required"]).stdout
+    for wrong in (["add", "x", "--role", "rule"], ["remove", "nobody"], ["add", "../x", "--role", "look"]):
+        assert isinstance(shell.invoke(app, ["people", *wrong]).exception, InputError)
+    assert shell.invoke(app, ["people", "record"]).exit_code == 0
+    (home().root / "people.toml").write_text('second_person = "yes"\n')
+    with pytest.raises(InputError, match="not usable"):
+        read_people(home())
+    assert acting()
