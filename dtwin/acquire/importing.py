@@ -161,9 +161,11 @@ def _seen(
         try:
             begin = header_row(rows, path)
         except InputError as error:
-            # Numbers of another sign look like words.
+            # Numbers of another sign look like words; heads in two rows are for the kind that knows them.
             refused = refused or error
-            continue
+            if not rows or decimal or not any(kind.takes_alone(path) for kind in kinds()):
+                continue
+            begin = 0
         heads = tuple(cell.strip() for cell in rows[begin])
         stored = _recipe(home, heads)
         if decimal or stored.get("decimal", "") == sign:
@@ -217,8 +219,13 @@ def understand(
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:
-            opened = open_table(lone, told)
-            runs = tuple((run.meta.run_id, run.n_samples) for run in opened.read(opened.entries[0])[0])
+            try:
+                opened = open_table(lone, told)
+                runs = tuple((run.meta.run_id, run.n_samples) for run in opened.read(opened.entries[0])[0])
+            except InputError as error:
+                # The user knows the file by its own name.
+                error.where = (error.where or str(path)).replace(str(lone), str(path))
+                raise
     return Understood(
         path,
         found.encoding,

@@ -10,6 +10,8 @@ _SNIFFED_LINES = 100
 DECIMALS = ("comma", "point")
 # Digits, perhaps in groups, perhaps with an exponent.
 _NUMBER = re.compile(r"[+-]?\d[\d.,]*(e[+-]?\d+)?", re.I)
+# Both signs in one number leave no doubt.
+_GROUPS = {"comma": re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+"), "point": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d+")}
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -54,9 +56,18 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
         rows = list(csv.reader(lines, delimiter=mark))
     except csv.Error:
         return []
+    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    decimal = decimal or _grouped(rows)
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
     return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+
+
+def _grouped(rows: list[list[str]]) -> str:
+    """Return the decimal sign that digits in groups tell, ``1.234,5`` or ``1,234.5``; nothing where none are, or both."""
+    cells = [cell.strip() for row in rows for cell in row]
+    told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
+    return told.pop() if len(told) == 1 else ""
 
 
 def _plain(cell: str, decimal: str) -> str:

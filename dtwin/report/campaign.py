@@ -124,8 +124,8 @@ def comparison_table(candidates: Sequence[Candidate]) -> tuple[list[str], list[l
     head = [
         "candidate",
         *(f"{what}, {group} out" for group in groups for what in ("R²", "µm")),
-        "p50 us",
-        "p99 us",
+        "p50 µs",
+        "p99 µs",
         "complexity",
         "promotable",
     ]

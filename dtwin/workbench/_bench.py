@@ -76,6 +76,10 @@ class Bench:
         """Return whether a twin is of ball arrays."""
         return isinstance(self.twins_with(name), HeatTwins)
 
+    def is_told(self, name: str) -> bool:
+        """Return whether a twin has neither paths nor volumes that are drawn, so that its kind tells it."""
+        return not isinstance(self.twins_with(name), Twins | HeatTwins)
+
     def twin_lines(self) -> Sequence[TwinLine]:
         """Return the twins of every kind, by name."""
         return self.cache.get(("twins", self.twins_version), lambda: twin_lines(self.home))
@@ -100,9 +104,9 @@ class Bench:
         """Return all campaigns, the newest ingest first."""
         return self.cache.get(("catalogue", *self.lake_version), lambda: catalogue(self.home))
 
-    def campaigns_of(self, machine: str) -> list[str]:
-        """Return the names of the campaigns of a machine, sorted."""
-        return sorted(one.name for one in self.campaigns() if one.machine == machine)
+    def campaigns_of(self, machine: str, kind: str = "") -> list[str]:
+        """Return the names of the campaigns of a machine, sorted; of one kind where it is given."""
+        return sorted(one.name for one in self.campaigns() if one.machine == machine and kind in ("", one.kind))
 
     def history(self, machine: str) -> dict[str, Any]:
         """Return what is known of a machine, its tests, and how its figures went."""

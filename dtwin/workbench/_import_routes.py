@@ -98,6 +98,7 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
             "names": _names(),
         }
     except InputError as error:
+        error.where = error.where and error.where.replace(f"{path.parent}/", "")
         return _heads(found) | {"refused": error.render(), "names": _names()}
 
 

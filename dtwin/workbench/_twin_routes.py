@@ -35,6 +35,7 @@ from dtwin.workbench._heat_pages import heat_page, heat_sections
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._numbers import decimal
 from dtwin.workbench._pages import download, drawn, rendered
+from dtwin.workbench._told_pages import told_page, told_sections
 
 _HARMONICS = 60
 router = APIRouter()
@@ -62,6 +63,8 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     bench = bench_of(request)
     if bench.is_of_heat(name):
         return heat_page(request, name, on)
+    if bench.is_told(name):
+        return told_page(request, name, on)
     view = reading.view(bench, name, on=on)
     whole = bench.twins.newest(name)
     machine = view.twin.machine
@@ -95,6 +98,8 @@ def diagnose_page(request: Request, name: str) -> Response:
     bench = bench_of(request)
     if bench.is_of_heat(name):
         return heat_page(request, name)
+    if bench.is_told(name):
+        return told_page(request, name)
     twin = bench.twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     experiment = diagnosis["next_experiment"] if diagnosis else None
@@ -123,6 +128,8 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
     bench = bench_of(request)
     if bench.is_of_heat(name):
         return heat_page(request, name)
+    if bench.is_told(name):
+        return told_page(request, name)
     twins = bench.twins
     rungs = twins.history(name)
     newest = twins.newest(name)
@@ -153,7 +160,9 @@ def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
-    sections = heat_sections(bench, name) if bench.is_of_heat(name) else _sections(bench, name)
+    sections = (heat_sections if bench.is_of_heat(name) else told_sections if bench.is_told(name) else _sections)(
+        bench, name
+    )
     made = page(
         f"Machine {twin.machine}: twin {name}",
         f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
@@ -247,7 +256,7 @@ def encoder(request: Request, name: str, on: str = "") -> Response:
 def waterfall(request: Request, name: str) -> Response:
     """Return how the error fell from version to version."""
     bench = bench_of(request)
-    begun = "no effects" if bench.is_of_heat(name) else "set-up only"
+    begun = "no effects" if bench.is_of_heat(name) or bench.is_told(name) else "set-up only"
     return drawn(waterfall_figure(bench.twins.history(name), begun))
 
 

@@ -10,6 +10,8 @@ import pytest
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
+from dtwin.kinds.drift._simulate import simulate_drift
+from dtwin.kinds.drift._twins import DriftTwins
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning
@@ -56,6 +58,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
     heat = HeatTwins(Home(folder / "home"))
     heat.fit(str(folder / "balls"), ["rigid_shift"], "heat")
     heat.diagnose("heat")
+    simulate_drift(folder / "column", lambda *_: None, quick=True)
+    drift = DriftTwins(Home(folder / "home"))
+    drift.fit(str(folder / "column"), ["follows"], "column")
+    drift.diagnose("column")
     with running_workbench(folder / "home") as started:
         yield started
 
@@ -103,6 +109,23 @@ def test_what_mlflow_does_not_show_yet_is_said(bench: Workbench) -> None:
     assert "not yet in MLflow" not in said(bench, "/twins")
     (bench.home / "twins" / "slide" / "v001.mlflow.json").unlink()
     assert "not yet in MLflow: slide v001;" in said(bench, "/twins")
+
+
+def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Workbench) -> None:
+    for tab in ("", "/diagnose", "/versions"):
+        shown = said(bench, f"/twins/column{tab}")
+        assert "An effect is missing" in shown
+        assert 'name="effect" value="lag@front"' in shown
+        assert "noise of a reading" in shown
+    assert json.loads(said(bench, "/api/twins/column/waterfall"))["data"][0]["x"][0] == "no effects"
+    status, text = bench.act("/api/twins/column/add", json.dumps({"effect": "lag@front"}).encode())
+    assert status == 202, text
+    job = json.loads(text)["job"]
+    while (state := json.loads(said(bench, f"/api/jobs/{job}"))["state"]) not in ("done", "failed"):
+        time.sleep(0.1)
+    assert state == "done"
+    assert "was not diagnosed yet" in said(bench, "/twins/column")
+    assert said(bench, "/twins/column/report.html").count("<section") >= 3
 
 
 def test_a_twin_of_heat_has_one_page_and_is_changed_there(bench: Workbench) -> None:

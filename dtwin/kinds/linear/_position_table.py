@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,19 @@ from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", *SPREADSHEETS)
+_MOST_TITLES = 20
+# Of the travel: no linear axis errs by so much.
+_LITTLE = 0.02
+_MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
+_ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
+_UNIT_INSIDE = re.compile(r"\s*[\[(](mm|um|µm|μm|nm|inch|in)[\])]", re.I)
 _MAX_BYTES = 16 * 1024 * 1024
 _SNIFFED = 65_536
 _PERIOD_S = 1.0
 _MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4, "m": 1000.0, "nm": 1e-6}
 _UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|soll|ziel|punkt)", re.I)
+_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|soll|ziel)", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|zyklus|lauf|nr)", re.I)
@@ -70,8 +78,7 @@ def is_position_table(path: Path) -> bool:
     text = decoded(_beginning(path))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
-    rows = rows_of(text)
-    return bool(rows) and (_wide(rows[0]) is not None or _long(rows[0]) is not None)
+    return _below_titles(rows_of(text)) is not None
 
 
 def _beginning(path: Path) -> bytes:
@@ -129,14 +136,67 @@ def read_position_table(path: Path) -> PositionTable:
     text = decoded(table_bytes(path, _MAX_BYTES))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return matrix_of(_assigned(text, path), path)
-    rows = rows_of(text)
-    wide = _wide(rows[0]) if rows else None
-    if wide is not None:
-        return matrix_of(_from_wide(rows, wide, path), path)
-    long = _long(rows[0]) if rows else None
-    if long is None:
-        raise _wrong("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
-    return matrix_of(_from_long(rows, long, path), path)
+    every = rows_of(text)
+    rows = _below_titles(every)
+    if rows is None:
+        raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
+    _require_lengths(rows[:2], path)
+    wide, long = _wide(rows[0]), _long(rows[0])
+    readings = _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
+    return matrix_of(_as_they_are(readings), path)
+
+
+def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
+    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
+    for begin, row in enumerate(rows[:_MOST_TITLES]):
+        below = list(rows[begin + 1 :])
+        if _wide(row) is not None or _long(row) is not None:
+            return [row, *below]
+        if below and sum(bool(cell.strip()) for cell in row) > 1:
+            filled, last = [], ""
+            for cell in row:
+                last = cell.strip() or last
+                filled.append(last)
+            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
+            if _wide(joined) is not None and not _way(filled[0]):
+                return [[_unit_last(head) for head in joined], *below[1:]]
+    return None
+
+
+def _unit_last(head: str) -> str:
+    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
+    unit = _UNIT_INSIDE.search(head)
+    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
+
+
+def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a table of angles: its figures would be taken for lengths."""
+    angles = [cell.strip() for row in rows for cell in row if _ANGLE.search(cell.strip())]
+    if angles:
+        raise InputError(
+            "the table is in angles, and only linear axes are judged",
+            code="position_table.unit",
+            where=str(path),
+            got=angles[0][:40],
+            allowed="mm, µm, nm, in",
+        )
+
+
+def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
+    """Return readings whose head says one thing and whose values are the other: positions in µm, deviations in mm."""
+    target_um = np.array([reading[0] for reading in readings]) * UM_PER_MM
+    told_um = np.array([reading[3] for reading in readings])
+    size = float(np.abs(target_um - target_um.mean()).max()) if len(readings) else 0.0
+    # Told as deviations: they grow as the targets do. Told as positions: what is left is the target itself.
+    for by_position, sign in ((False, 1.0), (True, -1.0)):
+        alike = all(reading[4] is by_position for reading in readings)
+        off = told_um - sign * target_um
+        if alike and size > 0.0 and float(np.ptp(off)) < _LITTLE * size:
+            return [
+                (target, way, cycle, float(um), not by_position)
+                for (target, way, cycle, _, _), um in zip(readings, off, strict=True)
+            ]
+    return list(readings)
 
 
 Reading = tuple[float, str, int, float, bool]
@@ -219,7 +279,7 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: _Wide, path: Path) -> list[R
         where = f"{path} row {number}"
         target = _cell(row, wide.target, where) * scale[wide.target]
         for i, way, cycle in wide.cells:
-            if i < len(row) and row[i].strip():
+            if i < len(row) and row[i].strip().lower() not in _MISSING:
                 value = _cell(row, i, where) * scale[i]
                 out.append((target, way, cycle, *_deviation_um(heads[i], scale[i], value, target)))
     return out
@@ -247,6 +307,10 @@ def _long(heads: Sequence[str]) -> _Long | None:
     deviation = first(_DEVIATION, way, cycle)
     value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
     target = first(_TARGET, way, cycle, value)
+    if value is None and target is not None:
+        # Two columns of places: the one that says so is the target.
+        target = first(_SURELY_TARGET, way, cycle)
+        value = None if target is None else first(_TARGET, way, cycle, target)
     if way is None or target is None or value is None:
         return None
     return _Long(target, way, cycle, value)
@@ -259,7 +323,10 @@ def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[R
     seen: dict[tuple[float, str], int] = {}
     for number, row in enumerate(rows[1:], start=2):
         where = f"{path} row {number}"
-        target, value = _cell(row, long.target, where) * scales[0], _cell(row, long.value, where) * scales[1]
+        told = row[long.value].strip().lower() if long.value < len(row) else ""
+        lost = told in _MISSING
+        target = _cell(row, long.target, where) * scales[0]
+        value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
         way = _way(row[long.way]) if long.way < len(row) else None
         if way is None:
             raise _wrong("a reading without a direction", Path(where), str(row)[:80])
@@ -267,7 +334,8 @@ def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[R
         cycle = seen[target, way] if long.cycle is None else int(_cell(row, long.cycle, where))
         if cycle < 1:
             raise _wrong("cycles count from 1", Path(where), str(cycle))
-        out.append((target, way, cycle, *_deviation_um(heads[long.value], scales[1], value, target)))
+        if not lost:
+            out.append((target, way, cycle, *_deviation_um(heads[long.value], scales[1], value, target)))
     return out
 
 
@@ -308,7 +376,13 @@ def _number(cell: str, where: str) -> float:
     except ValueError:
         value = float("nan")
     if not np.isfinite(value) or abs(value) > 1e9:
-        raise InputError("not a number", code="position_table.number", where=where, got=cell[:40] or "nothing")
+        raise InputError(
+            "not a number",
+            code="position_table.number",
+            where=where,
+            got=cell[:40] or "nothing",
+            allowed="a finite number; an empty cell, -, nan or n/a where nothing was read",
+        )
     return value
 
 

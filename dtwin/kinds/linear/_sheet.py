@@ -70,6 +70,9 @@ def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         if spoilt is not None:
             sound = False
             notes.append(f"{title}: {spoilt.message}.")
+        if test.left_out:
+            many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
+            notes.append(f"{title}: {many} not evaluated, for not every run read them from both sides.")
         notes += _other_formulas(test, title)
         parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test, under), sound))
     basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"

@@ -51,9 +51,39 @@ def assigned() -> str:
     return "\n".join(re.sub(r"[()]", "", line) for line in lines)
 
 
+def by_reading(heads: str, row: str, part: str = ",") -> str:
+    """One row a reading; ``row`` is formatted with target, cycle, direction, deviation in µm and position in mm."""
+    lines = [heads]
+    for way, values in (("forward", FORWARD), ("reverse", REVERSE)):
+        for (i, c), um in np.ndenumerate(values):
+            lines.append(row.format(t=TARGETS[i], c=c + 1, way=way, um=um, at=TARGETS[i] + um / 1000.0, s=part))
+    return "\n".join(lines)
+
+
+def heads_in_two_rows() -> str:
+    """As a spreadsheet with merged cells is read."""
+    lines = [
+        "Test of 3 May;;;;",
+        ";;;;",
+        "Position [mm];forward [µm];;reverse [µm];",
+        ";1;2;1;2",
+        *(f"{t:g};{FORWARD[i, 0]};{FORWARD[i, 1]};{REVERSE[i, 0]};{REVERSE[i, 1]}" for i, t in enumerate(TARGETS)),
+    ]
+    return "\n".join(lines)
+
+
 @pytest.mark.parametrize(
     "text",
     [
+        by_reading("target_mm,cycle,direction,position_mm", "{t},{c},{way},{at:.6f}"),
+        by_reading("direction,position_mm,cycle,target_mm", "{way},{at:.6f},{c},{t}"),
+        by_reading("target_mm,cycle,direction,error_um", "{t},{c},{way},{um}"),
+        # A head that says position, in a unit that elsewhere says deviation.
+        wide("actual {way} {c} um", 1e6, True),
+        wide("{way} {c} mm", 1000.0, False),
+        heads_in_two_rows(),
+        "Prüfer: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
+        wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
         wide("{way}_{c}", 1000.0, True, ";", ","),
         wide("deviation {way} {c} (mm)", 1000.0, False),
@@ -156,3 +186,49 @@ def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     (listed,) = re.findall(r"`dtwin (ingest axis-x.csv [^`]*)`", page)
     assert CliRunner().invoke(app, listed.split(), catch_exceptions=False).exit_code == 0
     assert "5 runs" in CliRunner().invoke(app, ["check", "axis-x"], catch_exceptions=False).output
+
+
+@pytest.mark.parametrize(
+    ("cells", "part"),
+    [(("1.000,0000", "1.200,0100", "1.400,0200"), ";"), (('"1,000.0000"', '"1,200.0100"', '"1,400.0200"'), ",")],
+)
+def test_digits_in_groups_are_told_by_both_signs_in_one_number(
+    tmp_path: Path, cells: tuple[str, ...], part: str
+) -> None:
+    path = tmp_path / "a.csv"
+    heads = part.join(("target mm", "cycle", "direction", "actual mm"))
+    rows = [part.join((cell, "1", way, cell)) for way in ("forward", "reverse") for cell in cells]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    found = read_position_table(path)
+    assert found.target_mm == pytest.approx([1000.0, 1200.01, 1400.02])
+    assert np.abs(found.forward_um).max() < 1e-6
+
+
+def test_what_was_not_read_is_left_out_and_what_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    text = by_reading("target_mm,cycle,direction,error_um", "{t},{c},{way},{um}")
+    for word in ("", "NaN", "-", "n/a"):
+        path.write_text(text.replace(",2.5\n", f",{word}\n"), encoding="utf-8")
+        assert np.isnan(read_position_table(path).forward_um[1, 1])
+    for word in ("inf", "fehlt", "1e99"):
+        path.write_text(text.replace(",2.5\n", f",{word}\n"), encoding="utf-8")
+        with pytest.raises(InputError, match="not a number") as refused:
+            read_position_table(path)
+        assert "row 5" in str(refused.value.where)
+
+
+def test_angles_are_not_taken_for_lengths(tmp_path: Path) -> None:
+    path = tmp_path / "c-axis.csv"
+    for heads in ("target_deg,cycle,direction,position_deg", "target [°],cycle,direction,error [arcsec]"):
+        path.write_text(by_reading(heads, "{t},{c},{way},{at:.6f}"), encoding="utf-8")
+        with pytest.raises(InputError) as refused:
+            read_position_table(path)
+        assert refused.value.code == "position_table.unit"
+
+
+def test_targets_that_not_every_run_read_are_said_to_be_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = by_reading("target_mm,cycle,direction,error_um", "{t},{c},{way},{um}").splitlines()
+    path.write_text("\n".join(line for line in lines if not line.startswith("100.0,2,")), encoding="utf-8")
+    said = CliRunner().invoke(app, ["check", str(path), "--axis", "X", "--machine", "m"])
+    assert "1 target is not evaluated" in said.output

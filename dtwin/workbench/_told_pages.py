@@ -1,0 +1,68 @@
+"""The page of a twin that is told in words and tables: of no path, and of no volume."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import Request
+from starlette.responses import Response
+
+from dtwin.report.html import Section
+from dtwin.report.twin_of_kind import (
+    comparison_sections,
+    comparison_text,
+    diagnosis_section,
+    diagnosis_text,
+    history_section,
+    twin_section,
+)
+from dtwin.workbench import _reading as reading
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._pages import rendered
+
+
+def told_page(request: Request, name: str, on: str = "") -> Response:
+    """Show a twin as its kind tells it: how far it goes, what is missing, and its versions.
+
+    ``on``: other measurements than those of the fit.
+    """
+    bench = bench_of(request)
+    twins = bench.twins_with(name)
+    twin = twins.newest(name)
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    return rendered(
+        request,
+        "told.html",
+        title=f"Twin {name}",
+        name=name,
+        twin=twin,
+        on=on or twin.campaign,
+        campaigns=bench.campaigns_of(twin.machine, twins.kind),
+        compared=comparison_text(_compared(bench, name, on)),
+        diagnosis=diagnosis,
+        told=diagnosis_text(name, diagnosis) if diagnosis else "",
+        parameters=twin_section(twin).tables,
+        rungs=twins.history(name),
+    )
+
+
+def told_sections(bench: Bench, name: str) -> list[Section]:
+    """Return the whole story of such a twin, as ``dtwin twin show --html`` writes it."""
+    twins = bench.twins_with(name)
+    twin = twins.newest(name)
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    return [
+        twin_section(twin),
+        *comparison_sections(None, _compared(bench, name, "")),
+        *([diagnosis_section(name, diagnosis)] if diagnosis else []),
+        history_section(twin, twins.history(name)),
+    ]
+
+
+def _compared(bench: Bench, name: str, on: str) -> dict[str, Any]:
+    twins = bench.twins_with(name)
+    twin = twins.newest(name)
+    campaign = on or twin.campaign
+    made = reading.version_file(bench, name, twin.version).stat().st_mtime_ns
+    key = ("told", name, twin.version, made, campaign, bench.stamp(campaign))
+    return bench.cache.get(key, lambda: twins.compare(name, campaign).as_dict())
