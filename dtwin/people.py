@@ -25,6 +25,8 @@ ROLES = ("look", "measure", "train", "promote", "stop")
 """What a person may do; everybody with a token may look."""
 AUDIT = "audit.jsonl"
 _FILE, _MAX_BYTES, _LONGEST = "people.toml", 200_000, 500
+# Three texts whose every character may become six.
+_LONGEST_LINE = 6 * 3 * _LONGEST + 1000
 _FIRST = "0" * 64
 _acting: ContextVar[str] = ContextVar("acting", default="")
 
@@ -162,7 +164,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
             before = _hash_of_last(path)
             about = {
                 "when": datetime.now(UTC).isoformat(timespec="seconds"),
-                "who": who or acting(),
+                "who": (who or acting())[:100],
                 "what": what[:_LONGEST],
                 "why": why[:_LONGEST],
                 "came": came[:_LONGEST],
@@ -207,7 +209,9 @@ def audit(home: Home) -> list[dict[str, Any]]:
 
 def _hash_of_last(path: Path) -> str:
     """Return the hash of the last line; one that a kill cut short is closed first, and shows as changed."""
-    content = path.read_bytes()
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _LONGEST_LINE, 0))
+        content = file.read()
     if content and not content.endswith(b"\n"):
         with path.open("ab") as file:
             file.write(b"\n")

@@ -35,6 +35,8 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 def workbench(home: Home) -> Iterator[str]:
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
+        # A question that comes before the server is up waits.
+        listening.listen()
         port = int(listening.getsockname()[1])
         app = application(Bench(home, Access("127.0.0.1", port, True), None))
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))

@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +236,23 @@ def test_who_comes_second_with_the_same_version_is_told_and_loses_nothing(store:
     for home in (a, b):
         assert {path.name for path in (home.root / "twins" / "t").iterdir()} == names
         assert not (home.root / "twins" / "other").exists()
+
+
+def test_repair_leaves_what_another_computer_may_be_about_to_commit(
+    store: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = shared(tmp_path / "a", store, "strays")
+    lake = Lake(home.lake)
+    lake.commit(*campaign("kept"))
+    samples = Objects((home.file.bucket or pytest.fail("no store")) / "lake" / "samples")
+    samples.put("killed/r0.0123456789abcdef01234567.parquet", b"half of a commit")
+    assert lake.repair()["samples"] == 0
+    assert samples.has("killed/r0.0123456789abcdef01234567.parquet")
+    # The same a day later.
+    monkeypatch.setattr("dtwin.lake._folders._STRAY_FOR", timedelta(seconds=-1))
+    assert lake.repair()["samples"] == 1
+    assert not samples.has("killed/r0.0123456789abcdef01234567.parquet")
+    assert len(list(lake.iterate("kept"))) == 2
 
 
 def test_a_damaged_object_is_told_and_not_taken_over(store: int, tmp_path: Path) -> None:
