@@ -65,7 +65,7 @@ def kind_of_table(path: Path) -> str:
         where=str(path),
         got=", ".join(sorted(names))[:200],
         allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
-        hint="rename the columns",
+        hint=f"dtwin import {path.name} reads tables of other programs; else rename the columns",
     )
 
 
@@ -130,7 +130,7 @@ def _malformed(path: Path, error: Exception) -> InputError:
         where=str(path),
         got=str(error)[:200],
         allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
-        hint="the file may be cut short or damaged",
+        hint=f"dtwin import {path.name} reads tables of other programs; else the file may be cut short or damaged",
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.kinds.linear._cycles import moving_zero, spoilt_finding
+from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding
 from dtwin.kinds.linear._matrix import TARGET_MM, linear_test
 from dtwin.schema import Finding, Floats, Run
 
@@ -85,7 +85,9 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
             )
         )
     told = [f for axis in _by_axis(runs) for f in _across_cycles(axis)]
-    return findings + (told or _drift(runs))
+    tests = [linear_test(axis) for axis in _by_axis(runs)]
+    datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
+    return findings + (told or _drift(runs)) + datum
 
 
 def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:

@@ -23,6 +23,8 @@ _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
 """Share of the variance between cycles that a description must take to be told."""
+# A zero is off by so many times what readings differ by.
+_MANY_TIMES = 5.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,21 @@ def repeatability_without(test: LinearTest, spoilt: Sequence[SpoiltReading]) -> 
             part = linear_figures(test.forward_um[[i]][:, kept], test.reverse_um[[i]][:, kept])
             largest = max(largest, part.repeatability_um)
     return largest
+
+
+def shifted_zero(test: LinearTest) -> Finding | None:
+    """Return that all readings are off by the same, many times what they differ by; None where they are not."""
+    every = np.concatenate([test.forward_um, test.reverse_um], axis=1)
+    if not every.size:
+        return None
+    shift, spread = float(np.mean(every)), float(np.ptp(every))
+    if abs(shift) < _MANY_TIMES * spread:
+        return None
+    said = (
+        f"all readings are off by {shift:+z.4g} µm, alike to within {spread:z.2g} µm: a datum, the zero of instrument or axis; "
+        "the figures of ISO 230-2 do not count it, and it is no error of positioning"
+    )
+    return Finding("linear.datum", "info", said, {"shift_um": shift, "spread_um": spread})
 
 
 def moving_zero(test: LinearTest) -> Finding | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -232,3 +233,22 @@ def test_targets_that_not_every_run_read_are_said_to_be_left_out(tmp_path: Path)
     path.write_text("\n".join(line for line in lines if not line.startswith("100.0,2,")), encoding="utf-8")
     said = CliRunner().invoke(app, ["check", str(path), "--axis", "X", "--machine", "m"])
     assert "1 target is not evaluated" in said.output
+
+
+@pytest.mark.parametrize(("shift_um", "told"), [(250.0, True), (-4000.0, True), (3.0, False)])
+def test_a_zero_that_is_off_is_a_datum_and_changes_no_figure(tmp_path: Path, shift_um: float, told: bool) -> None:
+    def checked(shift: float) -> dict[str, Any]:
+        rng = np.random.default_rng(8)
+        lines = ["target_mm,cycle,direction,error_um"]
+        for c, way, target in ((c, w, t) for c in range(5) for w in ("forward", "reverse") for t in (0, 40, 80)):
+            lines.append(f"{target},{c + 1},{way},{shift + 0.5 * rng.standard_normal() - 2.0 * (way == 'reverse'):.4f}")
+        path = tmp_path / f"a{shift:g}.csv"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        said = CliRunner().invoke(app, ["check", str(path), "--axis", "X", "--machine", "m", "--json"])
+        found: dict[str, Any] = json.loads(said.stdout)
+        return found
+
+    plain, off = checked(0.0), checked(shift_um)
+    assert [f["code"] for f in off["findings"]] == (["linear.datum"] if told else [])
+    figures = off["positioning"]["iso_230_2"]
+    assert figures == pytest.approx(plain["positioning"]["iso_230_2"], abs=1e-3)
