@@ -21,6 +21,11 @@ _RETRIES, _RETRY_S, _REQUEST_S, _CONNECT_S = 8, 60, 60, 5
 _PROBES = "probe"
 # By what a server says, or the network: what is wrong, and what to try. The first that fits.
 _TOLD = {
+    # Without keys in the environment the library asks the machine that it runs on, as in a cloud.
+    ("169.254.", "latest/api/token"): (
+        "there are no credentials for the shared store",
+        "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+    ),
     ("RequestTimeTooSkewed",): (
         "the clock of this computer differs from the shared store's",
         "set the clock (chrony, timedatectl)",

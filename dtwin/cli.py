@@ -100,10 +100,6 @@ def _run() -> None:
         absent = _missing_part(missing)
         _report(absent)
         sys.exit(absent.exit_code)
-    except _of_database() as error:
-        away = _registry_away(error)
-        _report(away)
-        sys.exit(away.exit_code)
     except BrokenPipeError:
         # The reader of our output went away, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -116,14 +112,19 @@ def _run() -> None:
     except KeyboardInterrupt:
         print("interrupted; run the same command again to continue", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
+    except Exception as error:
+        if not _is_of_database(error):
+            raise
+        away = _registry_away(error)
+        _report(away)
+        sys.exit(away.exit_code)
 
 
-def _of_database() -> tuple[type[Exception], ...]:
-    """Return what the libraries of a registry raise when a shared one is lost; nothing is imported for it."""
-    found = (sys.modules.get(module) for module in ("mlflow.exceptions", "sqlalchemy.exc"))
-    names = ("MlflowException", "SQLAlchemyError")
-    shared = home().file.registry
-    return tuple(getattr(m, n) for m, n in zip(found, names, strict=True) if m is not None) if shared else ()
+def _is_of_database(error: Exception) -> bool:
+    """Tell whether a library says that a shared registry was lost; nothing is imported for it."""
+    raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
+    libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
+    return bool(raised & libraries) and bool(home().file.registry)
 
 
 def _registry_away(error: Exception) -> StoreError:

@@ -276,6 +276,7 @@ def test_a_damaged_object_is_told_and_not_taken_over(store: int, tmp_path: Path)
         ("<Code>NoSuchBucket</Code>", "no such bucket"),
         ("status code: 503 <Code>SlowDown</Code>", "does not answer"),
         ("error sending request", "does not answer"),
+        ("Error performing PUT http://169.254.169.254/latest/api/token: 403 Forbidden", "no credentials"),
     ],
 )
 def test_what_a_store_says_is_told_in_words(text: str, said: str) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from dtwin import __version__
+from dtwin import __version__, cli
+from dtwin.config import home
 
 
 def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
@@ -158,3 +159,28 @@ def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> No
     again = run("examples", "--out", str(out))
     assert (again.returncode, "examples.exists" in again.stderr) == (1, True)
     assert (out / "hidden-effect" / "campaign.toml").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_not_spoil_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from sqlalchemy.exc import OperationalError
+
+    file = home().made().root / "home.toml"
+
+    def lost() -> None:
+        raise OperationalError("SELECT 1", {}, Exception("server closed the connection"))
+
+    monkeypatch.setattr("dtwin.cli.app", lost)
+    with pytest.raises(OperationalError):
+        cli.main()
+    file.write_text('registry = "http://models.plant:5000"\n')
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    assert "registry.away" in capsys.readouterr().err
+    file.write_text("nonsense")
+    monkeypatch.setattr("dtwin.cli.app", lambda: sys.exit(0))
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
