@@ -127,6 +127,11 @@ def serving_now(home: Home, machine: str) -> str:
     return next((s.model_sha256 for s in served_stretches(home, machine) if s.end == _FOREVER), "")
 
 
+def never_ended(home: Home, machine: str) -> datetime | None:
+    """Return when the newest session of a machine began to correct, if nothing says that it ended; None where it did."""
+    return next((s.begin for s in served_stretches(home, machine) if s.end == _FOREVER), None)
+
+
 def _told(stretch: ServedStretch) -> str:
     until = "now" if stretch.end == _FOREVER else stretch.end.isoformat(timespec="seconds")
     return f"{stretch.begin.isoformat(timespec='seconds')} to {until}"

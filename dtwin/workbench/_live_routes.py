@@ -7,7 +7,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from dtwin.report.live_plots import circle_figure, correction_figure, waiting_fi
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.serve.live_state import RECENT_S, live_state
-from dtwin.serve.served_time import events_path
+from dtwin.serve.served_time import events_path, never_ended
 from dtwin.workbench._bench import bench_of
 from dtwin.workbench._pages import drawn, rendered
 
@@ -58,6 +58,7 @@ def live_page(request: Request) -> Response:
         "live.html",
         title="Live",
         serving=serving,
+        dead=_dead(home, {s.machine for s in serving}),
         states={s.machine: live_state(read_board(s.machine, home), time.monotonic()) for s in serving},
         seen=_seen(home),
         sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
@@ -196,6 +197,14 @@ def sessions(home: Home) -> list[dict[str, Any]]:
         machine = path.stem.removeprefix("serve-")
         found += [{"machine": machine, **line} for line in _newest_lines(path)]
     return sorted(found, key=lambda s: str(s.get("started", "")), reverse=True)
+
+
+def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
+    """Return the machines whose newest server went away without a word, and when it began; a server that runs is none."""
+    paths = sorted(home.logs.glob(f"serve-*{_EVENTS}"))
+    machines = [path.name.removeprefix("serve-").removesuffix(_EVENTS) for path in paths]
+    begun = {machine: never_ended(home, machine) for machine in machines if machine not in serving}
+    return {machine: at.isoformat() for machine, at in begun.items() if at is not None}
 
 
 def _newest_lines(path: Path) -> list[Mapping[str, Any]]:

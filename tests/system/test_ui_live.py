@@ -67,6 +67,25 @@ def test_what_serves_is_shown_and_stopped(bench: Workbench) -> None:
     assert json.loads(bench.ask("/api/live")[1])["serving"] == []
 
 
+def test_a_server_that_was_killed_is_said_to_be_gone_until_another_serves(bench: Workbench) -> None:
+    path = bench.home / "logs" / "serve-mill-k.events.jsonl"
+    path.parent.mkdir(exist_ok=True)
+    begun = {
+        "time": "2026-03-02T08:00:00+00:00",
+        "event": "serving",
+        "session": "a",
+        "mode": "live",
+        "model_sha256": "x",
+    }
+    path.write_text(json.dumps(begun) + "\n", encoding="utf-8")
+    shown = bench.ask("/live")[1]
+    assert "The server of mill-k that began to correct at 2026-03-02 08:00" in shown
+    assert "No session was logged yet" not in shown
+    ended = {"time": "2026-03-02T08:01:00+00:00", "event": "released", "session": "a"}
+    path.write_text(f"{json.dumps(begun)}\n{json.dumps(ended)}\n", encoding="utf-8")
+    assert "gone without a word" not in bench.ask("/live")[1]
+
+
 def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     log = bench.home / "logs" / "serve-mill-a.jsonl"
     log.parent.mkdir(exist_ok=True)
