@@ -65,8 +65,9 @@ class Dictionary:
         seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term, _ in every])[number])
         many = np.bincount(number[seen], minlength=len(every))
         ends = len(self._right) + np.cumsum(many)
+        several = self._problem.obs.several_speeds
         new = [
-            Entry(term, slice(int(end - k), int(end)), int(k) + len(term.instance.effect.refined_shapes))
+            Entry(term, slice(int(end - k), int(end)), int(k) + len(term.instance.effect.refined_shapes(several)))
             for (term, _), k, end in zip(every, many, ends, strict=True)
             if k
         ]
@@ -116,7 +117,7 @@ class Dictionary:
             ]
             if instance.label not in have:
                 pitches += likely_pitches(self._problem.obs, rows, instance, 1)
-            self.add(Term(instance, {PITCH: pitch}) for pitch in pitches)
+            self.add(Term(instance, instance.effect.start_shape | {PITCH: pitch}) for pitch in pitches)
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""

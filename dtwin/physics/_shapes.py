@@ -31,22 +31,22 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
     The same when no other shape is better, or when the effect has none.
     """
-    names = _names(term)
-    if not names:
+    free = term.instance.effect.refined_shapes(problem.obs.several_speeds)
+    if not free:
         return term
     # Its own cache, dropped afterwards: hardly any shape is asked for twice.
     candidates = Candidates(problem.obs, [term.instance])
     residual = problem.residual.ravel()
 
     def left(logs: Floats) -> Floats:
-        visible = candidates.visible(problem, _at(term, logs))
+        visible = candidates.visible(problem, _at(term, free, logs))
         return np.asarray(residual - visible @ (visible.T @ residual))
 
-    begun = _logs(term)
+    begun = _logs(term, free)
     found = scipy.optimize.least_squares(
         left,
         begun,
-        bounds=_bounds(term, begun, bounded),
+        bounds=_bounds(free, begun, bounded),
         method="trf",
         x_scale="jac",
         max_nfev=_MOST_TRIES,
@@ -54,7 +54,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     )
     if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
         return term
-    return _at(term, found.x)
+    return _at(term, free, found.x)
 
 
 def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) -> tuple[Term, ...]:
@@ -64,15 +64,17 @@ def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) 
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
     """
-    shaped = [term for term in terms if _names(term)]
+    several = campaign.problem.obs.several_speeds
+    shaped = [term for term in terms if term.instance.effect.refined_shapes(several)]
     if not shaped:
         return tuple(terms)
-    campaign = campaign.given(term for term in terms if not _names(term))
-    sizes = [len(_names(term)) for term in shaped]
+    campaign = campaign.given(term for term in terms if term not in shaped)
+    free = [term.instance.effect.refined_shapes(several) for term in shaped]
+    sizes = [len(shapes) for shapes in free]
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
-    projected = _Projected(campaign, shaped, parts)
-    begun = np.concatenate([_logs(term) for term in shaped])
-    ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
+    projected = _Projected(campaign, shaped, free, parts)
+    begun = np.concatenate([_logs(term, shapes) for term, shapes in zip(shaped, free, strict=True)])
+    ranges = [_bounds(shapes, begun[part], True) for shapes, part in zip(free, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
     found = scipy.optimize.least_squares(
@@ -86,7 +88,7 @@ def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) 
     )
     if 2.0 * found.cost >= before:
         return tuple(terms)
-    new = {t.label: _at(t, found.x[part]) for t, part in zip(shaped, parts, strict=True)}
+    new = {t.label: _at(t, shapes, found.x[part]) for t, shapes, part in zip(shaped, free, parts, strict=True)}
     return tuple(new.get(term.label, term) for term in terms)
 
 
@@ -97,8 +99,14 @@ class _Projected:
     the solver's decompositions become small.
     """
 
-    def __init__(self, campaign: Condensed, terms: Sequence[Term], parts: Sequence[slice]) -> None:
-        self._campaign, self._terms, self._parts = campaign, terms, parts
+    def __init__(
+        self,
+        campaign: Condensed,
+        terms: Sequence[Term],
+        free: Sequence[Sequence[ShapeParameter]],
+        parts: Sequence[slice],
+    ) -> None:
+        self._campaign, self._terms, self._free, self._parts = campaign, terms, free, parts
         self._residual = campaign.residual
         self._kept: dict[tuple[int, bytes], Floats] = {}
         self._turned: dict[bytes, Floats] = {}
@@ -144,23 +152,19 @@ class _Projected:
         key = number, logs.tobytes()
         if key not in self._kept:
             basis = self._campaign.basis
-            columns = self._campaign.columns(_at(self._terms[number], logs), keep=False)
+            columns = self._campaign.columns(_at(self._terms[number], self._free[number], logs), keep=False)
             self._kept[key] = columns - basis @ (basis.T @ columns)
         return self._kept[key]
 
 
-def _names(term: Term) -> list[str]:
-    return [shape.name for shape in term.instance.effect.refined_shapes]
-
-
-def _logs(term: Term) -> Floats:
-    shape = term.instance.effect.start_shape | dict(term.shape)
-    return np.log(np.maximum([shape[name] for name in _names(term)], _ABSENT))
-
-
-def _at(term: Term, logs: Floats) -> Term:
-    new = dict(zip(_names(term), np.exp(logs).tolist(), strict=True))
+def _at(term: Term, free: Sequence[ShapeParameter], logs: Floats) -> Term:
+    new = {shape.name: value for shape, value in zip(free, np.exp(logs).tolist(), strict=True)}
     return replace(term, shape=term.instance.effect.start_shape | dict(term.shape) | new)
+
+
+def _logs(term: Term, free: Sequence[ShapeParameter]) -> Floats:
+    shape = term.instance.effect.start_shape | dict(term.shape)
+    return np.log(np.maximum([shape[s.name] for s in free], _ABSENT))
 
 
 def _least(shape: ShapeParameter) -> float:
@@ -168,11 +172,8 @@ def _least(shape: ShapeParameter) -> float:
     return min(shape.grid) * (_NEAR_ABSENT if shape.vanishes else 1.0)
 
 
-def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
+def _bounds(free: Sequence[ShapeParameter], begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
     """Return the range of each shape in logarithms; the solver wants a start inside."""
-    ranges = [
-        (_least(shape), max(shape.grid)) if within_grid and shape.grid else shape.bounds
-        for shape in term.instance.effect.refined_shapes
-    ]
+    ranges = [(_least(s), max(s.grid)) if within_grid and s.grid else s.bounds for s in free]
     low, high = np.log(np.maximum(ranges, _ABSENT)).T
     return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

@@ -160,17 +160,21 @@ class Candidates:
         if not shapes:
             return [{}]
         if shapes[0].name == _PITCH_SHAPE and not shapes[0].grid:
-            return [{_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)]
+            return [
+                instance.effect.start_shape | {_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)
+            ]
         return self.grid(instance)
 
     def grid(self, instance: Instance) -> list[Mapping[str, float]]:
         """Return every combination of the shape parameters' grids."""
-        effect = instance.effect
+        effect, several = instance.effect, self.obs.several_speeds
         grid: list[Mapping[str, float]] = [
             dict(zip((s.name for s in effect.shapes), values, strict=True))
-            for values in itertools.product(*(s.grid for s in effect.shapes))
+            for values in itertools.product(
+                *((s.start,) if s.by_speed and not several else s.grid for s in effect.shapes)
+            )
         ]
-        return [*grid, *effect.also_tried] if self.obs.several_speeds else grid
+        return [*grid, *effect.also_tried] if several else grid
 
 
 def _key(term: Term) -> _Key:

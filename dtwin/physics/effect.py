@@ -12,10 +12,12 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.physics.state import State
 from dtwin.schema import Floats
+from dtwin.units import UM_PER_MM
 
 # No machine that anyone would measure has a fault of more times its ordinary size.
 _LARGEST = 200.0
 _BEYOND_GRID = 10.0
+_AT_ONCE_UM = 1e-3
 
 Per = Literal["machine", "axis", "machine_and_axis", "plane", "plane_or_axis", "joint"]
 Shape = Mapping[str, float]
@@ -62,6 +64,8 @@ class ShapeParameter:
         Whether the effect is another one beyond the largest value tried: there it is not believed.
     vanishes : bool
         Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
+    by_speed : bool
+        Whether only runs at several speeds tell it: at one speed it stays at its start.
     """
 
     name: str
@@ -72,6 +76,7 @@ class ShapeParameter:
     refined: bool = True
     ends: bool = False
     vanishes: bool = False
+    by_speed: bool = False
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -168,10 +173,9 @@ class Effect:
         """Tell whether a shape has another than the usual value where only those that are tried are possible."""
         return any(shape[s.name] != s.start for s in self.shapes if not s.refined)
 
-    @property
-    def refined_shapes(self) -> tuple[ShapeParameter, ...]:
-        """Shape parameters that are refined between the values tried."""
-        return tuple(shape for shape in self.shapes if shape.refined)
+    def refined_shapes(self, several_speeds: bool) -> tuple[ShapeParameter, ...]:
+        """Return the shape parameters that are refined between the values tried."""
+        return tuple(s for s in self.shapes if s.refined and (several_speeds or not s.by_speed))
 
     @property
     def start_shape(self) -> dict[str, float]:
@@ -263,6 +267,11 @@ def other_axis(state: State, axis: str) -> str:
     """Return the second moving axis of a circle."""
     first, second = state.axes
     return second if axis == first else first
+
+
+def taken_up(state: State, axis: str, standstill_um: float) -> Floats:
+    """Return the share of a play that an axis has taken up since it reversed, shape (n,)."""
+    return np.minimum(UM_PER_MM * travelled_mm(state, axis) / max(standstill_um, _AT_ONCE_UM), 1.0)
 
 
 def travelled_mm(state: State, axis: str) -> Floats:

@@ -293,7 +293,7 @@ def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
     First one after the other, each without those whose shape is still a guess; once more with
     all the others in place; then in rounds, until nothing moves.
     """
-    shaped = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes]
+    shaped = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes(obs.several_speeds)]
     out = list(terms)
     guessed = set(shaped)
     for index in shaped:
@@ -326,7 +326,10 @@ def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str,
     residual = problem.residual
     tries: list[Mapping[str, float]] = [term.shape or effect.start_shape]
     if not all(shape.grid for shape in effect.shapes):
-        tries += [{effect.shapes[0].name: p} for p in likely_pitches(problem.obs, residual, term.instance)]
+        tries += [
+            effect.start_shape | {effect.shapes[0].name: p}
+            for p in likely_pitches(problem.obs, residual, term.instance)
+        ]
     else:
         tries += list(candidates.grid(term.instance))
     gains = []

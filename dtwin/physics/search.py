@@ -182,7 +182,7 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
         if test.p_values[c.term.label] <= _ALPHA and _is_material(plain, candidates, c.term, problem)
     ]
     runs = int(problem.obs.run_of.max()) + 1
-    for found in sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]:
+    for found in sorted(significant, key=lambda c: -_worth(c, runs, problem.obs.several_speeds))[:_LEADING]:
         gain = left_out_gain(problem, candidates.whitened(problem, found.term))
         # Between the shapes of the grid, what rings comes out of step at the other feeds.
         best = refined_candidate(problem, candidates, found, test.level)
@@ -193,10 +193,10 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
     return None
 
 
-def _worth(candidate: Candidate, runs: int) -> float:
+def _worth(candidate: Candidate, runs: int, several_speeds: bool) -> float:
     """Return the gain, less what every free parameter costs: Schwarz's criterion over runs."""
     k = candidate.visible.shape[1]
-    free = k + len(candidate.term.instance.effect.refined_shapes)
+    free = k + len(candidate.term.instance.effect.refined_shapes(several_speeds))
     return candidate.score.gain - candidate.score.expected / k * free * float(np.log(runs))
 
 

@@ -119,7 +119,7 @@ def fit_several(
         When no campaign sees an effect.
     """
     pool = _pooled(campaigns, terms, library)
-    if any(t.instance.effect.refined_shapes for t in terms):
+    if any(t.instance.effect.refined_shapes(True) for t in terms):
         pool = _pooled(campaigns, _refined(pool, library).terms, library)
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         pool = replace(pool, parts=tuple(_by_runs(pool)))
@@ -184,7 +184,7 @@ def _refined(pool: Pool, library: Mapping[str, Effect]) -> Pool:
     for _ in range(_SHAPE_ROUNDS):
         before = cost
         for number, term in enumerate(pool.terms):
-            if not term.instance.effect.refined_shapes:
+            if not term.instance.effect.refined_shapes(True):
                 continue
             for shape in _proposed(best, number):
                 terms = [replace(t, shape=shape) if i == number else t for i, t in enumerate(best.terms)]

@@ -47,7 +47,7 @@ def vendor_figures(
     for axis, letter in zip(state.axes, "AB", strict=True):
         if _PITCH + letter in diagnostics:
             (place,) = instances(library[_CYCLIC], [], (axis,), joints=False)
-            terms.append(Term(place, {"pitch_mm": diagnostics[_PITCH + letter]}))
+            terms.append(Term(place, place.effect.start_shape | {"pitch_mm": diagnostics[_PITCH + letter]}))
     found: dict[str, Any] = {"stated_um": diagnostics.get("RMS")}
     for key, by_file in (("file_angles", True), ("aligned_angles", False)):
         whole = [_columns(a.file_state if by_file else a.state, terms) for a in passes.aligned]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, travelled_mm
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, taken_up
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -13,8 +13,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 1))
     # The table stands still until the drive has taken up the play.
-    taken_up = np.minimum(1e3 * travelled_mm(state, axis) / shape["standstill_um"], 1.0)
-    step = -np.sign(state.velocity_mm_s[axis]) * (taken_up - 0.5)
+    step = -np.sign(state.velocity_mm_s[axis]) * (taken_up(state, axis, shape["standstill_um"]) - 0.5)
     return (step * state.sensitivity[axis])[:, None]
 
 

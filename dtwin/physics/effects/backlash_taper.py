@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, taken_up
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -12,7 +12,8 @@ from dtwin.schema import Floats
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 1))
-    step = -0.5 * np.sign(state.velocity_mm_s[axis]) * state.position_mm[axis] / 100.0
+    side = np.sign(state.velocity_mm_s[axis]) * (taken_up(state, axis, shape["standstill_um"]) - 0.5)
+    step = -side * state.position_mm[axis] / 100.0
     return (step * state.sensitivity[axis])[:, None]
 
 
@@ -27,7 +28,8 @@ EFFECT = Effect(
         "Backlash is larger at one end of the travel: a worn stretch of the screw, or wind- "
         "up that depends on the free length."
     ),
-    formula="-(dB / 2) (x / 100 mm) sgn(v) cos(t) for the X axis",
+    formula="-(dB / 2) (x / 100 mm) sgn(v) cos(t) for the X axis, once the play is taken up",
+    shapes=(ShapeParameter("standstill_um", "um", 10.0, (1.0, 10.0, 60.0), (0.0, 200.0)),),
     looks_like="Steps of different size at the two ends of the axis.",
     separate_by="Measure the same circle at another place along the axis.",
     remedy=("Inspect the screw along its length; a table of backlash by position if the control has one."),

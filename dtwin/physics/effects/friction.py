@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked, travelled_mm
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked
 from dtwin.physics.state import State
 from dtwin.schema import Floats
+from dtwin.units import UM_PER_MM
+
+# Points of a circle at which the answer of a drive is computed.
+_POINTS = 1440
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
-    speed = state.velocity_mm_s[axis]
+    # Round the circle from the positive end of the axis on, the way it moves.
+    turned = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
+    per_s = state.feed_mm_s / state.radius_mm
+    speed = -state.feed_mm_s * np.sin(turned)
     # Before it slides, friction builds up over some micrometres of travel.
-    sliding = 1.0 - 2.0 * np.exp(-1e3 * travelled_mm(state, axis) / shape["presliding_um"])
+    travelled_um = UM_PER_MM * state.radius_mm * (1.0 - np.cos(turned % np.pi))
+    sliding = 1.0 - 2.0 * np.exp(-travelled_um / shape["presliding_um"])
     slow = np.exp(-((speed / shape["stribeck_mm_s"]) ** 2))
-    lag = -0.5 * np.sign(speed) * sliding * state.sensitivity[axis]
-    return stacked(lag, lag * slow)
+    lag = -0.5 * np.sign(speed) * sliding
+    # The drive gives way no faster than its position loop: a lag of the first order, harmonic by harmonic.
+    harmonics = np.fft.rfft(np.stack([lag, lag * slow]))
+    late = 1.0 + 1j * np.arange(harmonics.shape[1]) * per_s * shape["response_ms"] / 1e3
+    answered = np.fft.irfft(harmonics / late, _POINTS)
+    at = state.since_reversal_s[axis] * per_s + np.where(state.last_end[axis] > 0.0, 0.0, np.pi)
+    columns = [np.interp(at, turned, column, period=2.0 * np.pi) for column in answered]
+    return stacked(*columns) * state.sensitivity[axis][:, None]
 
 
 EFFECT = Effect(
@@ -28,9 +42,9 @@ EFFECT = Effect(
     law=Law(None, None, "odd"),
     meaning=(
         "The drive lags by what it takes to overcome friction: like backlash once it slides, but "
-        "built up over some travel, and larger at low speed (Stribeck)."
+        "built up over some travel, larger at low speed (Stribeck), and answered within the time of the position loop."
     ),
-    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis",
+    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis, a first-order lag of time T later",
     looks_like="Rounded steps at the reversals, with humps at low feed.",
     separate_by=(
         "Lower the feed and measure with more samples: a step that is rounded over tens of "
@@ -41,6 +55,7 @@ EFFECT = Effect(
     shapes=(
         ShapeParameter("presliding_um", "um", 30.0, (15.0, 60.0, 300.0)),
         ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (2.0, 8.0)),
+        ShapeParameter("response_ms", "ms", 0.1, (3.0, 30.0), (0.0, 200.0), by_speed=True),
     ),
     confusables=("backlash", "reversal_spike"),
     correctable="Friction compensation of the control.",

@@ -134,7 +134,7 @@ def test_the_declared_law_is_the_law_of_the_columns(name: str) -> None:
     if "circular" not in effect.kinds or effect.per == "joint":
         return
     # While the play is taken up, over some um of travel, no power law holds.
-    shape = dict(effect.start_shape) | ({"standstill_um": 1e-9} if name == "backlash" else {})
+    shape = {name: 1e-9 if name == "standstill_um" else value for name, value in effect.start_shape.items()}
     for instance in everywhere(effect, ["XY"]) + everywhere(effect, ["ZX"]):
         plane: Plane = "ZX" if "Z" in instance.axis else "XY"
 

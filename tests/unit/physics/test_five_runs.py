@@ -72,7 +72,7 @@ def test_channels_that_do_nothing_are_not_named() -> None:
 def test_noise_of_five_runs_is_called_significant_as_often_as_stated(name: str) -> None:
     rng = np.random.default_rng(5)
     axis = "" if name == "thermal_drift" else "X"
-    term = Term(Instance(LIBRARY[name], axis), {})
+    term = Term(Instance(LIBRARY[name], axis), LIBRARY[name].start_shape)
     within = LIBRARY[name].within_condition
     p_values = []
     for _ in range(150):
