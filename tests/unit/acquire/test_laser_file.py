@@ -144,7 +144,7 @@ def test_missed_targets_wrong_signs_and_steps_that_divide_the_pitch_are_named(tm
     assert codes(runs_of(campaign(tmp_path, errors(), grid, skip=40))) == {"linear.missed_targets"}
     assert codes(runs_of(campaign(tmp_path, errors(), grid, sign=-1.0))) == {"laser.sign"}
     assert codes(runs_of(campaign(tmp_path, errors(), np.arange(31.0)))) == {"linear.step_divides_pitch"}
-    assert codes(runs_of(campaign(tmp_path, errors() + 1.0, grid))) == {"reading.out_of_range"}
+    assert codes(runs_of(campaign(tmp_path, errors() + 1.0, grid))) == {"reading.out_of_range", "linear.datum"}
     assert codes(runs_of(campaign(tmp_path, errors(1), grid))) == {"campaign.no_repeat"}
 
 
