@@ -87,6 +87,11 @@ def _log(column: WarmColumn, day: Day, seed: int) -> str:
     read = column.probed_um(day.moved_um[at], seed)
     lines = [",".join(["t_s", "sample", "displacement_um", *(f"temperature_{name}_c" for name in day.read_c)])]
     for n, (i, of, um) in enumerate(zip(at.tolist(), sample.tolist(), read.tolist(), strict=True)):
-        cells = [f"{day.t_s[i] + n % AGAIN:z.0f}", str(of), f"{um:z.3f}", *(f"{c[i]:z.2f}" for c in day.read_c.values())]
+        cells = [
+            f"{day.t_s[i] + n % AGAIN:z.0f}",
+            str(of),
+            f"{um:z.3f}",
+            *(f"{c[i]:z.2f}" for c in day.read_c.values()),
+        ]
         lines.append(",".join(cells))
     return "\n".join(lines) + "\n"
