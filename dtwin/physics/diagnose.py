@@ -53,6 +53,8 @@ _VAGUE = 0.3
 _DWARFED = 0.4
 # So much of everything, as RMS, is something unknown, and not how far the library's laws are off.
 _UNKNOWN = 0.3
+# What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
+_BESIDE_LAWS = 0.5
 
 # Tests of the laws of every effect found and of its rivals, by label.
 _Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
@@ -106,12 +108,12 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     left = answer.unresolved
     if left is None or left.share < _UNKNOWN**2 or not first.found or not _has_laws(obs):
         return answer
-    believed = {group[0].label for group in answer.found}
+    believed = frozenset(group[0].label for group in answer.found)
     unknown = nameless(problem, candidates, [f.top.term for f in first.found if f.label in believed])
     if not unknown:
         return answer
     beside_them = [*known, *unknown]
-    other = concluded(searched(beside(weighted_like(obs, beside_them, noise)), beside_them), first, unknown)
+    other = concluded(searched(beside(weighted_like(obs, beside_them, noise)), beside_them), first, unknown, believed)
     return other if other.found else answer
 
 
@@ -182,11 +184,13 @@ def _concluded(
     found: Search,
     first: Search,
     unknown: Sequence[Term] = (),
+    believed: frozenset[str] = frozenset(),
 ) -> Diagnosis:
     """Judge what a search found.
 
     ``problem``: whitened campaign with what the twin knows.
     ``unknown``: laws without a name that the search was made beside; they are a part of what is not resolved.
+    ``believed``: labels that are believed without these laws.
     ``first``: the search beside nothing but what the twin knows.
     """
     obs = problem.obs
@@ -205,7 +209,12 @@ def _concluded(
     much = _much_left(found, blank.noise_floor_um)
     doubted = _doubted(found, late, tests)
     doubted += _hidden_by(doubted, found, tests)
-    kept = [f for f in trusted(found, doubted, much) if much or not _is_dwarfed(f, found)]
+    least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
+    kept = [
+        f
+        for f in trusted(found, doubted, much)
+        if (much or not _is_dwarfed(f, found)) and (f.label in believed or f.size_um >= least_um)
+    ]
     others = [f for f in found.found if f not in kept]
     told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
     terms = [f.top.term for f in kept]

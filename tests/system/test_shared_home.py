@@ -199,6 +199,7 @@ def test_a_store_in_trouble_in_the_middle_leaves_nothing_half_and_the_next_try_g
     assert read_document(other.root / "twins" / "t" / "v001.json") == {"a": 1}
 
 
+@pytest.mark.long
 def test_a_storm_of_refusals_and_lost_answers_is_outlived(store: int, proxy: StoreProxy, tmp_path: Path) -> None:
     lake = Lake(shared(tmp_path / "a", proxy.port, "storm").lake)
     lake.commit(*campaign("c0"))

@@ -294,6 +294,7 @@ def test_effects_keep_their_names_beside_something_unknown_that_looks_like_one_o
     assert any(law.harmonic in (2, 4) and law.radius > 1.0 for law in found.laws)
 
 
+@pytest.mark.long
 def test_a_delay_that_is_not_the_same_in_both_set_ups_is_no_delay() -> None:
     mill = replace(SOUND.with_axis("X", play_um=3.0), delay_ms=20.0)
     obs = observed(measured(VirtualMill(mill, seed=2, noise=NoiseParameters(rms_um=0.3))))
