@@ -76,7 +76,7 @@ def _best_shape(problem: Problem, obs: Observations, term: Term) -> Floats:
     shapes = [dict(term.shape)]
     if any(s.name == "pitch_mm" for s in effect.shapes):
         found = likely_pitches(obs, problem.residual, term.instance)
-        shapes += [{"pitch_mm": pitch} for pitch in found]
+        shapes += [effect.start_shape | {"pitch_mm": pitch} for pitch in found]
     elif len(effect.shapes) == 1:
         shapes += [{effect.shapes[0].name: v} for v in effect.shapes[0].grid]
     best, gain = np.zeros((problem.residual.size, 0)), -1.0

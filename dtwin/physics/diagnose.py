@@ -106,7 +106,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     first = searched(problem, known)
     answer = concluded(first, first)
     left = answer.unresolved
-    if left is None or left.share < _UNKNOWN**2 or not first.found or not _has_laws(obs):
+    if left is None or left.share < _UNKNOWN**2 or not answer.found or not _has_laws(obs):
         return answer
     believed = frozenset(group[0].label for group in answer.found)
     unknown = nameless(problem, candidates, [f.top.term for f in first.found if f.label in believed])

@@ -51,6 +51,7 @@ def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:
     return list(json.loads(artifact["data"]))
 
 
+@pytest.mark.long
 def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
     def skipped() -> list[dict[str, Any]]:
         return [
@@ -163,6 +164,7 @@ def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
     assert [t["run_count"] for t in up.ask("/task_runs/filter", wanted)] == [1], "was retried"
 
 
+@pytest.mark.long
 def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) -> None:
     registry = Registry(up.home)
     left_out = run(recheck_flow, machine=MACHINE)[MACHINE]

@@ -61,7 +61,7 @@ PAGES = (
 )
 # Answers that are no page: figures, files, what scripts ask for.
 _NO_PAGES = re.compile(
-    r"^/$|/api/|/static/|\{ending\}|\.ics|plan\.zip|\.zip|\.toml|report|export|template|/download|\.json"
+    r"^/$|/api/|/delivery/|/static/|\{ending\}|\.ics|plan\.zip|\.zip|\.toml|report|export|template|/download|\.json"
 )
 
 

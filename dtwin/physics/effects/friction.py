@@ -9,29 +9,21 @@ from dtwin.physics.state import State
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
-# Points of a circle at which the answer of a drive is computed.
-_POINTS = 1440
-
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
-    # Round the circle from the positive end of the axis on, the way it moves.
-    turned = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
+    # The drive answers as late as its position loop: what it does now belongs to where the circle was then.
     per_s = state.feed_mm_s / state.radius_mm
-    speed = -state.feed_mm_s * np.sin(turned)
-    # Before it slides, friction builds up over some micrometres of travel.
-    travelled_um = UM_PER_MM * state.radius_mm * (1.0 - np.cos(turned % np.pi))
+    cos, sin = np.cos(per_s * shape["response_ms"] / 1e3), np.sin(per_s * shape["response_ms"] / 1e3)
+    position = cos * state.position_mm[axis] - sin * state.velocity_mm_s[axis] / per_s
+    speed = cos * state.velocity_mm_s[axis] + sin * per_s * state.position_mm[axis]
+    # Before it slides, friction builds up over some micrometres of travel since the last reversal.
+    travelled_um = UM_PER_MM * (state.radius_mm + np.sign(speed) * position)
     sliding = 1.0 - 2.0 * np.exp(-travelled_um / shape["presliding_um"])
     slow = np.exp(-((speed / shape["stribeck_mm_s"]) ** 2))
-    lag = -0.5 * np.sign(speed) * sliding
-    # The drive gives way no faster than its position loop: a lag of the first order, harmonic by harmonic.
-    harmonics = np.fft.rfft(np.stack([lag, lag * slow]))
-    late = 1.0 + 1j * np.arange(harmonics.shape[1]) * per_s * shape["response_ms"] / 1e3
-    answered = np.fft.irfft(harmonics / late, _POINTS)
-    at = state.since_reversal_s[axis] * per_s + np.where(state.last_end[axis] > 0.0, 0.0, np.pi)
-    columns = [np.interp(at, turned, column, period=2.0 * np.pi) for column in answered]
-    return stacked(*columns) * state.sensitivity[axis][:, None]
+    lag = -0.5 * np.sign(speed) * sliding * state.sensitivity[axis]
+    return stacked(lag, lag * slow)
 
 
 EFFECT = Effect(
@@ -44,7 +36,7 @@ EFFECT = Effect(
         "The drive lags by what it takes to overcome friction: like backlash once it slides, but "
         "built up over some travel, larger at low speed (Stribeck), and answered within the time of the position loop."
     ),
-    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis, a first-order lag of time T later",
+    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis, as it was a time T before",
     looks_like="Rounded steps at the reversals, with humps at low feed.",
     separate_by=(
         "Lower the feed and measure with more samples: a step that is rounded over tens of "
