@@ -137,7 +137,10 @@ def lenient(home: Home, machine: str) -> None:
     registry.attach(version, {"bundle/bundle.json": content})
 
 
-@pytest.mark.parametrize(("machine", "radius_mm", "feed"), [("cobot", 100.0, 6000.0), ("mill", 150.0, 4000.0)])
+@pytest.mark.parametrize(
+    ("machine", "radius_mm", "feed"),
+    [("cobot", 100.0, 6000.0), pytest.param("mill", 150.0, 4000.0, marks=pytest.mark.long)],
+)
 def test_an_operator_measures_a_plan_and_repeats_a_spoilt_run(
     machine: str, radius_mm: float, feed: float, home: Home, inbox: Path, tmp_path: Path
 ) -> None:

@@ -341,6 +341,7 @@ def test_a_demo_without_a_page_says_so_and_goes_on(tmp_path: Path) -> None:
     assert "no Prefect page" in said[0]
 
 
+@pytest.mark.long
 def test_a_server_that_dies_on_the_way_does_not_end_the_demo(tmp_path: Path) -> None:
     home = Home(tmp_path / "home")
     said: list[str] = []
