@@ -1,9 +1,13 @@
-"""Which process did something, and whether it is still there."""
+"""Which process did something, whether it is still there, and processes beside this one."""
 
 from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -31,3 +35,14 @@ def is_gone(stated: str) -> bool:
     if host != process(0).partition(" ")[0] or not number.isdigit():
         return False
     return process(int(number)) != stated
+
+
+@contextmanager
+def running_beside(module: str, *arguments: str) -> Iterator[None]:
+    """Run a module in a process of its own, whose standard input ends when this process does, however it ends."""
+    command = [sys.executable, "-m", module, *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as child:
+        try:
+            yield
+        finally:
+            child.terminate()

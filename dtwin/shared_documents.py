@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 import select
-import subprocess
 import sys
 import threading
 import time
@@ -28,7 +27,7 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
 from dtwin.home_file import Bucket
 from dtwin.locks import locked
-from dtwin.processes import process
+from dtwin.processes import process, running_beside
 
 FOLDERS = ("bundles", "formulas", "machines", "plans", "recipes", "twins")
 """Folders of a home whose entries are shared; others are caches, logs, or of this computer alone."""
@@ -109,15 +108,11 @@ def followed_beside(home: Home) -> Iterator[None]:
     begun = _tried(home)
     if begun is not None:
         print(begun.render(), file=sys.stderr, flush=True)
-    command = [sys.executable, "-m", "dtwin.shared_documents", str(home.root)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as child:
-        # When this process ends, however it does, the pipe is closed and the child ends.
-        try:
+    try:
+        with running_beside("dtwin.shared_documents", str(home.root)):
             yield
-        finally:
-            child.terminate()
-            child.wait()
-            _tried(home)
+    finally:
+        _tried(home)
 
 
 def _tried(home: Home) -> DtwinError | None:

@@ -177,6 +177,11 @@ class Effect:
         """Return the shape parameters that are refined between the values tried."""
         return tuple(s for s in self.shapes if s.refined and (several_speeds or not s.by_speed))
 
+    def completed(self, shape: Shape) -> dict[str, float]:
+        """Return a shape of an earlier version with what it did not know: absent where it may be, else at its start."""
+        absent = {s.name: 0.0 for s in self.shapes if s.bounds[0] == 0.0}
+        return self.start_shape | absent | dict(shape)
+
     @property
     def start_shape(self) -> dict[str, float]:
         """Shape parameters where their search begins."""

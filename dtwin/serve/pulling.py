@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import subprocess
 import sys
 import urllib.error
 import urllib.request
@@ -23,6 +22,7 @@ from urllib.parse import quote, urlsplit
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
+from dtwin.processes import running_beside
 from dtwin.schema import require_name
 from dtwin.serve.bundle_file import parse_json, read_bytes, write_json
 from dtwin.serve.delivery import KEY_FILE, LARGEST, MAC, NONCE, answer, install, question, read_key, same
@@ -75,13 +75,8 @@ def pulled(url: str, machine: str, home: Home, announce: Callable[[str], None]) 
         if not since:
             raise
         announce(f"{error.render()}\nserving what was fetched at {since}")
-    command = [sys.executable, "-m", "dtwin.serve.pulling", url, machine, str(home.root)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as child:
-        # When this process ends, however it does, the pipe is closed and the child ends.
-        try:
-            yield
-        finally:
-            child.terminate()
+    with running_beside("dtwin.serve.pulling", url, machine, str(home.root)):
+        yield
 
 
 def _asked(url: str, machine: str, key: bytes) -> bytes:

@@ -54,7 +54,7 @@ def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where
             )
         effect = library[entry["effect"]]
         # A version before may not have known every shape parameter.
-        terms.append(Term(Instance(effect, entry["axis"]), effect.start_shape | entry["shape"]))
+        terms.append(Term(Instance(effect, entry["axis"]), effect.completed(entry["shape"])))
     estimates = tuple(
         Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
         for e in document["parameters"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
-from dtwin.report.twin_plots import ranked_figure, waterfall_figure
-from dtwin.report.twins import history_text
+from dtwin.report.told_twins import candidate_table, missing_section
+from dtwin.report.told_twins import history_section as history_section
 
 if TYPE_CHECKING:
     from dtwin.kinds.poses._twins import PoseTwin
@@ -64,12 +64,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         f"{result['verdict']}: {result['headline']}",
         f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
     ]
-    rows = [
-        (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
-        for c in result["candidates"]
-    ]
-    if rows:
-        lines.append(table(("effect", "gain held out", "p", "in group"), rows))
+    lines += candidate_table(result["candidates"])
     if result.get("nested_mean_mm") is not None:
         lines.append(
             "with the effects chosen anew without them, from nothing, quarters of the blocks are left with a mean of "
@@ -87,22 +82,12 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return a diagnosis for a report."""
-    figures = [ranked_figure(result)] if result["candidates"] else []
-    return Section(
-        "What is missing", [], [("warning", result["headline"])], [], figures, [diagnosis_text(name, result)]
-    )
+    return missing_section(result, diagnosis_text(name, result))
 
 
 def twin_section(twin: PoseTwin) -> Section:
     """Return a twin for a report."""
     return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
-
-
-def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
-    """Return the versions of a twin for a report."""
-    return Section(
-        "From version to version", figures=[waterfall_figure(rungs, begun="no effects")], code=[history_text(rungs)]
-    )
 
 
 def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:

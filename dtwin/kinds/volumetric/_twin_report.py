@@ -15,8 +15,8 @@ from dtwin.kinds.volumetric._motions import FAMILIES, Family, family_of, motion_
 from dtwin.report.html import Section, Table
 from dtwin.report.plots import COLOURS, styled
 from dtwin.report.text import micrometres, table
-from dtwin.report.twin_plots import ranked_figure, waterfall_figure
-from dtwin.report.twins import history_text
+from dtwin.report.told_twins import history_section as history_section
+from dtwin.report.told_twins import missing_section
 
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
@@ -126,20 +126,13 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
-    said = (_SEVERITY.get(result["verdict"], "warning"), f"{result['verdict']}: {result['headline']}")
-    figures = [ranked_figure(result)] if result["candidates"] else []
-    return Section("What is missing", [], [said], [], figures, [diagnosis_text(name, result)])
+    severity = _SEVERITY.get(result["verdict"], "warning")
+    return missing_section(result, diagnosis_text(name, result), severity, f"{result['verdict']}: {result['headline']}")
 
 
 def twin_section(twin: HeatTwin) -> Section:
     """Return the twin and its error motions."""
     return Section("The twin", [twin_text(twin).split("\n")[1]], tables=[term_table(twin)])
-
-
-def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
-    """Return how the error fell."""
-    figure = waterfall_figure(rungs, begun="no effects")
-    return Section("From version to version", figures=[figure], code=[history_text(rungs)])
 
 
 def family_dict(family: Family) -> dict[str, Any]:

@@ -34,7 +34,7 @@ EFFECT = Effect(
     law=Law(None, None, "odd"),
     meaning=(
         "The drive lags by what it takes to overcome friction: like backlash once it slides, but "
-        "built up over some travel, larger at low speed (Stribeck), and answered within the time of the position loop."
+        "built up over some travel, larger at low speed (Stribeck), and late by the time of the position loop."
     ),
     formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis, as it was a time T before",
     looks_like="Rounded steps at the reversals, with humps at low feed.",

@@ -155,6 +155,23 @@ def test_the_declared_law_is_the_law_of_the_columns(name: str) -> None:
             np.testing.assert_allclose(columns(cw=1.0), sign * plain, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "known", "before"),
+    [
+        ("backlash_taper", {}, lambda s: -0.5 * np.sign(s.velocity_mm_s["X"]) * s.position_mm["X"] / 100.0),
+        (
+            "cyclic_error_by_direction",
+            {"pitch_mm": 8.0},
+            lambda s: np.sign(s.velocity_mm_s["X"]) * np.cos(2.0 * np.pi * s.position_mm["X"] / 8.0),
+        ),
+    ],
+)
+def test_a_version_that_did_not_know_a_shape_says_what_it_said(name: str, known: dict[str, float], before) -> None:  # type: ignore[no-untyped-def]
+    effect, where = LIBRARY[name], state()
+    told = effect.columns(where, "X", effect.completed(known))[:, 0]
+    np.testing.assert_allclose(told, before(where) * where.sensitivity["X"], atol=1e-9)
+
+
 def displaced_um(theta: Floats, radius_mm: float, push) -> Floats:  # type: ignore[no-untyped-def]
     """Exact change of the distance from the centre when each point is pushed by (ex, ey) um."""
     out = []
