@@ -124,6 +124,7 @@ def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
     known = read_people(home)
     person = Person(name, tuple(r for r in ROLES if r in roles), hashlib.sha256(token.encode()).hexdigest())
     _write(home, People((*(p for p in known.people if p.name != name), person), known.second_person))
+    note(home, f"a token for {name}: {', '.join(person.roles)}", "", "done")
     return token
 
 
@@ -140,11 +141,13 @@ def remove_person(home: Home, name: str) -> None:
         names = ", ".join(p.name for p in known.people)
         raise InputError("nobody has this name", code="people.unknown", got=name[:80], allowed=names or "nobody yet")
     _write(home, People(tuple(p for p in known.people if p.name != name), known.second_person))
+    note(home, f"no token for {name} any more", "", "done")
 
 
 def require_second_person(home: Home, wanted: bool) -> None:
     """State whether a champion needs two people."""
     _write(home, People(read_people(home).people, wanted))
+    note(home, f"a champion needs {'two people' if wanted else 'one person'}", "", "done")
 
 
 def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:

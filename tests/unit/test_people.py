@@ -55,13 +55,15 @@ def test_a_person_may_what_the_role_says_and_stands_in_the_record() -> None:
     taken = maxim.post("/api/machines/mill-1/event", json=event)
     assert taken.status_code < 300, taken.text
     assert maxim.post("/api/live/mill-1/stop").status_code == 403
-    [line] = audit(state)
+    first, second, line = audit(state)
+    assert (first["what"], second["what"]) == ("a token for lena: look", "a token for max: measure")
     assert (line["who"], line["what"], line["why"]) == ("max", "POST /api/machines/mill-1/event", "new spindle")
     assert line["came"] == str(taken.status_code)
     assert measures not in (state.root / "people.toml").read_text()
     assert entered(state, "wrong").get("/machines").status_code == 403
     # A token that was taken away, or replaced, holds no more; nor does the page that was open.
     remove_person(state, "max")
+    assert audit(state)[-1]["what"] == "no token for max any more"
     add_person(state, "lena", ["measure"])
     assert [client.get("/machines").status_code for client in (lena, maxim)] == [403, 403]
 
@@ -127,7 +129,9 @@ def test_a_champion_may_need_two_people(monkeypatch: pytest.MonkeyPatch) -> None
     assert champion.version == "1"
     said = [(line["action"], line["who"]) for line in promotion.history(state, MACHINE)]
     assert said == [("proposed", "lena"), ("champion", "max")]
-    assert [line["who"] for line in audit(state)] == ["lena", "max"]
+    stated, *promoted = audit(state)
+    assert stated["what"] == "a champion needs two people"
+    assert [line["who"] for line in promoted] == ["lena", "max"]
 
 
 def test_the_commands_make_list_and_take_away() -> None:
