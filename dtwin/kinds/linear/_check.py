@@ -189,8 +189,9 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
             "linear.drift",
             "warning",
             f"the runs disagree by drift, not by noise: {drift_um:z.2f} µm RMS wander from run to "
-            f"run, {noise_um:z.2f} µm RMS from one reading to the next; more runs do not average "
-            "it away, log temperatures and shorten the test",
+            f"run, {noise_um:z.2f} µm RMS from one reading to the next; R counts it as scatter, and more runs do not average "
+            "it away. A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the "
+            "axis's own encoder with the reference, log temperatures",
             {"drift_um": drift_um, "noise_um": noise_um},
         )
     ]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.linear import linear_figures
@@ -23,6 +24,9 @@ _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
 """Share of the variance between cycles that a description must take to be told."""
+_STEEL_UM_M_K = 11.5
+_MOST_WARMER_K = 40.0
+"""What a machine warms by at most; a stretch that needs more is not heat."""
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 5.0
 
@@ -115,8 +119,8 @@ def moving_zero(test: LinearTest) -> Finding | None:
     """Return how readings move from cycle to cycle: by jumps, steadily, or as something that warms; None when they do not.
 
     The first sweep of each direction tells what belongs to the targets; the rest is described by a shift that grows by the
-    same amount each cycle (slip), one shift or several between cycles (lost steps), or a shift and a stretch that settle (warming).
-    Schwarz's criterion chooses; spoilt readings are left out.
+    same amount each cycle (slip), one shift or several between cycles (lost steps), or a shift and a stretch that settle (warming;
+    settling where heat cannot stretch as much). Schwarz's criterion chooses; spoilt readings are left out.
     """
     cycles = test.forward_um.shape[1]
     if cycles < _FEWEST_CYCLES:
@@ -155,16 +159,32 @@ def moving_zero(test: LinearTest) -> Finding | None:
         tried("jump", float(at), [(within >= at).astype(float)], 1)
     # What moves within sweeps, too, is no jump: straight lines from the beginning of one cycle to that of the next.
     tried("wander", 0.0, [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
-    for tau in _TAUS:
+
+    def warmed(tau: float) -> float:
         settling = -np.exp(-within / tau)
         tried("warming", tau, [settling, settling * place[None, :, None]], 1)
+        return rivals[-1][0]
+
+    # Where readings move by much more than they scatter, a time constant between two of the list leaves what looks like another law.
+    nearest = min(_TAUS, key=warmed)
+    minimize_scalar(
+        lambda log: warmed(float(np.exp(log))), bounds=(np.log(nearest / 1.5), np.log(nearest * 1.5)), method="bounded"
+    )
     cost, rest, name, where, sizes = min(rivals, key=lambda rival: rival[0])
     little = cost >= n * np.log(max(total, 1e-12) / n) or 1.0 - float(np.nansum(rest**2)) / total < _WORTH
     if little or name not in _SAID or _wanders(rest):
         return None
     steps = ", ".join(f"{size:+z.3g}" for size in sizes)
+    warmer_k = 1000.0 * abs(float(sizes[-1])) / (_STEEL_UM_M_K * max(float(np.ptp(test.position_mm)), 1e-9))
+    if name == "warming" and warmer_k > _MOST_WARMER_K:
+        name = "settling"
     words = _SAID[name].format(
-        steps=steps, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", tau=f"{where:g}", cycle=int(where) + 1
+        steps=steps,
+        size=f"{sizes[0]:+z.3g}",
+        more=f"{sizes[-1]:+z.3g}",
+        tau=f"{where:.2g}",
+        cycle=int(where) + 1,
+        kelvin=f"{warmer_k:.0f}",
     )
     return Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
 
@@ -178,6 +198,9 @@ _SAID = {
     "a coupling that slips now and then; not backlash, which is the same in every cycle",
     "warming": "readings settle with a time constant of about {tau} cycles, by {size} µm in the middle and {more} µm more from "
     "one end to the other: warming, or cooling",
+    "settling": "readings settle with a time constant of about {tau} cycles, by {size} µm in the middle and {more} µm more from "
+    "one end to the other: no warming, for steel would have to be {kelvin} K warmer to stretch so; a coupling or an encoder that "
+    "slips less and less, or a part that yields",
 }
 
 

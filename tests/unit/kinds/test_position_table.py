@@ -157,6 +157,7 @@ def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
         (lambda x, c: 0.0 * x + 6.0 * (c >= 3.2), {"linear.jump"}),
         (lambda x, c: 0.0 * x + 3.0 * (c >= 1) + 4.0 * (c >= 3), {"linear.jumps"}),
         (lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)), {"linear.warming"}),
+        (lambda x, c: (90.0 - x) * (1.0 - np.exp(-c / 1.3)), {"linear.settling"}),
     ],
 )
 def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
