@@ -110,7 +110,8 @@ def open_source(
     ):
         table = open_table(path, told or {})
         return table.campaign, table, 1
-    if any(value is not None for value in (told or {}).values()):
+    folder_or_test = path.is_dir() or suffix in (".toml", ".b5r")
+    if folder_or_test and any(value is not None for value in (told or {}).values()):
         raise InputError(
             "conditions are told of a table that lies alone only",
             code="ingest.told",
@@ -139,12 +140,12 @@ def open_source(
             hint="check the path; without measurements: dtwin examples",
         )
     raise InputError(
-        "cannot be ingested by itself",
+        "no table of a known form is in the file",
         code="ingest.type",
         where=str(path),
         got=path.suffix or "no ending",
-        allowed="a campaign folder, campaign.toml, .b5r, .csv, .parquet or .xlsx",
-        hint="name the file in a campaign.toml: it says plane, radius, feed and direction",
+        allowed="a campaign folder, campaign.toml, .b5r, .csv, .parquet or .xlsx; text or Markdown with a positioning table",
+        hint="save the table as .csv, or name the file in a campaign.toml: it says plane, radius, feed and direction",
     )
 
 

@@ -28,7 +28,7 @@ _STEEL_UM_M_K = 11.5
 _MOST_WARMER_K = 40.0
 """What a machine warms by at most; a stretch that needs more is not heat."""
 # A zero is off by so many times what readings differ by.
-_MANY_TIMES = 5.0
+_MANY_TIMES = 2.0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ WAYS: tuple[Way, Way] = ("forward", "reverse")
 _FEWEST_TARGETS = 5
 _ROUND_MM = 1e-4
 _FEED_MM_MIN = 60.0
-_NOT_LOGGED = ("t_s", "position_mm", "error_um", "direction", "laser_mm", "status_1")
+_NOT_LOGGED = ("t_s", "position_mm", "error_um", "direction", "laser_mm", "read_mm", "status_1")
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,11 @@ def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, li
     targets = np.unique(np.concatenate(of_runs))
     most = max(len(np.unique(found)) for found in of_runs)
     if len(targets) < _FEWEST_TARGETS or len(targets) > 2 * most:
+        few = len(targets) < _FEWEST_TARGETS
         raise InputError(
-            "the targets of the runs are too few, or not the same",
+            f"{len(targets)} targets are too few for a twin, which takes {_FEWEST_TARGETS}; the test sheet takes them"
+            if few
+            else "the runs have different targets",
             code="twin.targets",
             where=f"axis {axis}",
             got=f"{len(targets)} targets, {most} at most in a run",

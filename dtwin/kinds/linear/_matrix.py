@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dtwin.physics.linear import linear_figures
 from dtwin.schema import Floats, Run
 
 TARGET_MM = 1e-3
@@ -53,3 +54,16 @@ def _by_target(run: Run, way: str) -> dict[int, float]:
     chosen = run.samples["direction"] == way
     numbers = np.round(run.samples["position_mm"][chosen] / TARGET_MM).astype(int)
     return dict(zip(numbers.tolist(), run.samples["error_um"][chosen].tolist(), strict=True))
+
+
+def other_formulas_um(forward_um: Floats, reverse_um: Floats) -> dict[str, float]:
+    """Return R and E, µm, by formulas that some reports use instead of the standard's.
+
+    R as the larger of R↑ and R↓; E of the means' span above the higher of both minima.
+    """
+    told = linear_figures(forward_um, reverse_um)
+    up, down = forward_um.mean(axis=1), reverse_um.mean(axis=1)
+    return {
+        "R": max(told.repeatability_forward_um, told.repeatability_backward_um),
+        "E": float(max(up.max(), down.max()) - max(up.min(), down.min())),
+    }

@@ -1,10 +1,13 @@
 """Tables of a positioning test as people keep them: targets, cycles, two directions.
 
-Three forms are known by what stands in them:
+Four forms are known by what stands in them:
 
 * one row a target: a column of targets, and one for each cycle and direction (``forward 1``, ``bwd_1``, ``+1``, ``hin 1``);
+* one row a target and cycle: columns of targets, cycles, and one for each direction (``forward``, ``reverse``);
 * one row a reading: target, direction, cycle, and a position or a deviation;
 * assignments: ``TGT_DATA[1]=15``, ``REF_DATA_FWD[1,1]=15.01``, ``REF_DATA_BWD[1,1]=...``, ``UNIT=mm``.
+
+In a report in Markdown the tables of these forms are read; what their heads leave out, direction or target, the heading above says.
 
 A column is in the unit that its head or a row of units states (mm, um, µm, in), millimetres without. It holds deviations when its
 head says so (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away.
@@ -13,6 +16,7 @@ head says so (deviation, error, Abweichung) or is in micrometres, else positions
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -25,33 +29,32 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
+from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
+from dtwin.kinds.linear._table_heads import (
+    ANGLE,
+    MISSING,
+    MM,
+    SUMMARY,
+    Long,
+    Wide,
+    deviation_um,
+    is_unit,
+    long_of,
+    scale_of,
+    unit_last,
+    way_of,
+    wide_of,
+)
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
-SUFFIXES = (".csv", ".dat", ".txt", ".tsv", *SPREADSHEETS)
+SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
 _MOST_TITLES = 20
 # Of the travel: no linear axis errs by so much.
 _LITTLE = 0.02
-_MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"))
-_ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
-_UNIT_INSIDE = re.compile(r"\s*[\[(](mm|um|µm|μm|nm|inch|in)[\])]", re.I)
 _MAX_BYTES = 16 * 1024 * 1024
 _SNIFFED = 65_536
 _PERIOD_S = 1.0
-_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4, "m": 1000.0, "nm": 1e-6}
-_UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
-_TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|soll|ziel|punkt)", re.I)
-_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|soll|ziel)", re.I)
-_DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
-_ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-_CYCLE = re.compile(r"^(cycle|run|repeat|zyklus|lauf|nr)", re.I)
-_WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
-_WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"},
-    "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
-    | {"rück", "rückwärts", "zurück", "her"},
-}
-_SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 _ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
 _UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
 
@@ -78,7 +81,7 @@ def is_position_table(path: Path) -> bool:
     text = decoded(_beginning(path))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
-    return _below_titles(rows_of(text)) is not None
+    return bool(report_tables(text)) or _below_titles(rows_of(text)) is not None
 
 
 def _beginning(path: Path) -> bytes:
@@ -95,7 +98,9 @@ def read_position_runs(
 
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
     """
-    return runs_of(read_position_table(path), path, stated), []
+    text = decoded(table_bytes(path, _MAX_BYTES))
+    table = _read(text, path)
+    return runs_of(table, path, stated, stated_figures(text, table.forward_um, table.reverse_um)), []
 
 
 def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
@@ -133,16 +138,24 @@ def read_position_table(path: Path) -> PositionTable:
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    text = decoded(table_bytes(path, _MAX_BYTES))
+    return _read(decoded(table_bytes(path, _MAX_BYTES)), path)
+
+
+def _read(text: str, path: Path) -> PositionTable:
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return matrix_of(_assigned(text, path), path)
-    every = rows_of(text)
-    rows = _below_titles(every)
-    if rows is None:
-        raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
-    _require_lengths(rows[:2], path)
-    wide, long = _wide(rows[0]), _long(rows[0])
-    readings = _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
+    tables = [table.rows for table in one_instrument(report_tables(text), path)]
+    if not tables:
+        every = rows_of(text)
+        plain = _below_titles(every)
+        if plain is None:
+            raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
+        tables = [plain]
+    readings: list[Reading] = []
+    for rows in tables:
+        _require_lengths(rows[:2], path)
+        wide, long = wide_of(rows[0]), long_of(rows[0])
+        readings += _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
     return matrix_of(_as_they_are(readings), path)
 
 
@@ -150,7 +163,7 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
         below = list(rows[begin + 1 :])
-        if _wide(row) is not None or _long(row) is not None:
+        if wide_of(row) is not None or long_of(row) is not None:
             return [row, *below]
         if below and sum(bool(cell.strip()) for cell in row) > 1:
             filled, last = [], ""
@@ -158,20 +171,14 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
                 last = cell.strip() or last
                 filled.append(last)
             joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
-            if _wide(joined) is not None and not _way(filled[0]):
-                return [[_unit_last(head) for head in joined], *below[1:]]
+            if wide_of(joined) is not None and not way_of(filled[0]):
+                return [[unit_last(head) for head in joined], *below[1:]]
     return None
-
-
-def _unit_last(head: str) -> str:
-    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
-    unit = _UNIT_INSIDE.search(head)
-    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
 
 
 def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table of angles: its figures would be taken for lengths."""
-    angles = [cell.strip() for row in rows for cell in row if _ANGLE.search(cell.strip())]
+    angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
     if angles:
         raise InputError(
             "the table is in angles, and only linear axes are judged",
@@ -230,7 +237,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
 def _assigned(text: str, path: Path) -> list[Reading]:
     stated = _UNIT_ASSIGNED.search(text)
     unit = stated[1].lower() if stated else "mm"
-    if unit not in _MM:
+    if unit not in MM:
         raise _wrong("a unit that is not known", path, unit[:20])
     targets: dict[int, float] = {}
     read: list[tuple[str, int, int, float]] = []
@@ -238,7 +245,7 @@ def _assigned(text: str, path: Path) -> list[Reading]:
         match = _ASSIGNED.match(line)
         if match is None:
             continue
-        value = _number(match[4], f"{path} line {number}") * _MM[unit]
+        value = _number(match[4], f"{path} line {number}") * MM[unit]
         if match[1] == "TGT_DATA":
             targets[int(match[2])] = value
         elif match[3] is None:
@@ -251,119 +258,53 @@ def _assigned(text: str, path: Path) -> list[Reading]:
     return [(targets[p], way, cycle, (value - targets[p]) * UM_PER_MM, True) for way, p, cycle, value in read]
 
 
-@dataclass(frozen=True)
-class _Wide:
-    target: int
-    cells: tuple[tuple[int, str, int], ...]
-
-
-def _wide(heads: Sequence[str]) -> _Wide | None:
-    """Return which column is which in a table of one row a target; None when it is none."""
-    targets = [i for i, head in enumerate(heads) if _TARGET.match(head.strip())]
-    targets = [i for i in targets if not re.match(r"i\b", heads[i].strip(), re.I)] or targets
-    cells = []
-    for i, head in enumerate(heads):
-        way, number = _way(head), re.search(r"(\d+)", head)
-        if i not in targets[:1] and way and number:
-            cells.append((i, way, int(number[1])))
-    return _Wide(targets[0], tuple(cells)) if targets and len(cells) >= 2 else None
-
-
-def _from_wide(rows: Sequence[Sequence[str]], wide: _Wide, path: Path) -> list[Reading]:
+def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
     heads, body = rows[0], rows[1:]
-    units = body[0] if body and all(not cell.strip() or _is_unit(cell) for cell in body[0]) else None
+    units = body[0] if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
     body = body[1:] if units is not None else body
-    scale = [_scale(heads[i], units[i] if units is not None and i < len(units) else "") for i in range(len(heads))]
+    scale = [scale_of(heads[i], units[i] if units is not None and i < len(units) else "") for i in range(len(heads))]
     out = []
+    seen: Counter[float] = Counter()
     for number, row in enumerate(body, start=2 if units is None else 3):
         where = f"{path} row {number}"
+        if any(SUMMARY.fullmatch(row[i].strip()) for i in (wide.cycle, wide.target) if i is not None and i < len(row)):
+            continue
         target = _cell(row, wide.target, where) * scale[wide.target]
+        seen[target] += 1
+        counted = seen[target] if wide.cycle is None else _cycle(row, wide.cycle, where)
         for i, way, cycle in wide.cells:
-            if i < len(row) and row[i].strip().lower() not in _MISSING:
+            if i < len(row) and row[i].strip().lower() not in MISSING:
                 value = _cell(row, i, where) * scale[i]
-                out.append((target, way, cycle, *_deviation_um(heads[i], scale[i], value, target)))
+                out.append((target, way, cycle or counted, *deviation_um(heads[i], scale[i], value, target)))
     return out
 
 
-@dataclass(frozen=True)
-class _Long:
-    target: int
-    way: int
-    cycle: int | None
-    value: int
-
-
-def _long(heads: Sequence[str]) -> _Long | None:
-    """Return which column is which in a table of one row a reading; None when it is none."""
-    names = [head.strip() for head in heads]
-    # That is dtwin's own table.
-    if {"position_mm", "error_um", "t_s"} <= set(names):
-        return None
-
-    def first(pattern: re.Pattern[str], *taken: int | None) -> int | None:
-        return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
-
-    way, cycle = first(_WAY), first(_CYCLE)
-    deviation = first(_DEVIATION, way, cycle)
-    value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
-    target = first(_TARGET, way, cycle, value)
-    if value is None and target is not None:
-        # Two columns of places: the one that says so is the target.
-        target = first(_SURELY_TARGET, way, cycle)
-        value = None if target is None else first(_TARGET, way, cycle, target)
-    if way is None or target is None or value is None:
-        return None
-    return _Long(target, way, cycle, value)
-
-
-def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[Reading]:
+def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Reading]:
     heads = rows[0]
-    scales = _scale(heads[long.target], ""), _scale(heads[long.value], "")
+    scales = scale_of(heads[long.target], ""), scale_of(heads[long.value], "")
     out: list[Reading] = []
     seen: dict[tuple[float, str], int] = {}
     for number, row in enumerate(rows[1:], start=2):
         where = f"{path} row {number}"
         told = row[long.value].strip().lower() if long.value < len(row) else ""
-        lost = told in _MISSING
+        lost = told in MISSING
         target = _cell(row, long.target, where) * scales[0]
         value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
-        way = _way(row[long.way]) if long.way < len(row) else None
+        way = way_of(row[long.way]) if long.way < len(row) else None
         if way is None:
             raise _wrong("a reading without a direction", Path(where), str(row)[:80])
         seen[target, way] = seen.get((target, way), 0) + 1
-        cycle = seen[target, way] if long.cycle is None else int(_cell(row, long.cycle, where))
-        if cycle < 1:
-            raise _wrong("cycles count from 1", Path(where), str(cycle))
+        cycle = seen[target, way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
-            out.append((target, way, cycle, *_deviation_um(heads[long.value], scales[1], value, target)))
+            out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
 
 
-def _deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
-    """Return the deviation, and whether the column holds positions."""
-    by_position = _DEVIATION.search(head) is None and scale >= 1.0
-    return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
-
-
-def _way(text: str) -> str | None:
-    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both."""
-    told = text.strip().lower()
-    words = set(re.findall(r"[a-zäöü]+", told))
-    named = {way for way, known in _WORDS.items() if words & known}
-    if not named and told:
-        named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
-    return named.pop() if len(named) == 1 else None
-
-
-def _is_unit(cell: str) -> bool:
-    return cell.strip().strip("[]()").lower() in _MM
-
-
-def _scale(head: str, unit: str) -> float:
-    """Return how many millimetres one of a column is."""
-    told = unit.strip().strip("[]()").lower()
-    match = _UNIT.search(head)
-    return _MM[told] if told in _MM else _MM[match[1].lower()] if match else 1.0
+def _cycle(row: Sequence[str], i: int, where: str) -> int:
+    cycle = int(_cell(row, i, where))
+    if cycle < 1:
+        raise _wrong("cycles count from 1", Path(where), str(cycle))
+    return cycle
 
 
 def _cell(row: Sequence[str], i: int, where: str) -> float:
@@ -392,7 +333,7 @@ def _wrong(message: str, path: Path, got: str) -> InputError:
         code="position_table.form",
         where=str(path),
         got=got,
-        allowed="targets with columns such as forward 1, reverse 1; or target, direction, cycle, deviation; or "
-        "TGT_DATA[1]=, REF_DATA_FWD[1,1]=",
+        allowed="targets with columns such as forward 1, reverse 1; or target, cycle, forward, reverse; or target, direction, "
+        "cycle, deviation; or TGT_DATA[1]=, REF_DATA_FWD[1,1]=",
         hint="docs/how-to/positioning-table.md",
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._cycles import spoilt_finding
-from dtwin.kinds.linear._matrix import LinearTest, linear_test
+from dtwin.kinds.linear._matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.physics.linear import linear_figures, stacked_figures
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
@@ -74,6 +74,8 @@ def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
             notes.append(f"{title}: {many} not evaluated, for not every run read them from both sides.")
         notes += _other_formulas(test, title)
+        stated = {f.message for run in members for f in run.findings if f.code == "linear.stated_figures"}
+        notes += [f"{title}: {message}." for message in sorted(stated)]
         parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test, under), sound))
     basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
@@ -127,10 +129,8 @@ def _contributions(symbol: str, test: LinearTest, under: Circumstances) -> tuple
 
 def _other_formulas(test: LinearTest, title: str) -> list[str]:
     """Return what R and E would be by formulas that some reports use instead of the standard's, where they differ."""
-    told = linear_figures(test.forward_um, test.reverse_um)
-    up, down = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
-    larger = max(told.repeatability_forward_um, told.repeatability_backward_um)
-    narrow = float(max(up.max(), down.max()) - max(up.min(), down.min()))
+    told, other = linear_figures(test.forward_um, test.reverse_um), other_formulas_um(test.forward_um, test.reverse_um)
+    larger, narrow = other["R"], other["E"]
     said = []
     if larger < 0.995 * told.repeatability_um:
         said.append(f"R as the larger of R↑ and R↓ would be {larger:z.4g} µm; the standard's has the reversal in it")

@@ -17,8 +17,10 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings
+from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear._position_table import is_position_table, read_position_table
+from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
+from dtwin.schema import Campaign, Run, RunMeta
 
 ROOT = Path(__file__).parents[3]
 TARGETS = np.array([0.0, 50.0, 100.0])
@@ -73,9 +75,53 @@ def heads_in_two_rows() -> str:
     return "\n".join(lines)
 
 
+def report_by_direction() -> str:
+    """Two tables in Markdown; the heading says the direction, and other tables stand around them."""
+    lines = ["# Test", "Setting | Value", "--- | --- |", "Cycles | 2", ""]
+    for way, values in (("forward", FORWARD), ("backward", REVERSE)):
+        lines += [
+            f"### Data {way} direction",
+            "",
+            "i |tgt_pos(i) [mm]|ref_pos(i,1) [mm]|ref_pos(i,2) [mm]|",
+            "--- |--- |--- |--- |",
+        ]
+        lines += [
+            f"{i + 1}|{t}|{t + values[i, 0] / 1000:.5f}|{t + values[i, 1] / 1000:.5f}|" for i, t in enumerate(TARGETS)
+        ]
+        lines += ["", f"#### Deviation {way}", "i |x(i,1) [mm]|x(i,2) [mm]|", "---|---|---|", "1|9|9|", "2|9|9|", ""]
+    return "\n".join(lines)
+
+
+def report_by_target(instruments: tuple[str, ...] = ("Laser",)) -> str:
+    """A table for each target, which the heading says; rows below it sum up."""
+    lines = []
+    for (i, target), name in ((place, name) for place in enumerate(TARGETS) for name in instruments):
+        lines += [
+            f"## Target position {target:g}, both directions",
+            f"Test | {name} 20 Pos [mm] | {name} 20 Neg [mm] | Diff [mm]",
+        ]
+        lines += ["--- | --- | --- | ---"]
+        lines += [
+            f"{c + 1} | {target + FORWARD[i, c] / 1000:.5f} | {target + REVERSE[i, c] / 1000:.5f} | 0" for c in range(2)
+        ]
+        lines += ["AVG | 1 | 2 | 3", ""]
+    return "\n".join(lines)
+
+
+def by_cycle() -> str:
+    lines = ["target_mm;cycle;forward;reverse"]
+    for (i, c), um in np.ndenumerate(FORWARD):
+        lines.append(f"{TARGETS[i]};{c + 1};{TARGETS[i] + um / 1000.0:.6f};{TARGETS[i] + REVERSE[i, c] / 1000.0:.6f}")
+    return "\n".join(lines)
+
+
 @pytest.mark.parametrize(
     "text",
     [
+        report_by_direction(),
+        report_by_target(),
+        by_cycle(),
+        by_cycle().replace("cycle;", ";").replace(";1;", ";;").replace(";2;", ";;").replace(";;", ";"),
         by_reading("target_mm,cycle,direction,position_mm", "{t},{c},{way},{at:.6f}"),
         by_reading("direction,position_mm,cycle,target_mm", "{way},{at:.6f},{c},{t}"),
         by_reading("target_mm,cycle,direction,error_um", "{t},{c},{way},{um}"),
@@ -253,3 +299,53 @@ def test_a_zero_that_is_off_is_a_datum_and_changes_no_figure(tmp_path: Path, shi
     assert [f["code"] for f in off["findings"]] == (["linear.datum"] if told else [])
     figures = off["positioning"]["iso_230_2"]
     assert figures == pytest.approx(plain["positioning"]["iso_230_2"], abs=1e-3)
+
+
+def test_a_report_of_two_instruments_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    path = tmp_path / "report.md"
+    path.write_text(report_by_target(("Laser", "Encoder")), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "Encoder, Laser")
+
+
+@pytest.mark.parametrize(
+    ("stated", "severity", "said"),
+    [
+        ("", None, ""),
+        ("**B = 0.004 [mm]**\n\n**M = 0.0055 [mm]**", "info", "B, M as here"),
+        ("E = 5.50 µm", "info", "E 5.5 µm is of another formula than the standard's, which gives 9.5 µm"),
+        ("B = 0.0047 [mm]", "warning", "B is stated as 4.7 µm, and its readings give 4 µm"),
+    ],
+)
+def test_figures_that_a_report_states_are_compared(
+    tmp_path: Path, stated: str, severity: str | None, said: str
+) -> None:
+    path = tmp_path / "report.md"
+    path.write_text(f"{report_by_direction()}\n{stated}\n", encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear", "", {}), {})
+    found = [finding for finding in runs[0].findings if finding.code == "linear.stated_figures"]
+    assert [finding.severity for finding in found] == ([severity] if severity else [])
+    if found:
+        assert said in found[0].message
+        checked = CliRunner().invoke(app, ["check", str(path), "--axis", "X", "--machine", "m"])
+        assert said in checked.output
+
+
+def test_what_was_read_is_no_channel_of_its_own_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(by_cycle(), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear", "", {}), {})
+    targets = np.linspace(0.0, 80.0, 5)
+    samples = {
+        "position_mm": np.tile(targets, 2),
+        "direction": np.repeat(np.array(["forward", "reverse"], dtype=object), 5),
+        "error_um": np.arange(10.0),
+        "read_mm": np.tile(targets, 2),
+        "oil_c": np.full(10, 20.0),
+    }
+    run = Run(RunMeta("1", kind="linear", condition={"axis": "X"}), samples)
+    _, rows = stroke_rows([run], [0.0])
+    assert "read_mm" in runs[0].samples
+    assert "oil_c" in rows[0].columns
+    assert "read_mm" not in rows[0].columns

@@ -1,0 +1,141 @@
+"""Tables of readings in a report in Markdown, and the figures of ISO 230-2 that such a report states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dtwin.acquire.table_dialect import rows_of
+from dtwin.errors import InputError
+from dtwin.kinds.linear._matrix import other_formulas_um
+from dtwin.kinds.linear._table_heads import MM, is_deviation, is_index, long_of, names_target, unit_of, way_of, wide_of
+from dtwin.physics.linear import linear_figures
+from dtwin.schema import Finding, Floats
+from dtwin.units import UM_PER_MM
+
+_RULE = re.compile(r"^\s*\|?\s*:?-{2,}:?\s*(\|\s*:?-{2,}:?\s*)*\|?\s*$")
+_HEADING = re.compile(r"^(#{1,6})\s+(.*)$")
+_TARGET_TOLD = re.compile(r"\b(?:target|position|set ?point|soll\w*|ziel\w*)\D{0,12}?([-+]?\d+(?:[.,]\d+)?)", re.I)
+_STATED = re.compile(r"^[\s*_|]*([BMERA])\s*[=:|]\s*([-+]?\d+(?:[.,]\d+)?)\s*\[?(mm|um|µm|μm)\b", re.M)
+_FIGURES = {
+    "B": "reversal_um",
+    "M": "mean_deviation_um",
+    "E": "systematic_um",
+    "R": "repeatability_um",
+    "A": "accuracy_um",
+}
+# Of a figure: what a report may lose by rounding its readings.
+_ROUNDED = 0.005
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """A table of readings: its head, in words that a plain table has, and its rows; ``read_with`` as the report calls it."""
+
+    rows: Sequence[Sequence[str]]
+    read_with: str
+
+
+def report_tables(text: str) -> list[ReportTable]:
+    """Return the tables of a text in Markdown that hold readings; none when it is no such text."""
+    lines = text.splitlines()
+    found = []
+    above: list[str] = []
+    for number, line in enumerate(lines):
+        heading = _HEADING.match(line)
+        if heading:
+            above = [*above[: len(heading[1]) - 1], *[""] * (len(heading[1]) - 1 - len(above)), heading[2]]
+        if number and "|" in line and _RULE.match(line) and "|" in lines[number - 1]:
+            body = _cells(_until_no_table(lines[number + 1 :]))
+            heads = [cell.strip() for cell in lines[number - 1].strip().strip("|").split("|")]
+            told = _told_by_heading(heads, body, above[::-1])
+            if told is not None:
+                found.append(told)
+    return found
+
+
+def _until_no_table(lines: Sequence[str]) -> list[str]:
+    end = next((i for i, line in enumerate(lines) if "|" not in line), len(lines))
+    return list(lines[:end])
+
+
+def _cells(lines: Sequence[str]) -> list[list[str]]:
+    """Return the cells of rows, their decimal commas as points."""
+    return rows_of("\n".join("\t".join(c.strip() for c in line.strip().strip("|").split("|")) for line in lines))
+
+
+def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[str]) -> ReportTable | None:
+    """Return a table with the direction or the target that the nearest heading says; None when it holds no readings."""
+    if not any(map(names_target, heads)):
+        target = next((m[1] for heading in above if (m := _TARGET_TOLD.search(heading))), None)
+        if target is None or not {"forward", "reverse"} <= {way_of(head) for head in heads}:
+            return None
+        heads, body = ["target mm", *heads], [[target.replace(",", "."), *row] for row in body]
+    read = [i for i, head in enumerate(heads) if not names_target(head) and not is_index(head)]
+    back = any(way_of(heads[i]) == "reverse" for i in read)
+    values = [i for i in read if (way_of(heads[i]) if back else re.search(r"\d", heads[i]))]
+    label = ", ".join(sorted({_name(heads[i]) for i in values}))
+    way = next((way for heading in above if (way := way_of(heading))), None)
+    # Without columns of the way back, pos in a head is a position.
+    if way is not None and not back and len(values) > 1 and long_of(heads) is None:
+        heads = [_numbered(head, way) if i in values else head for i, head in enumerate(heads)]
+    if wide_of(heads) is None and long_of(heads) is None:
+        return None
+    return ReportTable([heads, *body], label)
+
+
+def _numbered(head: str, way: str) -> str:
+    """Return ``forward 1 [mm]`` for a column of readings of one cycle, such as ``ref_pos(i,1) [mm]``."""
+    number = re.findall(r"\d+", head)[-1]
+    return f"{'deviation ' if is_deviation(head) else ''}{way} {number} [{unit_of(head) or 'mm'}]"
+
+
+def _name(head: str) -> str:
+    """Return what a head says beside direction, cycle and unit: what was read, or with what."""
+    words = re.findall(r"[^\W_]+", head.removesuffix("]").removesuffix(unit_of(head)))
+    return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() != "i")
+
+
+def one_instrument(tables: Sequence[ReportTable], path: Path) -> Sequence[ReportTable]:
+    """Return the tables; refuse those of several instruments: their readings would be taken for one test."""
+    names = sorted({table.read_with for table in tables})
+    if len(names) > 1:
+        raise InputError(
+            "the report holds readings of several instruments",
+            code="position_table.instruments",
+            where=str(path),
+            got=", ".join(name or "one without a name" for name in names)[:120],
+            allowed="tables of one",
+            hint="copy the tables of one instrument with their headings into a file of their own: one campaign an instrument",
+        )
+    return tables
+
+
+def stated_figures(text: str, forward_um: Floats, reverse_um: Floats) -> list[Finding]:
+    """Return how B, M, E, R and A that a report states agree with those of its readings; nothing where it states none."""
+    stated = {symbol: (number, unit) for symbol, number, unit in _STATED.findall(text)}
+    if not stated or not (np.isfinite(forward_um).all() and np.isfinite(reverse_um).all()) or forward_um.shape[1] < 2:
+        return []
+    ours = linear_figures(forward_um, reverse_um)
+    others = other_formulas_um(forward_um, reverse_um)
+    same, formula, apart = [], [], []
+    for symbol, (number, unit) in stated.items():
+        scale = MM[unit] * UM_PER_MM
+        theirs, value = float(number.replace(",", ".")) * scale, float(getattr(ours, _FIGURES[symbol]))
+        digits = len(re.split(r"[.,]", number)[1]) if re.search(r"[.,]", number) else 0
+        near = 2.0 * scale * 10.0**-digits + _ROUNDED * abs(value)
+        if abs(theirs - value) <= near:
+            same.append(symbol)
+        elif symbol in others and abs(theirs - others[symbol]) <= near:
+            formula.append(
+                f"{symbol} {theirs:.4g} µm is of another formula than the standard's, which gives {value:.4g} µm"
+            )
+        else:
+            apart.append(f"{symbol} is stated as {theirs:.4g} µm, and its readings give {value:.4g} µm")
+    told = [f"{', '.join(same)} as here"] if same else []
+    said = f"figures that the file states: {'; '.join([*told, *formula, *apart])}"
+    return [Finding("linear.stated_figures", "warning" if apart else "info", said, {"apart_1": float(len(apart))})]

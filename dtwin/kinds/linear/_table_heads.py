@@ -1,0 +1,146 @@
+"""What the heads and cells of a positioning table say: targets, directions, cycles, units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dtwin.units import UM_PER_MM
+
+MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
+SUMMARY = re.compile(r"(avg|average|mean|std|stdev|sigma|range|min|max|mittel\w*|spannweite|streuung)\b", re.I)
+"""First cell of a row that sums up the rows above it."""
+ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
+_UNIT_INSIDE = re.compile(r"\s*[\[(](mm|um|µm|μm|nm|inch|in)[\])]", re.I)
+MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4, "m": 1000.0, "nm": 1e-6}
+_UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
+_TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
+_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
+_DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
+_ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
+_CYCLE = re.compile(r"^(cycle|run|repeat|test|zyklus|lauf|nr)", re.I)
+_WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
+_WORDS = {
+    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"},
+    "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
+    | {"rück", "rückwärts", "zurück", "her"},
+}
+_SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
+
+
+@dataclass(frozen=True)
+class Wide:
+    """Columns of a table with several readings a row.
+
+    ``cells``: column, direction and cycle; 0 where the row says the cycle, in column ``cycle`` or by how often its target came.
+    """
+
+    target: int
+    cells: tuple[tuple[int, str, int], ...]
+    cycle: int | None = None
+
+
+def wide_of(heads: Sequence[str]) -> Wide | None:
+    """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
+    names = [head.strip() for head in heads]
+    targets = [i for i, name in enumerate(names) if _TARGET.match(name)]
+    targets = [i for i in targets if not is_index(names[i])] or targets
+    told = [(i, way_of(name), re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
+    cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
+    cells = [(i, way, number) for i, way, number in told if way]
+    numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
+    if not targets:
+        return None
+    # Of heads in two rows, as under merged cells, some are empty.
+    whole = all(names[: cells[-1][0]]) if cells else False
+    if sorted(way for _, way, _ in cells) == ["forward", "reverse"] and whole and (cycle is not None or not numbered):
+        return Wide(targets[0], tuple((i, way, 0) for i, way, _ in cells), cycle)
+    return Wide(targets[0], tuple(numbered)) if len(numbered) >= 2 else None
+
+
+def is_index(head: str) -> bool:
+    """Return whether a column counts its rows: ``i``, ``i-th``."""
+    return re.match(r"i\b", head.strip(), re.I) is not None
+
+
+def names_target(head: str) -> bool:
+    """Return whether a column holds targets."""
+    return _TARGET.match(head.strip()) is not None and not is_index(head)
+
+
+@dataclass(frozen=True)
+class Long:
+    """Columns of a table with one reading a row; without ``cycle`` they are counted."""
+
+    target: int
+    way: int
+    cycle: int | None
+    value: int
+
+
+def long_of(heads: Sequence[str]) -> Long | None:
+    """Return which column is which in a table of one row a reading; None when it is none."""
+    names = [head.strip() for head in heads]
+    # That is dtwin's own table.
+    if {"position_mm", "error_um", "t_s"} <= set(names):
+        return None
+
+    def first(pattern: re.Pattern[str], *taken: int | None) -> int | None:
+        return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
+
+    way, cycle = first(_WAY), first(_CYCLE)
+    deviation = first(_DEVIATION, way, cycle)
+    value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
+    target = first(_TARGET, way, cycle, value)
+    if value is None and target is not None:
+        # Two columns of places: the one that says so is the target.
+        target = first(_SURELY_TARGET, way, cycle)
+        value = None if target is None else first(_TARGET, way, cycle, target)
+    if way is None or target is None or value is None:
+        return None
+    return Long(target, way, cycle, value)
+
+
+def unit_last(head: str) -> str:
+    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
+    unit = _UNIT_INSIDE.search(head)
+    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
+
+
+def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
+    """Return the deviation, and whether the column holds positions."""
+    by_position = not is_deviation(head) and scale >= 1.0
+    return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
+
+
+def way_of(text: str) -> str | None:
+    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both."""
+    told = text.strip().lower()
+    words = set(re.findall(r"[a-zäöü]+", told))
+    named = {way for way, known in _WORDS.items() if words & known}
+    if not named and told:
+        named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
+    return named.pop() if len(named) == 1 else None
+
+
+def is_deviation(head: str) -> bool:
+    """Return whether a head says that its column holds deviations."""
+    return _DEVIATION.search(head) is not None
+
+
+def unit_of(head: str) -> str:
+    """Return the unit that ends a head, without its brackets; empty when none does."""
+    match = _UNIT.search(head)
+    return match[1] if match else ""
+
+
+def is_unit(cell: str) -> bool:
+    """Return whether a cell holds a unit of length and nothing else."""
+    return cell.strip().strip("[]()").lower() in MM
+
+
+def scale_of(head: str, unit: str) -> float:
+    """Return how many millimetres one of a column is."""
+    told = unit.strip().strip("[]()").lower()
+    return MM[told] if told in MM else MM.get(unit_of(head).lower(), 1.0)
