@@ -141,7 +141,7 @@ def sister_machines(
     machine: Machines = None,
     as_json: Json = False,
 ) -> None:
-    """Compare the sizes of faults of machines of one type: what is usual, and which one differs."""
+    """Compare machines of one type by figures of their newest tests and sizes of faults: what is usual, and which one differs."""
     from dtwin.config import home
     from dtwin.errors import InputError
     from dtwin.fleet import sisters

@@ -15,12 +15,13 @@ from scipy.optimize import brentq
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.twin import chosen_terms
-from dtwin.pipeline.kept import kept_already
+from dtwin.pipeline.kept import kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.progress import Progress
 from dtwin.schema import Floats
@@ -60,10 +61,14 @@ class Sister:
 
 @dataclass(frozen=True)
 class SisterSize:
-    """A size of an effect over machines of one type.
+    """A size of an effect, or a figure of a test sheet, over machines of one type.
 
     Attributes
     ----------
+    effect, title : str
+        Name and title of the effect; of a figure its symbol and what it is called.
+    name : str
+        Which of its sizes; of a figure the condition.
     mean, spread : float
         Mean of the machines that do not differ, and standard deviation between them beyond their uncertainties.
     """
@@ -198,9 +203,10 @@ def _prior(values: Floats, errors: Floats, usual: _Flags, but: int, chance: floa
 def sisters(
     home: Home, machines: Sequence[str] = (), type_name: str = "", progress: Progress | None = None
 ) -> list[SisterSize]:
-    """Compare the sizes of effects of machines of one type, by the newest campaign of each.
+    """Compare machines of one type by the newest campaign of each: figures of its test sheet, and sizes of effects.
 
-    Effects are those that a diagnosis found in any of them; each is fitted to all.
+    Figures are the one that stands for the whole sheet and those with a tolerance; effects those that a diagnosis found in
+    any of the machines, each fitted to all that it can act in.
 
     Parameters
     ----------
@@ -212,23 +218,34 @@ def sisters(
     Raises
     ------
     InputError
-        When there are not enough machines with campaigns of the same sort that were diagnosed.
+        When there are not enough machines with campaigns of the same sort, or neither figures nor effects to compare.
     """
     wanted = list(machines) or [m for m in _known(home) if _type(home, m) == type_name]
     tests = _tests(home, wanted)
     found = {name for campaign in tests.values() for name in _found(home, campaign)}
-    if len(tests) < FEWEST or not found:
+    where = type_name or ", ".join(wanted)[:80]
+    if len(tests) < FEWEST:
         raise InputError(
             "too few sister machines to compare",
             code="fleet.sisters",
-            where=type_name or ", ".join(wanted)[:80],
-            got=f"{len(tests)} machines with a campaign of one sort, {len(found)} effects found",
+            where=where,
+            got=f"{len(tests)} machines with a campaign of one sort, of {len(wanted)} machines",
             allowed=f"{FEWEST} machines at least",
-            hint="dtwin fleet diagnose; dtwin machine add NAME --type TYPE",
+            hint="dtwin machine add NAME --type TYPE; a sort is one kind of test under the same conditions",
         )
-    sizes = _sizes(home, tests, sorted(found), progress)
+    sizes = _figures(home, tests)
+    if found:
+        sizes |= _sizes(home, tests, sorted(found), progress)
     # Those that enough machines tell; the others say nothing of a type.
     common = {key: rows for key, rows in sizes.items() if len(rows) >= FEWEST}
+    if not common:
+        raise InputError(
+            "nothing to compare: no figure with an uncertainty under the same conditions, and no effect that a diagnosis found",
+            code="fleet.sisters",
+            where=where,
+            got=", ".join(tests.values())[:80],
+            hint="dtwin fleet diagnose",
+        )
     many = sum(len(rows) for rows in common.values())
     return [_size(key, rows, many) for key, rows in common.items()]
 
@@ -257,13 +274,32 @@ def _size(key: _Key, rows: Sequence[_Row], many: int) -> SisterSize:
     return SisterSize(*key, mean, between, of_machine)
 
 
+def _figures(home: Home, tests: Mapping[str, str]) -> dict[_Key, list[_Row]]:
+    """Return the figures of test sheets, condition by condition."""
+    figures: dict[_Key, list[_Row]] = {}
+    for machine, campaign in tests.items():
+        rows = Lake(home.lake).runs(campaign, left_out=True)
+        if not kind_named(rows[0]["kind"]).offers("sheet"):
+            continue
+        sheet = sheet_of_campaign(home, campaign, machine, stamp_of(rows), variation_of(home, machine))
+        for part in sheet["parts"]:
+            for c in part["characteristics"]:
+                if c["expanded_um"] and (c["symbol"] == sheet["headline"] or c["decision"]):
+                    row = (machine, campaign, c["value_um"], c["expanded_um"])
+                    figures.setdefault((c["symbol"], c["name"], part["title"], "um"), []).append(row)
+    return figures
+
+
 def _sizes(
     home: Home, tests: Mapping[str, str], effects: Sequence[str], progress: Progress | None
 ) -> dict[_Key, list[_Row]]:
     library = Library()
     sizes: dict[_Key, list[_Row]] = {}
     for done, (machine, campaign) in enumerate(tests.items(), start=1):
-        obs = load(home, campaign).obs
+        try:
+            obs = load(home, campaign).obs
+        except InputError:  # No twin can be fitted to its runs.
+            continue
         terms = []
         for name in effects:
             try:

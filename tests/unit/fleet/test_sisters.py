@@ -61,9 +61,14 @@ def test_the_command_names_the_machine_that_is_not_like_its_sisters() -> None:
     for number in range(6):
         write_record(home(), MachineRecord(f"mill-{number}", {"type": "3-axis mill"}))
     shell = CliRunner()
-    early = shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill"]).exception
-    assert isinstance(early, InputError)
-    assert early.hint == "dtwin fleet diagnose; dtwin machine add NAME --type TYPE"
+    # Figures are compared without a diagnosis.
+    early = json.loads(shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill", "--json"]).stdout)
+    assert [(one["effect"], [m["machine"] for m in one["machines"] if m["differs"]]) for one in early["sizes"]] == [
+        ("G(b)", ["mill-5"])
+    ]
+    few = shell.invoke(app, ["fleet", "sisters", "--machine", "mill-1"]).exception
+    assert isinstance(few, InputError)
+    assert few.got == "1 machines with a campaign of one sort, of 1 machines"
     run_fleet(home(), DIAGNOSE, workers=1)
     found = json.loads(shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill", "--json"]).stdout)
     (size,) = [one for one in found["sizes"] if one["effect"] == "squareness XY"]
