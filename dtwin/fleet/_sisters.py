@@ -244,7 +244,7 @@ def sisters(
             code="fleet.sisters",
             where=where,
             got=", ".join(tests.values())[:80],
-            hint="dtwin fleet diagnose",
+            hint="dtwin fleet diagnose; two runs of one condition give figures an uncertainty",
         )
     many = sum(len(rows) for rows in common.values())
     return [_size(key, rows, many) for key, rows in common.items()]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 from scipy.optimize import minimize_scalar
 
 from dtwin.kinds.linear._matrix import LinearTest
@@ -24,9 +26,14 @@ _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
 """Share of the variance between cycles that a description must take to be told."""
+_CHANCE = 1e-3
+"""How often a description of readings that only scatter may be as good (F test)."""
 _STEEL_UM_M_K = 11.5
-_MOST_WARMER_K = 40.0
-"""What a machine warms by at most; a stretch that needs more is not heat."""
+_MOST_WARMER_K = 15.0
+"""What an axis warms by in a test; a stretch that needs more is not called heat."""
+_HELD = 3
+"""Readings that a jump lasts at least; what is over sooner is a spoilt reading."""
+_MOST_TIMES = 400
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
 
@@ -119,8 +126,8 @@ def moving_zero(test: LinearTest) -> Finding | None:
     """Return how readings move from cycle to cycle: by jumps, steadily, or as something that warms; None when they do not.
 
     The first sweep of each direction tells what belongs to the targets; the rest is described by a shift that grows by the
-    same amount each cycle (slip), one shift or several between cycles (lost steps), or a shift and a stretch that settle (warming;
-    settling where heat cannot stretch as much). Schwarz's criterion chooses; spoilt readings are left out.
+    same amount each cycle (slip), one shift or several at any reading (lost steps), or a shift and a stretch that settle (warming;
+    settling where heat hardly stretches as much). Schwarz's criterion chooses, an F test guards; spoilt readings are left out.
     """
     cycles = test.forward_um.shape[1]
     if cycles < _FEWEST_CYCLES:
@@ -131,6 +138,8 @@ def moving_zero(test: LinearTest) -> Finding | None:
     moved = values - np.nanmean(values, axis=2, keepdims=True)
     told = np.isfinite(moved)
     total, n = float(np.nansum(moved**2)), int(told.sum())
+    if total <= 0.0:
+        return None
     place = (test.position_mm - test.position_mm.mean()) / max(float(np.ptp(test.position_mm)), 1e-9)
     cycle = np.arange(cycles, dtype=float)
 
@@ -143,48 +152,55 @@ def moving_zero(test: LinearTest) -> Finding | None:
         rest[told] = moved[told] - design @ found
         return rest, np.asarray(found)
 
-    rivals: list[tuple[float, Floats, str, float, Floats]] = []
+    rivals: list[tuple[float, Floats, str, str, Floats, int]] = []
 
-    def tried(name: str, where: float, columns: Sequence[Floats], searched: int) -> None:
+    def tried(name: str, where: str, columns: Sequence[Floats], searched: int) -> None:
         rest, sizes = left(columns)
-        cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + (len(columns) + searched) * np.log(n)
-        rivals.append((float(cost), rest, name, where, sizes))
+        many = len(columns) + searched
+        cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + many * np.log(n)
+        rivals.append((float(cost), rest, name, where, sizes, many))
 
     share = (np.arange(len(place)) + 0.5) / (2 * len(place))
-    within = np.stack([share, 1.0 - share])[:, :, None] + cycle
-    tried("slip", 0.0, [cycle], 0)
-    tried("slip", 0.0, [within], 0)
-    tried("jumps", 0.0, [(cycle >= at).astype(float) for at in range(1, cycles)], 0)
-    for at in np.arange(1, 2 * cycles * len(place)) / (2 * len(place)):
-        tried("jump", float(at), [(within >= at).astype(float)], 1)
-    # What moves within sweeps, too, is no jump: straight lines from the beginning of one cycle to that of the next.
-    tried("wander", 0.0, [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
+    orders = {"forward": np.stack([share, 1.0 - share]), "reverse": np.stack([0.5 + share, 0.5 - share])}
+    tried("slip", "", [cycle], 0)
+    tried("jumps", "cycle to cycle", [(cycle >= at).astype(float) for at in range(1, cycles)], 0)
+    for way in [test.first] if test.first else list(orders):
+        within = orders[way][:, :, None] + cycle
+        tried("slip", "", [within], 0)
+        # The best of many places fits by chance: a place counts as three parameters.
+        for at in _jumps(within, moved, told):
+            steps = [(within >= time).astype(float) for time in at]
+            name = "jump" if len(at) == 1 else "jumps" if len(at) < cycles else "wander"
+            tried(name, _places(at, within, test), steps, 3 * len(at))
+        # What moves within sweeps, too, is no jump: straight lines from the beginning of one cycle to that of the next.
+        tried("wander", "", [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
 
-    def warmed(tau: float) -> float:
-        settling = -np.exp(-within / tau)
-        tried("warming", tau, [settling, settling * place[None, :, None]], 1)
-        return rivals[-1][0]
+        def warmed(tau: float, within: Floats = within) -> float:
+            settling = -np.exp(-within / tau)
+            tried("warming", f"{tau:.2g}", [settling, settling * place[None, :, None]], 1)
+            return rivals[-1][0]
 
-    # Where readings move by much more than they scatter, a time constant between two of the list leaves what looks like another law.
-    nearest = min(_TAUS, key=warmed)
-    minimize_scalar(
-        lambda log: warmed(float(np.exp(log))), bounds=(np.log(nearest / 1.5), np.log(nearest * 1.5)), method="bounded"
-    )
-    cost, rest, name, where, sizes = min(rivals, key=lambda rival: rival[0])
-    little = cost >= n * np.log(max(total, 1e-12) / n) or 1.0 - float(np.nansum(rest**2)) / total < _WORTH
+        # Where readings move by much more than they scatter, a time constant between two of the list leaves what looks like another law.
+        nearest = min(_TAUS, key=warmed)
+        minimize_scalar(
+            lambda log, warmed=warmed: warmed(float(np.exp(log))),
+            bounds=(np.log(nearest / 1.5), np.log(nearest * 1.5)),
+            method="bounded",
+        )
+    _, rest, name, where, sizes, many = min(rivals, key=lambda rival: rival[0])
+    kept = float(np.nansum(rest**2))
+    # Each target and direction has its mean.
+    free = n - 2 * len(place) - many
+    ratio = (total - kept) / many / max(kept, 1e-12) * free
+    little = 1.0 - kept / total < _WORTH or free < 1 or stats.f.sf(ratio, many, free) > _CHANCE
     if little or name not in _SAID or _wanders(rest):
         return None
-    steps = ", ".join(f"{size:+z.3g}" for size in sizes)
+    moves = ", ".join(f"{size:+z.3g}" for size in sizes)
     warmer_k = 1000.0 * abs(float(sizes[-1])) / (_STEEL_UM_M_K * max(float(np.ptp(test.position_mm)), 1e-9))
     if name == "warming" and warmer_k > _MOST_WARMER_K:
         name = "settling"
     words = _SAID[name].format(
-        steps=steps,
-        size=f"{sizes[0]:+z.3g}",
-        more=f"{sizes[-1]:+z.3g}",
-        tau=f"{where:.2g}",
-        cycle=int(where) + 1,
-        kelvin=f"{warmer_k:.0f}",
+        steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, kelvin=f"{warmer_k:.0f}"
     )
     return Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
 
@@ -192,16 +208,62 @@ def moving_zero(test: LinearTest) -> Finding | None:
 _SAID = {
     "slip": "the zero moves by {size} µm each cycle, alike at all targets: a coupling or an encoder that slips, or lost steps in "
     "every cycle; not warming, which would settle and stretch",
-    "jump": "from a reading in cycle {cycle} on all lie {size} µm off, alike at all targets: lost steps, or something that moved "
+    "jump": "from {where} on all readings lie {size} µm off, alike at all targets: lost steps, or something that moved "
     "once; not backlash, which is the same in every cycle",
-    "jumps": "from cycle to cycle all readings move by {steps} µm, alike at all targets, neither steadily nor settling: lost steps, "
+    "jumps": "from {where} all readings move by {steps} µm, alike at all targets, neither steadily nor settling: lost steps, "
     "a coupling that slips now and then; not backlash, which is the same in every cycle",
-    "warming": "readings settle with a time constant of about {tau} cycles, by {size} µm in the middle and {more} µm more from "
+    "warming": "readings settle with a time constant of about {where} cycles, by {size} µm in the middle and {more} µm more from "
     "one end to the other: warming, or cooling",
-    "settling": "readings settle with a time constant of about {tau} cycles, by {size} µm in the middle and {more} µm more from "
-    "one end to the other: no warming, for steel would have to be {kelvin} K warmer to stretch so; a coupling or an encoder that "
-    "slips less and less, or a part that yields",
+    "settling": "readings settle with a time constant of about {where} cycles, by {size} µm in the middle and {more} µm more from "
+    "one end to the other; steel would have to be {kelvin} K warmer to stretch so: no warming unless a thermometer says it, but a "
+    "coupling or an encoder that slips less and less, or a part that yields",
 }
+
+
+def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[list[float]]:
+    """Yield the times of one jump, of two, up to one a cycle, that leave the least: found one by one, each looked for again.
+
+    ``within``, ``moved``, ``told`` (2, targets, cycles): time in cycles, readings about their mean over the cycles, and whether
+    there is one.
+    """
+    times = np.sort(within.ravel())[1:]
+    times = times[:: max(1, times.size // _MOST_TIMES)]
+    steps = (within[..., None] >= times).astype(float)
+    columns = (steps - steps.mean(axis=2, keepdims=True))[told]
+    size = np.sum(columns**2, axis=0)
+    # A jump lies between the reading before its time and the one at it.
+    apart = 1.0 / (2 * within.shape[1])
+    first, after_last = float(within.min()), float(within.max()) + apart
+    chosen: list[int] = []
+
+    def held(others: list[int]) -> NDArray[np.bool_]:
+        ends = np.concatenate([[first, after_last], times[others]])
+        return np.asarray(np.abs(times[:, None] - ends).min(axis=1) > (_HELD - 0.5) * apart)
+
+    def best(others: list[int]) -> int:
+        basis, _ = np.linalg.qr(columns[:, others])
+        rest = moved[told] - basis @ (basis.T @ moved[told])
+        free = size - np.sum((basis.T @ columns) ** 2, axis=0)
+        possible = (free > 1e-6 * size) & held(others)
+        gain = np.where(possible, (columns.T @ rest) ** 2 / np.where(possible, free, 1.0), 0.0)
+        return int(np.argmax(gain))
+
+    while len(chosen) < within.shape[2]:
+        chosen.append(best(chosen))
+        for i in range(len(chosen)) if len(chosen) > 1 else ():
+            chosen[i] = best(chosen[:i] + chosen[i + 1 :])
+        yield [float(times[i]) for i in sorted(chosen)]
+
+
+def _places(at: Sequence[float], within: Floats, test: LinearTest) -> str:
+    """Return at which readings jumps are seen first."""
+    told = []
+    for time in at:
+        way, target, cycle = (
+            int(i) for i in np.argwhere(within >= time - 1e-9)[np.argmin(within[within >= time - 1e-9])]
+        )
+        told.append(f"cycle {cycle + 1} {('forward', 'reverse')[way]} at {test.position_mm[target]:g} mm")
+    return ", ".join(told)
 
 
 def _wanders(rest_um: Floats) -> bool:

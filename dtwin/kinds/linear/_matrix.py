@@ -22,6 +22,7 @@ class LinearTest:
     ``forward_um``, ``reverse_um`` (targets, runs): errors.
     ``left_out``: targets that some run missed.
     ``pitch_mm``: travel in one turn of the screw.
+    ``first``: direction that each run began with; empty where the clock is assumed.
     """
 
     position_mm: Floats
@@ -30,6 +31,7 @@ class LinearTest:
     left_out: int
     pitch_mm: float | None
     axis: str = "Z"
+    first: str = "forward"
 
 
 def linear_test(runs: Sequence[Run]) -> LinearTest:
@@ -47,7 +49,15 @@ def linear_test(runs: Sequence[Run]) -> LinearTest:
         left_out=len(anywhere) - len(everywhere),
         pitch_mm=pitch if isinstance(pitch, float) else None,
         axis=str(runs[0].meta.condition.get("axis", "Z")),
+        first=_first(runs),
     )
+
+
+def _first(runs: Sequence[Run]) -> str:
+    if any(finding.code == "clock.assumed" for run in runs for finding in run.findings):
+        return ""
+    begun = {str(run.samples["direction"][np.argmin(run.samples["t_s"])]) for run in runs if run.samples["t_s"].size}
+    return begun.pop() if len(begun) == 1 else ""
 
 
 def _by_target(run: Run, way: str) -> dict[int, float]:

@@ -16,9 +16,7 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings
 from dtwin.kinds.linear._grid import stroke_rows
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -177,48 +175,6 @@ def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPat
     if is_position_table(path):
         with suppress(InputError):
             read_position_table(path)
-
-
-def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
-    """Return a test of five cycles; ``zero(x, time)`` is what moves, in µm, x in mm and time in cycles."""
-    rng = np.random.default_rng(seed)
-    x = np.linspace(0.0, 300.0, 11)
-    fixed = 5.0 * np.cos(x / 40.0)[:, None] + np.zeros((1, 5))
-    # A reading after the other, forward and back again; time in cycles.
-    time = np.arange(5.0)[None, :] + (np.arange(22.0)[:, None] + 0.5) / 22.0
-    forward, reverse = time[:11], time[11:][::-1]
-    ways = [
-        fixed + play + zero(x[:, None], when) + rng.normal(0.0, noise_um, (11, 5))
-        for play, when in ((0.0, forward), (-6.0, reverse))
-    ]
-    return LinearTest(x, ways[0], ways[1], 0, None)
-
-
-@pytest.mark.parametrize(
-    ("zero", "codes"),
-    [
-        (lambda x, c: 0.0 * x * c, {None}),
-        (lambda x, c: 0.0 * x - 1.5 * c, {"linear.slip"}),
-        (lambda x, c: 0.0 * x - 1.5 * np.floor(c), {"linear.slip"}),
-        (lambda x, c: 0.0 * x + 6.0 * (c >= 3.2), {"linear.jump"}),
-        (lambda x, c: 0.0 * x + 3.0 * (c >= 1) + 4.0 * (c >= 3), {"linear.jumps"}),
-        (lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)), {"linear.warming"}),
-        (lambda x, c: (90.0 - x) * (1.0 - np.exp(-c / 1.3)), {"linear.settling"}),
-    ],
-)
-def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
-    found = [moving_zero(made(zero, seed)) for seed in range(40)]
-    right = sum((None if f is None else f.code) in codes for f in found)
-    assert right >= 38
-    assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
-
-
-def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
-    for seed in range(40):
-        test = made(lambda x, c: 0.0 * x * c, seed)
-        test.forward_um[0, 0] += 110.0
-        test.forward_um[1, 0] += 40.0
-        assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
 
 
 def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,111 @@
+"""What differs from cycle to cycle of a positioning test is told apart; each case on forty draws, and nothing where nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings
+from dtwin.kinds.linear._matrix import LinearTest
+
+
+def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
+    """Return a test of five cycles; ``zero(x, time)`` is what moves, in µm, x in mm and time in cycles."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0.0, 300.0, 11)
+    fixed = 5.0 * np.cos(x / 40.0)[:, None] + np.zeros((1, 5))
+    # A reading after the other, forward and back again; time in cycles.
+    time = np.arange(5.0)[None, :] + (np.arange(22.0)[:, None] + 0.5) / 22.0
+    forward, reverse = time[:11], time[11:][::-1]
+    ways = [
+        fixed + play + zero(x[:, None], when) + rng.normal(0.0, noise_um, (11, 5))
+        for play, when in ((0.0, forward), (-6.0, reverse))
+    ]
+    return LinearTest(x, ways[0], ways[1], 0, None)
+
+
+@pytest.mark.parametrize(
+    ("zero", "codes"),
+    [
+        (lambda x, c: 0.0 * x * c, {None}),
+        (lambda x, c: 0.0 * x - 1.5 * c, {"linear.slip"}),
+        (lambda x, c: 0.0 * x - 1.5 * np.floor(c), {"linear.slip"}),
+        (lambda x, c: 0.0 * x + 6.0 * (c >= 3.2), {"linear.jump"}),
+        (lambda x, c: 0.0 * x + 3.0 * (c >= 1) + 4.0 * (c >= 3), {"linear.jumps"}),
+        (lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)), {"linear.warming"}),
+        (lambda x, c: (90.0 - x) * (1.0 - np.exp(-c / 1.3)), {"linear.settling"}),
+        # 20 K of steel: nobody knows without a thermometer.
+        (lambda x, c: (20.0 - 0.23 * x) * (1.0 - np.exp(-c / 2.5)), {"linear.settling"}),
+    ],
+)
+def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
+    found = [moving_zero(made(zero, seed)) for seed in range(40)]
+    right = sum((None if f is None else f.code) in codes for f in found)
+    assert right >= 38
+    assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
+
+
+def jumping(seed: int, first: str, noise_um: float = 0.5) -> tuple[LinearTest, list[float]]:
+    """Return a test of five cycles in which all readings move two to four times, and when; at any reading, up or down."""
+    rng = np.random.default_rng([seed, 7])
+    x = np.linspace(0.0, 300.0, 11)
+    share = (np.arange(11.0) + 0.5) / 22.0
+    begun, back = (share, 1.0 - share) if first == "forward" else (0.5 + share, 0.5 - share)
+    many = int(rng.integers(2, 5))
+    # At least a third of a cycle lies between two.
+    at = np.sort(rng.choice(np.arange(0.5, 4.6, 0.35), many, replace=False)) + rng.uniform(-0.02, 0.02, many)
+    sizes = rng.choice([-1.0, 1.0], many) * rng.uniform(5.0, 12.0, many)
+    ways = []
+    for play, when in ((0.0, begun), (-6.0, back)):
+        time = when[:, None] + np.arange(5.0)
+        moved = sum(size * (time >= when_it_jumps) for size, when_it_jumps in zip(sizes, at, strict=True))
+        ways.append(5.0 * np.cos(x / 40.0)[:, None] + play + moved + rng.normal(0.0, noise_um, (11, 5)))
+    return LinearTest(x, ways[0], ways[1], 0, None, first=first), list(at)
+
+
+@pytest.mark.parametrize("first", ["forward", "reverse"])
+@pytest.mark.parametrize("clock", [True, False])
+def test_several_jumps_at_any_reading_are_told_as_jumps(first: str, clock: bool) -> None:
+    right = counted = 0
+    for seed in range(40):
+        test, at = jumping(seed, first)
+        found = moving_zero(test if clock else replace(test, first=""))
+        right += found is not None and found.code == "linear.jumps"
+        counted += found is not None and found.message.count(" mm") == len(at)
+    assert right >= 38
+    assert counted >= 32
+
+
+@pytest.mark.parametrize("shape", [(2, 4), (3, 5), (5, 5), (21, 4)])
+def test_few_readings_that_only_scatter_are_not_described(shape: tuple[int, int]) -> None:
+    x = np.linspace(0.0, 80.0, shape[0])
+    for seed in range(40):
+        up, down = np.random.default_rng([seed, *shape]).normal(0.0, 1.0, (2, *shape))
+        assert moving_zero(LinearTest(x, up, down, 0, None, first="")) is None
+    still = np.zeros(shape)
+    assert moving_zero(LinearTest(x, still, still, 0, None)) is None
+
+
+def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
+    for seed in range(40):
+        test = made(lambda x, c: 0.0 * x * c, seed)
+        test.forward_um[4:6, 2] += 30.0
+        assert moving_zero(test) is None
+
+
+@pytest.mark.parametrize("noise_um", [0.05, 0.5, 5.0])
+@pytest.mark.parametrize("first", ["forward", ""])
+def test_nothing_is_told_where_nothing_moves(noise_um: float, first: str) -> None:
+    tests = [replace(made(lambda x, c: 0.0 * x * c, seed, noise_um), first=first) for seed in range(100, 160)]
+    assert [found for test in tests if (found := moving_zero(test)) is not None] == []
+
+
+def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
+    for seed in range(40):
+        test = made(lambda x, c: 0.0 * x * c, seed)
+        test.forward_um[0, 0] += 110.0
+        test.forward_um[1, 0] += 40.0
+        assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
