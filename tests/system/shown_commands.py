@@ -77,7 +77,7 @@ def here(command: str, folder: Path) -> str:
 
     A process start costs seconds; README's tour is run in processes of its own.
     """
-    words = shlex.split(command)
+    words = shlex.split(command, comments=True)
     if words[0] != "dtwin" or set(command) & set("|><&;$`*"):
         return run(command, folder)
     before = {name: os.environ.get(name) for name in ("DTWIN_HOME", "OMP_NUM_THREADS")}

@@ -1,0 +1,44 @@
+"""The page on tests by several instruments, followed literally, with a mill whose scale of X is off and that has lost motion."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from laser_axis import write_laser
+from mill_and_laser import measured
+from shown_commands import blocks, follow, here, page
+
+from dtwin.acquire.virtual_mill import write_runs
+from dtwin.machines.mill_parameters import MillParameters
+
+pytestmark = pytest.mark.system
+
+SCALE_PPM, PLAY_UM = 60.0, 4.0
+
+
+def test_the_page_is_followed(tmp_path: Path) -> None:
+    mill = MillParameters().with_axis("X", scale_ppm=SCALE_PPM, play_um=PLAY_UM)
+    campaign, runs = measured(mill, 4)
+    (tmp_path / "ball-bar").mkdir()
+    write_runs(tmp_path / "ball-bar", replace(campaign, name="ball-bar", machine="mill-7"), runs)
+    for axis in "xy":
+        write_laser(
+            tmp_path / f"laser-{axis}",
+            "mill-7",
+            axis.upper(),
+            SCALE_PPM if axis == "x" else 0.0,
+            PLAY_UM if axis == "x" else 0.0,
+        )
+    said = follow(blocks(page("docs/how-to/several-instruments.md")), tmp_path, here)
+    printed = {" ".join(command.split()[1:3]): text for command, text in said}
+    assert "it is scale mismatch XY (scale mismatch XY agrees: laser-x, laser-y" in printed["machine diagnose"]
+    assert "add lead_error X" in printed["twin discover"]
+    sizes = {(e["effect"], e["axis"]): e for e in json.loads(printed["twin show"])["effects"]}
+    for (name, axis), true in {("lead_error", "X"): SCALE_PPM, ("backlash", "X"): PLAY_UM}.items():
+        assert abs(sizes[name, axis]["value"] - true) <= 1.5 * sizes[name, axis]["k2"] < 0.1 * true
+    every = [text for command, text in said if command.startswith("dtwin machine next")]
+    assert ["linear" in text for text in every] == [True, False, False]
+    assert (tmp_path / "next.toml").is_file()
