@@ -200,7 +200,7 @@ def moving_zero(test: LinearTest) -> Finding | None:
     if name == "warming" and warmer_k > _MOST_WARMER_K:
         name = "settling"
     words = _SAID[name].format(
-        steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, kelvin=f"{warmer_k:.0f}"
+        steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, kelvin=f"{warmer_k:z.0f}"
     )
     return Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
 
