@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.kinds.circular._recording_models import Passes, gains_um, stack
+from dtwin.kinds.circular._recording_models import Passes, stack
+from dtwin.kinds.circular._recording_search import Search
 from dtwin.schema import Floats
 
 _HIGHEST = 90
@@ -23,12 +24,17 @@ def chosen_harmonics(passes: Passes, most: int, *, by_direction: bool) -> tuple[
     groups = [(run,) for run in runs] if by_direction else [tuple(runs)]
     model = stack([_wave(passes, 0, group) for group in groups])
     pool = [_wave(passes, order, group) for group in groups for order in range(1, _HIGHEST + 1)]
-    used = len(groups)
-    while used + _PER_ORDER <= most and pool:
-        best = int(np.argmin(gains_um(passes.y_um, model, pool)))
-        model = stack([model, pool.pop(best)])
-        used += _PER_ORDER
-    return used, model
+    search = Search(passes.y_um, pool)
+    search.add(model)
+    chosen: list[int] = []
+    while len(groups) + _PER_ORDER * (len(chosen) + 1) <= most and len(chosen) < len(pool):
+        left_um = search.left_um()
+        left_um[chosen] = np.inf
+        best = int(np.argmin(left_um))
+        search.add(pool[best])
+        chosen.append(best)
+    model = stack([model, *(pool[number] for number in chosen)])
+    return len(groups) + _PER_ORDER * len(chosen), model
 
 
 def _wave(passes: Passes, order: int, group: tuple[int, ...]) -> tuple[Floats, Floats]:

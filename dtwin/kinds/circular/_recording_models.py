@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.kinds.circular._recording_passes import Aligned
+from dtwin.kinds.circular._recording_search import Search
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.library import instances
 from dtwin.physics.problem import Term
@@ -138,19 +139,22 @@ def grow(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> li
     pool = [(term, passes.columns(term)) for term in candidates]
     pool = [(t, c) for t, c in pool if all(np.abs(part).max() > 0.0 for part in c)]
     model = stack([passes.columns(term) for term in base])
+    search = Search(passes.y_um, [columns for _, columns in pool])
+    search.add(model)
     best_um = judge(passes.y_um, model)[1]
     rungs: list[Rung] = []
-    while len(rungs) < _MOST_TERMS and pool:
-        gains = gains_um(passes.y_um, model, [c for _, c in pool])
-        number = int(np.argmin(gains))
-        if gains[number] > (1.0 - _SMALLEST_GAIN) * best_um:
+    free = np.ones(len(pool), dtype=bool)
+    while len(rungs) < _MOST_TERMS and free.any():
+        left_um = np.where(free, search.left_um(), np.inf)
+        number = int(np.argmin(left_um))
+        if left_um[number] > (1.0 - _SMALLEST_GAIN) * best_um:
             break
         term, columns = pool[number]
         model = stack([model, columns])
+        search.add(columns)
         inside, best_um = judge(passes.y_um, model)
         rungs.append(Rung(term, int(np.linalg.matrix_rank(model[0], 1e-6)), inside, best_um))
-        pool = [(t, c) for t, c in pool if t.label != term.label or t.instance.effect.shapes]
-        pool = [(t, c) for t, c in pool if t is not term]
+        free &= [t is not term and (t.label != term.label or bool(t.instance.effect.shapes)) for t, _ in pool]
     return rungs
 
 
@@ -162,9 +166,11 @@ def best_of(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) ->
     pool = [(term, passes.columns(term)) for term in candidates]
     if not pool:
         return None
-    gains = gains_um(passes.y_um, stack([passes.columns(t) for t in base]), [c for _, c in pool])
-    number = int(np.argmin(gains))
-    return pool[number][0], float(gains[number])
+    search = Search(passes.y_um, [columns for _, columns in pool])
+    search.add(stack([passes.columns(term) for term in base]))
+    left_um = search.left_um()
+    number = int(np.argmin(left_um))
+    return pool[number][0], float(left_um[number])
 
 
 def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats], block: int = 50) -> float:
@@ -213,46 +219,6 @@ def look_up_um(passes: Passes) -> float:
 def stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     """Return columns side by side, for both passes."""
     return np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts])
-
-
-def gains_um(y: tuple[Floats, Floats], model: tuple[Floats, Floats], pool: Sequence[tuple[Floats, Floats]]) -> Floats:
-    """Return the RMS on the other pass with each candidate added, in um, shape (candidates,).
-
-    ``y``, ``model``, (n,): first and second pass.
-    ``pool``, (n, any): candidates.
-    """
-    mean_square = np.zeros(len(pool))
-    for one, other in ((0, 1), (1, 0)):
-        inverse = np.linalg.pinv(model[one], rcond=_RANK)
-        x = inverse @ y[one]
-        left, left_out = y[one] - model[one] @ x, y[other] - model[other] @ x
-        for few in _alike(pool):
-            # A row for each column of each candidate.
-            inside, outside = (np.vstack([pool[i][way].T for i in few]) for way in (one, other))
-            part = inside @ inverse.T
-            new, new_out = inside - part @ model[one].T, outside - part @ model[other].T
-            # What the model already says must not come back as a difference of large numbers.
-            keep = _squares(new) > 1e-3 * _squares(inside)
-            each = (len(few), -1, left.size)
-            new = (new * keep[:, None]).reshape(each)
-            inverse_gram = np.linalg.pinv(new @ new.swapaxes(1, 2), rcond=1e-6, hermitian=True)
-            gain = (inverse_gram @ (new @ left)[..., None]).ravel() * keep
-            change = gain.reshape(len(few), 1, -1) @ new_out.reshape(each)
-            mean_square[few] += _squares(left_out - change[:, 0]) / (2.0 * left_out.size)
-    return np.asarray(np.sqrt(mean_square))
-
-
-def _alike(pool: Sequence[tuple[Floats, Floats]], few: int = 32) -> Iterator[list[int]]:
-    """Yield numbers of candidates with equally many columns, few enough for a processor's cache."""
-    widths = np.array([columns[0].shape[1] for columns in pool])
-    for width in np.unique(widths):
-        numbers = np.flatnonzero(widths == width).tolist()
-        yield from (numbers[n : n + few] for n in range(0, len(numbers), few))
-
-
-def _squares(values: Floats) -> Floats:
-    """Return the sum of squares along the last axis."""
-    return np.asarray(np.einsum("...i,...i->...", values, values))
 
 
 def _grid(effect: Effect, number: int) -> tuple[float, ...]:
