@@ -57,7 +57,11 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
     stamps = sorted(row["started"][:16].replace("T", " ") for row in rows if row["started"])
     same_day = bool(stamps) and stamps[0][:10] == stamps[-1][:10]
     temperatures = [t for row in rows if (t := json.loads(row["covariates_json"]).get("temperature_c")) is not None]
-    temperature = f"{min(temperatures):z.1f} - {max(temperatures):z.1f} °C" if temperatures else ""
+    temperature = (
+        " - ".join(dict.fromkeys(f"{t:z.1f}" for t in (min(temperatures), max(temperatures)))) + " °C"
+        if temperatures
+        else ""
+    )
     instrument = " ".join(stated[name] for name in ("model", "serial") if name in stated)
     return {
         "campaign": known.name,

@@ -2,88 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
+from dtwin.report._german import GERMAN
 from dtwin.report.html import figure_html
-from dtwin.report.sheet import headline_budget
+from dtwin.report.sheet import headline_budget, overview
 
-_GERMAN = {
-    "Test certificate": "Prüfprotokoll",
-    "Decision": "Entscheidung",
-    "after ISO 14253-1": "nach ISO 14253-1",
-    "inside": "innerhalb",
-    "outside": "außerhalb",
-    "cannot say": "nicht entscheidbar",
-    "no tolerance is stated": "keine Toleranz angegeben",
-    "machine": "Maschine",
-    "type": "Typ",
-    "serial": "Seriennummer",
-    "controller": "Steuerung",
-    "instrument": "Messgerät",
-    "certificate": "Kalibrierschein",
-    "calibrated": "kalibriert am",
-    "operator": "Bediener",
-    "temperature": "Temperatur",
-    "measured": "gemessen",
-    "test": "Messung",
-    "runs": "Läufe",
-    "evaluated by": "ausgewertet mit",
-    "figure": "Kenngröße",
-    "value": "Wert",
-    "limit": "Grenze",
-    "decision": "Entscheidung",
-    "before": "zuvor",
-    "change": "Änderung",
-    "Quality of the data": "Güte der Daten",
-    "Nothing is wrong with the data.": "An den Daten ist nichts auszusetzen.",
-    "compared with": "verglichen mit",
-    "not stated": "nicht angegeben",
-    "date and signature": "Datum und Unterschrift",
-    "Print, or save as PDF": "Drucken oder als PDF sichern",
-    "Uncertainty budget": "Messunsicherheitsbilanz",
-    "contribution": "Beitrag",
-    "from": "Herkunft",
-    "repeatability": "Wiederholbarkeit",
-    "expansion": "Ausdehnungskoeffizient",
-    "environment": "Umgebung (EVE)",
-    "set-up": "Ausrichtung",
-    "instrument's scale": "Maßstab des Messgeräts",
-    "calibrated length": "kalibrierte Länge",
-    "combined": "zusammen",
-    "range of the drift": "Spanne der Verlagerung",
-    "range in one hour": "Spanne in einer Stunde",
-    "pose accuracy, largest": "Pose-Genauigkeit, größte",
-    "pose accuracy, mean": "Pose-Genauigkeit, Mittel",
-    "pose repeatability, largest": "Pose-Wiederholgenauigkeit, größte",
-    "Notes are in English.": "Anmerkungen sind englisch.",
-    "circular deviation, counter-clockwise": "Kreisformabweichung, gegen den Uhrzeigersinn",
-    "circular deviation, clockwise": "Kreisformabweichung, im Uhrzeigersinn",
-    "largest radial deviation": "größte Radialabweichung",
-    "smallest radial deviation": "kleinste Radialabweichung",
-    "bi-directional circular deviation": "Kreisformabweichung, beide Richtungen",
-    "radial hysteresis": "radiale Hysterese",
-    "mean bi-directional radial deviation": "mittlere Radialabweichung, beide Richtungen",
-    "bi-directional accuracy": "Genauigkeit, beide Richtungen",
-    "bi-directional repeatability": "Wiederholbarkeit, beide Richtungen",
-    "accuracy, forward": "Genauigkeit, vorwärts",
-    "accuracy, reverse": "Genauigkeit, rückwärts",
-    "repeatability, forward": "Wiederholbarkeit, vorwärts",
-    "repeatability, reverse": "Wiederholbarkeit, rückwärts",
-    "systematic deviation, forward": "systematische Abweichung, vorwärts",
-    "systematic deviation, reverse": "systematische Abweichung, rückwärts",
-    "reversal error": "Umkehrspanne",
-    "mean reversal error": "mittlere Umkehrspanne",
-    "bi-directional systematic deviation": "systematische Abweichung, beide Richtungen",
-    "mean bi-directional deviation": "Spanne der mittleren Abweichung",
-}
-_FIGURE_PX = 500
-LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": _GERMAN}
-"""Words of a certificate by language; what is not there is English."""
+_FIGURE_PX, _BESIDE_PX = 380, 300
+"""So that a picture and its table fit below the head of the first page; and beside each other."""
+LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": GERMAN}
+"""Words and phrases of a certificate by language; what is not there is English."""
 _PAGE = """<!doctype html>
 <html lang="{{ language }}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy"
@@ -95,27 +29,32 @@ body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; marg
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
 td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from { white-space: normal; } th { color: #44525d; font-weight: 600; }
+.overview { font-size: 10px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
+.beside { display: grid; grid-template-columns: 270px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
+.beside table { font-size: 10px; } .beside td, .beside th { padding: 3px; white-space: nowrap; }
 dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 12px; margin: 10px 0; } dt { color: #44525d; } dd { margin: 0; }
 .decision { border: 2px solid #14212b; padding: 8px 12px; font-size: 17px; margin: 10px 0; } .note { color: #44525d; font-size: 12px; }
 section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1fr 1fr; gap: 30px; margin-top: 46px; break-inside: avoid; }
 .sign p { border-top: 1px solid #14212b; margin: 0; padding-top: 3px; } button { font: inherit; padding: 8px 14px; }
-@media print { button { display: none; } body { padding: 0; max-width: none; } }
+@media print { button { display: none; } body { padding: 0; max-width: none; font-size: 12px; } }
 </style><script>{{ plotly|safe }}</script></head><body>
 <button type="button" onclick="window.print()">{{ say("Print, or save as PDF") }}</button>
 <h1>{{ say("Test certificate") }}: {{ facts.machine }}</h1>
 <p class="decision">{{ say("Decision") }}{% if sheet.verdict %} {{ say("after ISO 14253-1") }}{% endif %}: <strong>{{ say(sheet.verdict or "no tolerance is stated") }}</strong><br>
-<small>{{ sheet.standard }}</small></p>
-<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ value or say("not stated") }}</dd>{% endfor %}</dl>
-{% for part in parts %}<section><h2>{{ part.title }}</h2>{{ part.figure|safe }}
+<small>{{ tell(sheet.standard) }}</small></p>
+<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ tell(value) or say("not stated") }}</dd>{% endfor %}</dl>
+{% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
+<tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
+{% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
 <table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, µm</th><th>U (95 %), µm</th><th>{{ say("limit") }}, µm</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, µm</th><th>{{ say("change") }}, µm</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ c.shown.value }}</td><td>{{ c.shown.expanded }}</td><td>{{ c.shown.limit }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ c.before }}</td><td>{{ c.change }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
-{% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ budget[0] }}</h2>
+{% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0].removeprefix("Budget of ")) }}</h2>
 <table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), µm</th><th>{{ say("from") }}</th></tr></thead>
-<tbody>{% for row in budget[1] %}<tr><td>{{ say(row[0]) }}</td><td>{{ row[1] }}</td><td class="from">{{ row[2] }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
+<tbody>{% for row in budget[1] %}<tr><td>{{ say(row[0]) }}</td><td>{{ row[1] }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
-<p class="note">{{ sheet.basis }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" %} {{ say("Notes are in English.") }}{% endif %}</p>
+<p class="note">{{ tell(sheet.basis) }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" and (sheet.notes or findings) %} {{ say("Notes are in English.") }}{% endif %}</p>
 <div class="sign"><p>{{ say("operator") }}</p><p>{{ say("date and signature") }}</p></div>
 </body></html>
 """
@@ -148,11 +87,20 @@ def certificate_page(
         One of ``LANGUAGES``.
     """
     words = LANGUAGES[language]
+    longest_first = "|".join(map(re.escape, sorted(words, key=len, reverse=True)))
+    phrase = re.compile(rf"(?<!\w)(?:{longest_first})(?!\w)") if words else None
+
+    def tell(text: object) -> str:
+        """Translate the phrases that are known in a longer text."""
+        return str(text) if phrase is None else phrase.sub(lambda found: words[found[0]], str(text))
+
     old = {} if earlier is None else _values(earlier["sheet"])
+    # A round picture leaves room beside it: three conditions fit on a page.
+    beside = len(figures) > 1 and not old and all(trace.type == "scatterpolar" for f in figures for trace in f.data)
     parts = [
         {
             "title": part["title"],
-            "figure": figure_html(figure),
+            "figure": figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX)),
             "rows": [_row(part, c, old) for c in part["characteristics"]],
         }
         for part, figure in zip(sheet["parts"], figures, strict=True)
@@ -162,6 +110,9 @@ def certificate_page(
         .from_string(_PAGE)
         .render(
             say=lambda word: words.get(word, word),
+            tell=tell,
+            overview=overview(sheet),
+            beside=beside,
             language=language,
             facts=facts,
             head=[(name, facts.get(name, "")) for name in HEAD],
@@ -173,6 +124,19 @@ def certificate_page(
             plotly=get_plotlyjs(),
         )
     )
+
+
+def _told(figure: go.Figure, tell: Callable[[object], str], height_px: int) -> go.Figure:
+    """Return a picture of that height, with its title, axes and names translated."""
+    title, small = tell(figure.layout.title.text or ""), {}
+    if height_px < _FIGURE_PX:
+        title = title.replace(", ", ",<br>")
+        small = {"title_font_size": 11, "legend_font_size": 9, "margin": {"t": 60, "b": 40, "l": 30, "r": 30}}
+    told = go.Figure(figure).update_layout(height=height_px, title_text=title, **small)
+    told.for_each_trace(lambda trace: trace.update(name=tell(trace.name or "")))
+    for axes in (told.for_each_xaxis, told.for_each_yaxis):
+        axes(lambda axis: axis.update(title_text=tell(axis.title.text or "")))
+    return told
 
 
 HEAD = (

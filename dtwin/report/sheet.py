@@ -256,6 +256,21 @@ def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
     return [*rows, [f"U (k = {budget['k']:z.2f})", f"{characteristic['expanded_um']:z.3f}", ""]]
 
 
+def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of a table with a line for each condition.
+
+    ``sheet``: as :meth:`Sheet.as_dict` gave it.
+    """
+    parts = sheet["parts"]
+    symbols = list(dict.fromkeys(c["symbol"] for part in parts for c in part["characteristics"]))
+    rows = []
+    for part in parts:
+        shown = {c["symbol"]: c["shown"] for c in part["characteristics"]}
+        cells = [" ".join((shown[s]["value"], shown[s]["expanded"])) if s in shown else "-" for s in symbols]
+        rows.append([part["title"], *(cell.removesuffix(" -") for cell in cells), part["verdict"] or "-"])
+    return ["µm", *symbols, "decision"], rows
+
+
 def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
     """Return what :meth:`Sheet.as_dict` gave for a terminal: one condition in full, of several a line each."""
     parts = sheet["parts"]
@@ -263,13 +278,7 @@ def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
     if len(parts) == 1:
         lines += table((parts[0]["title"], *HEAD), _rows(parts[0])).splitlines()
     elif parts:
-        symbols = list(dict.fromkeys(c["symbol"] for part in parts for c in part["characteristics"]))
-        rows = []
-        for part in parts:
-            shown = {c["symbol"]: c["shown"] for c in part["characteristics"]}
-            cells = [" ".join((shown[s]["value"], shown[s]["expanded"])) if s in shown else "-" for s in symbols]
-            rows.append([part["title"], *(cell.removesuffix(" -") for cell in cells), part["verdict"] or "-"])
-        lines += table(("µm", *symbols, "decision"), rows).splitlines()
+        lines += table(*overview(sheet)).splitlines()
     lines.append(sheet["basis"])
     told = headline_budget(sheet)
     if told is not None:
