@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
 from typing import Any
 
 import plotly.graph_objects as go
@@ -54,7 +55,7 @@ def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]
         figure.add_vline(x=event["on"], line={"color": COLOURS["floor"], "dash": "dot", "width": 1})
         figure.add_annotation(x=event["on"], y=1.0, yref="paper", text=event["what"], showarrow=False, yanchor="bottom")
     figure.update_layout(title=series["name"], yaxis_title=unit, showlegend=False)
-    return styled(figure)
+    return styled(_over_days(figure, days))
 
 
 def chart_figure(series: Mapping[str, Any]) -> go.Figure:
@@ -77,7 +78,15 @@ def chart_figure(series: Mapping[str, Any]) -> go.Figure:
         for y in (limit,) if row == 3 else (limit, -limit):
             figure.add_hline(y=y, line={"color": COLOURS["second"], "dash": "dash", "width": 1}, row=row, col=1)
     figure.update_layout(title=f"Control chart of {series['name']}, in standard deviations", showlegend=False)
-    return styled(figure)
+    return styled(_over_days(figure, days))
+
+
+def _over_days(figure: go.Figure, days: Sequence[str]) -> go.Figure:
+    """Show a day before and after tests of one day, which would else stand over fractions of a second."""
+    first, last = (datetime.fromisoformat(day) for day in (min(days), max(days)))
+    if last - first < timedelta(days=2):
+        figure.update_xaxes(range=[(first - timedelta(days=1)).isoformat(), (last + timedelta(days=1)).isoformat()])
+    return figure
 
 
 def _add_level(figure: go.Figure, days: Sequence[str], regime: Mapping[str, Any]) -> None:

@@ -49,6 +49,8 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
         return ""
     largest = max(float(np.abs(c).max()) for c in curves.values())
     middle, angle = _SIZE / 2, _angle()
+    # About one pixel as it is shown; small ones would hide their own shape.
+    wide = 1.5 * _SIZE / max(width, 100)
     parts = [
         f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {label} round the circle">',
         f'<circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none" stroke="#999" stroke-dasharray="3 3"/>',
@@ -57,9 +59,9 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
         radius = _CIRCLE + _DRAWN * curve / largest
         x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
         path = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
-        dash = ' stroke-dasharray="6 3"' if way == "CW" else ""
+        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way == "CW" else ""
         parts.append(
-            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{1.6 * _SIZE / max(width, 150):z.1f}"{dash}/>'
+            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{wide:z.1f}"{dash}/>'
         )
     return "".join([*parts, "</svg>"])
 
