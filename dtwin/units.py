@@ -18,6 +18,7 @@ UNITS: dict[str, str] = {
     "deg_s": "deg/s",
     "rad_s2": "rad/s^2",
     "rad_s": "rad/s",
+    "rpm": "1/min",
     "hz": "Hz",
     "mm": "mm",
     "um": "um",

@@ -15,7 +15,7 @@ from dtwin.kinds.machine import VirtualMachine
 if TYPE_CHECKING:
     from dtwin.serve.bundle import Bundle
 
-_OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement", "poses", "drift")
+_OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement", "poses", "drift", "rotation")
 
 
 @cache

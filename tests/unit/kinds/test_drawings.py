@@ -44,7 +44,16 @@ def tone() -> Run:
     return Run(meta, {"t_s": t_s, "cmd_z_mm": told_mm, "tool_z_mm": 1.1 * told_mm})
 
 
-RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone}
+def turning() -> Run:
+    """Six turns of an ellipse of 3 µm that sits 20 µm off the axis."""
+    angle = np.arange(6 * 360) + 0.5
+    moved_um = 20.0 * np.cos(np.radians(angle)) + 3.0 * np.cos(2.0 * np.radians(angle))
+    condition: dict[str, float | str] = {"probe": "radial_x", "sense": "radial", "speed_rpm": 60.0}
+    meta = RunMeta("x1", kind="rotation", condition=condition, sample_rate_hz=360.0)
+    return Run(meta, {"t_s": angle / 360.0, "angle_deg": angle, "displacement_um": moved_um})
+
+
+RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone, "rotation": turning}
 
 
 def no_floor() -> float:
@@ -108,7 +117,13 @@ def test_a_tone_is_drawn_over_the_phase_of_its_command() -> None:
     assert values(curve) == pytest.approx(0.5 * np.sin(phase), abs=1e-3)
 
 
-@pytest.mark.parametrize(("kind", "name"), [("circular", "angle"), ("linear", "along")])
+def test_a_turning_target_is_drawn_about_its_centre() -> None:
+    (mean,) = (trace for trace in figure("rotation", "polar").data if trace.name == "synchronous")
+    angle = np.radians(values(mean, "theta"))
+    assert np.asarray(mean.customdata, dtype=float) == pytest.approx(3.0 * np.cos(2.0 * angle), abs=0.01)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("circular", "angle"), ("linear", "along"), ("rotation", "polar")])
 def test_a_run_without_the_columns_is_refused(kind: str, name: str) -> None:
     (drawing,) = (d for d in kind_named(kind).drawings if d.name == name)
     run = Run(RunMeta("empty", kind=kind), {"t_s": T_S})

@@ -1,0 +1,335 @@
+"""What runs of a turning axis tell together: findings over speed, and figures as JSON and as lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.rotation._laws import CONSTANT, RESONANCE, SPEED, SQUARE, TIME, Law
+from dtwin.kinds.rotation._orders import Order
+from dtwin.kinds.rotation._runout import run_outs, runout_sentences
+from dtwin.kinds.rotation._speeds import OverSpeed, Point, next_speed, over_speed, points_of
+from dtwin.report.text import decimals, table
+from dtwin.schema import Finding, Run
+
+_LARGE = 4.0
+_SAME_ORDER = 0.02
+_APART = 0.2
+
+
+def over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
+    """Return every probe of a campaign over its speeds."""
+    senses = {
+        str(run.meta.condition.get("probe", run.meta.run_id)): str(run.meta.condition.get("sense", "")) for run in runs
+    }
+    return [over_speed(key, senses.get(key[0], ""), points) for key, points in points_of(runs).items()]
+
+
+def judge_speeds(runs: Sequence[Run]) -> list[Finding]:
+    """Return what changes with speed or time, and what cannot be told."""
+    whole = [run for run in runs if run.samples]
+    findings = []
+    for found in over_speeds(whole):
+        findings += _judge(found)
+    for told in run_outs(whole):
+        findings += [
+            Finding(code, "warning" if severity == "warning" else "info", text)
+            for code, severity, text in runout_sentences(told)
+        ]
+    return findings
+
+
+def _judge(found: OverSpeed) -> list[Finding]:
+    out: list[Finding] = []
+    if len(found.points) < 2:
+        return out
+    if found.delay is not None:
+        d = found.delay
+        way = "behind" if d.ms > 0 else "ahead of"
+        said = (
+            f"{found.probe}: the form of the surface turns with the speed: the angle is {abs(d.ms):z.3g} ± {d.k2_ms:z.1g} ms {way} the probe "
+            f"(up to {d.largest_deg:z.1f}°), a delay of the recording; it is taken out before speeds are compared"
+        )
+        out.append(Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms}))
+    out += _judge_once(found)
+    out += _judge_mean(found)
+    out += _judge_orders(found)
+    return out
+
+
+def _few(found: OverSpeed, what: str, spread_um: float) -> list[Finding]:
+    said = f"{found.probe}: {what}; what it follows cannot be told with these speeds: measure at {_asked(found)} too"
+    return [Finding("rotation.few_speeds", "info", said, {"spread_um": spread_um})]
+
+
+def _asked(found: OverSpeed) -> str:
+    speed = np.array([p.speed_rpm for p in found.points])
+    again = "" if found.by_clock else ", and the lowest again at the end"
+    return f"{next_speed(speed):z.3g} rpm{again}"
+
+
+def _judge_once(found: OverSpeed) -> list[Finding]:
+    law = found.vector
+    if not math.isfinite(found.spread_um):
+        return []
+    changed = f"what comes once per turn changes by {found.spread_um:z.3g} µm between speeds"
+    if law is None:
+        return _few(found, changed, found.spread_um) if found.spread_um > _LARGE * found.noise_um else []
+    # Without a form a delay is not known, and turns the vector, too.
+    delay = (
+        ""
+        if found.form_known
+        else " The surface has no form that would show a delay of the angle, which turns the vector, too."
+    )
+    if law.name == SQUARE and found.sense != "axial":
+        least = (
+            ""
+            if law.speeds >= 6
+            else f"; whether a resonance makes it grow faster cannot be told with {law.speeds} speeds"
+        )
+        said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{least}.{delay}"
+        return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
+    if law.name == RESONANCE:
+        said = (
+            f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm as that of an unbalanced rotor with a critical speed near {law.critical_rpm:z.3g} "
+            f"rpm does: unbalance and a resonance.{delay}"
+        )
+        return [
+            Finding("rotation.resonance", "warning", said, {"change_um": law.change, "critical_rpm": law.critical_rpm})
+        ]
+    if law.name == CONSTANT:
+        if found.spread_um > _LARGE * found.noise_um:
+            said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, or few repeats"
+            return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
+        said = (
+            f"{found.probe}: what comes once per turn is the same at all speeds: {_mounting(found.sense)}, no unbalance"
+        )
+        return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
+    words = " or ".join(_WORDS[name] for name in law.rivals)
+    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)} measure at {_asked(found)} too.{delay}"
+    return [
+        Finding(
+            "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
+            "warning",
+            said,
+            {"change_um": law.change},
+        )
+    ]
+
+
+_WORDS: Mapping[str, str] = {
+    SPEED: "the speed",
+    SQUARE: "the square of the speed",
+    TIME: "the time (warming, or a target that moves)",
+    RESONANCE: "a resonance",
+}
+
+
+def _open(law: Law) -> str:
+    return "these cannot be told apart with these speeds;" if not law.name else "no unbalance does so;"
+
+
+def _mounting(sense: str) -> str:
+    if sense == "axial":
+        return "a face that is not square to the axis, or the axial fundamental of the bearing"
+    return "a target off the axis, or its form" if sense == "radial" else "how the target is mounted"
+
+
+def _judge_mean(found: OverSpeed) -> list[Finding]:
+    law = found.mean
+    means = [p.figures.mean_um for p in found.points]
+    spread, noise = max(means) - min(means), max(p.figures.mean_k2_um for p in found.points)
+    if law is None or law.name == CONSTANT:
+        if not spread > _LARGE * noise:
+            return []
+        if law is None:
+            return _few(found, f"the mean reading changes by {spread:z.3g} µm", spread)
+        said = (
+            f"{found.probe}: the mean reading changes by {spread:z.3g} µm between runs, by none of speed, its square and time alone: heat that lags behind "
+            "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
+        )
+        return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
+    code, cause = {
+        SQUARE: ("rotation.centrifugal", "forces that grow with the square of the speed do so: centrifugal growth"),
+        TIME: ("rotation.drift", "drift: warming, or an instrument that settles"),
+        SPEED: ("rotation.mean_speed", "heat of the bearings, or a film of oil or air"),
+    }.get(
+        law.name,
+        ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure at {_asked(found)} too"),
+    )
+    words = " or ".join(_WORDS[name] for name in law.rivals)
+    said = f"{found.probe}: the mean reading moves by {law.change:z.3g} µm with {words}: {cause}"
+    return [Finding(code, "warning", said, {"change_um": law.change, "p_value": law.p_value})]
+
+
+def _judge_orders(found: OverSpeed) -> list[Finding]:
+    """Say of lines that stand at several speeds whether they turn with the axis, or have a frequency of their own."""
+    out: list[Finding] = []
+    speeds = sorted(found.points, key=lambda p: p.speed_rpm)
+    if len(speeds) < 2 or speeds[-1].speed_rpm < (1.0 + _APART) * speeds[0].speed_rpm:
+        return out
+    for line in speeds[-1].orders:
+        hertz = line.order * speeds[-1].speed_rpm / 60.0
+        others = [p for p in speeds[:-1] if p.speed_rpm < speeds[-1].speed_rpm / (1.0 + _APART)]
+        by_order = [p for p in others if any(_near(o.order, line.order, o, line) for o in p.orders)]
+        by_hertz = [p for p in others if any(_near(o.order * p.speed_rpm / 60.0, hertz, o, line) for o in p.orders)]
+        if by_hertz and len(by_hertz) > len(by_order):
+            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure"
+            out.append(Finding("rotation.frequency", "info", said, {"frequency_hz": hertz}))
+        elif by_order and len(by_order) > len(by_hertz):
+            said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
+            out.append(
+                Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})
+            )
+    return out
+
+
+def _near(one: float, other: float, a: Order, b: Order) -> bool:
+    """Return whether two places are one, within what both are resolved to."""
+    share = max(_SAME_ORDER * 0.5, (a.resolution / a.order + b.resolution / b.order) / 2.0)
+    return abs(one - other) < min(share, 0.05) * max(one, other)
+
+
+def rotation_figures(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the figures of runs and of probes over speed, JSON-ready."""
+    every = over_speeds(runs)
+    return {
+        "runs": {p.run_id: {"probe": s.probe, "sense": s.sense, **_figures(p)} for s in every for p in s.points},
+        "over_speed": [
+            {
+                "probe": s.probe,
+                "speeds_rpm": [p.speed_rpm for p in s.points],
+                "once_um": [[p.figures.once.real, p.figures.once.imag] for p in s.points],
+                "delay_ms": None if s.delay is None else s.delay.ms,
+                "vector": _law(s.vector),
+                "mean": _law(s.mean),
+            }
+            for s in every
+            if len(s.points) > 1
+        ],
+        "run_out": [
+            {
+                "run": told.run_id,
+                "probe": told.probe,
+                "speeds": [
+                    {"speed_rpm": g.speed_rpm, "mean_um": float(g.runout_um.mean()), "repeats": len(g.runout_um)}
+                    for g in told.groups
+                ],
+                "repeat_um": told.repeat_um if math.isfinite(told.repeat_um) else None,
+                "law": _law(told.law),
+            }
+            for told in run_outs(runs)
+        ],
+    }
+
+
+def _law(law: Law | None) -> dict[str, Any] | None:
+    if law is None:
+        return None
+    return {
+        "name": law.name,
+        "rivals": list(law.rivals),
+        "change_um": law.change,
+        "held_out_um": dict(law.left),
+        "p_value": law.p_value,
+        "critical_rpm": law.critical_rpm if math.isfinite(law.critical_rpm) else None,
+    }
+
+
+def _figures(point: Point) -> dict[str, Any]:
+    f = point.figures
+    named = {
+        "total_um": f.total,
+        "once_um": f.once_amplitude,
+        "synchronous_um": f.synchronous,
+        "residual_um": f.residual,
+        "asynchronous_um": f.asynchronous,
+        "asynchronous_rms_um": f.asynchronous_rms,
+    }
+    out: dict[str, Any] = {
+        "speed_rpm": point.speed_rpm,
+        "turns": f.turns,
+        "mean_um": f.mean_um,
+        "drift_um": point.turns.drift_um,
+    }
+    out |= {
+        name: {"value": _finite(v.um), "expanded": _finite(v.k2_um), "blocks": v.blocks} for name, v in named.items()
+    }
+    out["once_deg"] = math.degrees(math.atan2(f.once.imag, f.once.real)) if point.phased else None
+    out["floor_um"] = _finite(f.floor_um)
+    out["features"] = [
+        {"angle_deg": x.angle_deg, "width_deg": x.width_deg, "height_um": x.height_um} for x in point.turns.features
+    ]
+    out["orders"] = [{"order": o.order, "amplitude_um": o.amplitude_um, "p_value": o.p_value} for o in point.orders]
+    return out
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+HEAD = ("run", "rpm", "turns", "once at, °", "noise of S, µm", "asynchronous RMS, µm", "drift, µm")
+
+
+def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what :func:`rotation_figures` gave as lines, beside the test sheet, and what is noticed.
+
+    ``runs``: of the check, with their findings.
+    """
+    rows = []
+    for run, f in result["runs"].items():
+        at = "-" if f["once_deg"] is None else f"{f['once_deg']:z.0f}"
+        floor = "-" if f["floor_um"] is None else f"{f['floor_um']:z.3g}"
+        drift = f"{f['drift_um']:z.3g}"
+        rows.append(
+            [run, f"{f['speed_rpm']:z.5g}", str(f["turns"]), at, floor, _shown(f["asynchronous_rms_um"]), drift]
+        )
+    lines = table(HEAD, rows).splitlines() if rows else []
+    if rows:
+        lines.append(
+            "noise of S: the range that turns by turns would leave where nothing is synchronous. A grows with the number of turns, its RMS does not."
+        )
+        lines.append(
+            "S holds the form of the target, too: only a reversal of target and probe, or a better target, tells them apart"
+        )
+    senses = {f["sense"] for f in result["runs"].values()}
+    if "radial" in senses:
+        lines.append("radial: e is where the target sits, no error motion; S is about the least-squares centre")
+    if "axial" in senses:
+        lines.append("axial: e (the face, or the axial fundamental) is part of S, R is without it")
+    if "" in senses:
+        lines.append(
+            "probes whose names say neither radial nor axial are evaluated as radial ones: name them, radial_x_um, axial_um"
+        )
+    for told in result["run_out"]:
+        cells = [[f"{g['speed_rpm']:z.5g}", f"{g['mean_um']:z.2f}", str(g["repeats"])] for g in told["speeds"]]
+        lines += ["", *table((f"{told['run']}, rpm", "run-out, µm", "repeats"), cells).splitlines()]
+        if told["repeat_um"] is not None:
+            lines.append(f"repeats scatter by {told['repeat_um']:z.3g} µm (standard deviation of one)")
+    return [*lines, *_noticed(runs)]
+
+
+def _noticed(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the findings of runs, those of one code as one line with the first of them."""
+    told: dict[tuple[str, str], list[str]] = {}
+    for run in runs:
+        for f in run["findings"]:
+            told.setdefault((f["severity"], f["code"]), []).append(f"{run['run']}: {f['message']}")
+    ranked = sorted(told.items(), key=lambda item: ("error", "warning", "info").index(item[0][0]))
+    lines = [
+        f"{severity}, {said[0]}" + (f" (and {len(said) - 1} more: {code})" if len(said) > 1 else "")
+        for (severity, code), said in ranked
+    ]
+    return ["", *lines] if lines else []
+
+
+def _shown(value: Mapping[str, Any]) -> str:
+    if value["value"] is None:
+        return "-"
+    if value["expanded"] is None:
+        return f"{value['value']:z.3g}"
+    digits = decimals(value["expanded"])
+    return f"{value['value']:z.{digits}f} ± {value['expanded']:z.{digits}f}"

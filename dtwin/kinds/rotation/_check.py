@@ -1,0 +1,157 @@
+"""What is wrong with a run of a turning axis, and what its surface or another body of the machine leaves in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.acquire.quality import judge_clock
+from dtwin.kinds.rotation._features import Feature
+from dtwin.kinds.rotation._orders import orders_of, said_order
+from dtwin.kinds.rotation._read import OVER_SPEED
+from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
+from dtwin.schema import Finding, Floats, Run
+
+_FEW_TURNS = 5
+_STEADY = 0.05
+_LARGE_UM = 20e3
+_SMALL_UM = 0.005
+_CLIPPED = 0.02
+_TURN = 360.0
+_FEWEST_A_TURN = 16
+_LATE = 0.02
+_SPIKE = 12.0
+_MANY = 6
+
+
+def judge_rotation(run: Run) -> list[Finding]:
+    """Return what is wrong with one run."""
+    if run.meta.condition.get("form") == OVER_SPEED or "runout_um" in run.samples:
+        return _judge_table(run)
+    findings = [f for f in judge_clock(run) if f.code != "clock.dropout"]
+    if findings:
+        return findings
+    x, a = run.samples["displacement_um"], run.samples["angle_deg"]
+    findings += _judge_probe(x)
+    stretch = one_way(a)
+    turned = abs(float(a[stretch.stop - 1] - a[stretch.start])) / _TURN
+    share = (stretch.stop - stretch.start) / max(len(a), 1)
+    if share < 1.0 - _LATE:
+        said = f"the axis turned back, or stood: {100 * share:z.0f} % of the readings are of the longest stretch in one direction, {turned:z.1f} turns, and only they are used"
+        findings.append(Finding("rotation.turned_back", "warning", said, {"share_1": share, "turns_1": turned}))
+    per_turn = (stretch.stop - stretch.start) / turned if turned else 0.0
+    if turned < 1.0:
+        said = f"the axis made {turned:z.2f} of a turn in one direction: no figure of a turning axis is known of less than one"
+        return [*findings, Finding("rotation.no_turn", "error", said, {"turns_1": turned})]
+    if per_turn < _FEWEST_A_TURN:
+        said = f"{per_turn:z.1f} readings a turn: fewer than {_FEWEST_A_TURN}, so that neither form nor orders can be told; read faster, or turn slower"
+        return [*findings, Finding("rotation.coarse", "error", said, {"readings_1": per_turn})]
+    turns = turns_of(run)
+    if turns is None:
+        said = "no turn is whole: each has a gap of more than 6° or three steps"
+        return [*findings, Finding("rotation.gaps", "error", said)]
+    findings += _judge_turns(turns, run)
+    findings += _features(turns)
+    lines = orders_of(turns)
+    if lines:
+        said = "; ".join(said_order(line) for line in lines)
+        numbers = {"order_1": [line.order for line in lines], "amplitude_um": [line.amplitude_um for line in lines]}
+        findings.append(Finding("rotation.orders", "info", said, numbers))
+    return findings
+
+
+def _judge_table(run: Run) -> list[Finding]:
+    speed, runout = run.samples["speed_rpm"], run.samples["runout_um"]
+    findings = []
+    if float(runout.max()) > _LARGE_UM:
+        findings.append(_size(float(runout.max()), "the run-out is"))
+    if len(np.unique(speed)) == len(speed):
+        said = (
+            "no speed was measured twice: what run-outs differ by from speed to speed cannot be compared with repeats"
+        )
+        findings.append(Finding("rotation.no_repeats", "warning", said))
+    if len(np.unique(speed)) < 2:
+        findings.append(Finding("rotation.one_speed", "info", "one speed: nothing is known of what changes with it"))
+    return findings
+
+
+def _size(um: float, what: str) -> Finding:
+    unit = "a wrong unit" if um > _LARGE_UM else "millimetres under a head of micrometres, or a probe that sees nothing"
+    shown = f"{um / 1000.0:.3g} mm" if um > _LARGE_UM else f"{um:.2g} µm"
+    return Finding("rotation.size", "error", f"{what} {shown}: {unit}?", {"range_um": um})
+
+
+def _judge_probe(x: Floats) -> list[Finding]:
+    wide = float(np.ptp(x))
+    if wide == 0.0:
+        return [
+            Finding("rotation.stuck", "error", "all readings are equal: the probe sees nothing, or is not connected")
+        ]
+    if wide > _LARGE_UM or wide < _SMALL_UM:
+        return [_size(wide, "the readings span")]
+    # A form has few readings at its very end; a probe at the end of its range has many.
+    ends = [int(np.count_nonzero(x == end)) for end in (x.min(), x.max())]
+    digits = len(np.unique(x))
+    if max(ends) > max(_CLIPPED * len(x), 20) and digits > 50:
+        said = f"{max(ends)} readings of {len(x)} are equal, and the {'lowest' if ends[0] > ends[1] else 'highest'}: the probe was at the end of its range"
+        return [Finding("rotation.clipped", "error", said, {"readings_1": float(max(ends))})]
+    return []
+
+
+def _judge_turns(turns: Turns, run: Run) -> list[Finding]:
+    findings = []
+    if turns.n < turns.whole:
+        said = f"{turns.whole - turns.n} of {turns.whole} turns have gaps, and are left out"
+        findings.append(Finding("rotation.lost", "warning", said, {"turns_1": float(turns.whole - turns.n)}))
+    if turns.n < _FEW_TURNS:
+        said = f"{turns.n} whole turn{'s' if turns.n > 1 else ''}: what differs from turn to turn is hardly known, and with it every uncertainty; measure 20 or more"
+        findings.append(Finding("rotation.few_turns", "warning", said, {"turns_1": float(turns.n)}))
+    if turns.n > 2 and run.meta.condition.get("angle") != "speed":
+        each = np.abs(np.diff(turns.t_s))
+        if turns.n == turns.whole and np.ptp(each) > _STEADY * float(each.mean()):
+            change = 100.0 * float(np.ptp(each) / each.mean())
+            said = f"the speed changed by {change:z.0f} % during the run: figures are those of no one speed; measure each speed in a run of its own"
+            findings.append(Finding("rotation.unsteady", "warning", said, {"change_pct": change}))
+    return [*findings, *_spikes(turns)]
+
+
+def _spikes(turns: Turns) -> list[Finding]:
+    """Name readings that stand far off in one turn alone."""
+    if turns.n < 4:
+        return []
+    off = turns.moved_um - np.median(turns.moved_um, axis=0)
+    scale = 1.4826 * float(np.median(np.abs(off)))
+    far = np.abs(off) > _SPIKE * scale
+    alone = far & (far.sum(axis=0) == 1)
+    rows = np.flatnonzero(alone.any(axis=1))
+    if not rows.size or scale == 0.0 or alone.mean() > 0.01:
+        return []
+    k, j = np.unravel_index(int(np.argmax(np.abs(np.where(alone, off, 0.0)))), off.shape)
+    said = (
+        f"readings stand out in one turn alone, by up to {abs(off[k, j]):z.3g} µm (turn {k + 1}, {turns.angle_deg[j]:z.0f}°): dirt, a chip, or a "
+        "disturbed signal; asynchronous error motion counts them"
+    )
+    return [
+        Finding("rotation.single", "warning", said, {"turns_1": float(rows.size), "largest_um": float(abs(off[k, j]))})
+    ]
+
+
+def _features(turns: Turns) -> list[Finding]:
+    if len(turns.features) <= _MANY:
+        return [_feature(f) for f in turns.features]
+    share = 100.0 * sum(len(f.bins) for f in turns.features) / turns.moved_um.shape[1]
+    said = (
+        f"an interrupted surface: readings stand out at {len(turns.features)} places, in {share:z.0f} % of the turn, in every turn: teeth, slots or "
+        "segments, no error motion; TIR has them, the other figures are of the smooth rest"
+    )
+    numbers = {"places_1": float(len(turns.features)), "share_pct": share}
+    return [Finding("rotation.interrupted", "warning", said, numbers)]
+
+
+def _feature(feature: Feature) -> Finding:
+    what = "dip" if feature.height_um < 0 else "bump"
+    said = (
+        f"a {what} of {abs(feature.height_um):z.3g} µm, {feature.width_deg:z.0f}° wide, at {feature.angle_deg:z.0f}° in every turn: a groove, a hole or a "
+        "seam of the surface, no error motion; TIR has it, the other figures do not"
+    )
+    numbers = {"angle_deg": feature.angle_deg, "height_um": feature.height_um, "width_deg": feature.width_deg}
+    return Finding("rotation.feature", "info", said, numbers)

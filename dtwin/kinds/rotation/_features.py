@@ -1,0 +1,140 @@
+"""Local features of a surface: short dips or bumps at the same angle in every turn, a groove, a hole, a weld seam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.schema import Floats
+
+_ORDERS = 8
+_TUKEY = 4.685
+_ROUNDS = 20
+_PEAK = 8.0
+_EDGE = 2.5
+_ERRORS = 5.0
+_NEAR_DEG = 2.0
+_WIDEST_DEG = 30.0
+_MOST = 0.65
+"""Part of the turn that features may take: what is left must tell the smooth form."""
+_BESIDE_DEG = 20.0
+_QUANTILE = 0.3
+_OF_NORMAL = 0.3853
+"""Below it lies that part of the sizes of normal values."""
+_EVERY = 0.8
+_FEWEST_BINS = 60
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature.
+
+    Attributes
+    ----------
+    angle_deg : float
+        Where it is deepest or highest.
+    height_um : float
+        Above the smooth form beside it, negative of a dip.
+    bins : ndarray of int
+        Of the grid of the turn; they may go over its end.
+    """
+
+    angle_deg: float
+    width_deg: float
+    height_um: float
+    bins: NDArray[np.intp]
+    smooth_um: Floats
+
+    def bridged(self, moved_um: Floats) -> Floats:
+        """Return turns in which the smooth form stands in the place of the feature, between what both sides differ from it by."""
+        out = moved_um.copy()
+        n = moved_um.shape[1]
+        sides = ((self.bins[0] - 1) % n, (self.bins[-1] + 1) % n)
+        left, right = (moved_um[:, [side]] - self.smooth_um[side] for side in sides)
+        share = np.arange(1, len(self.bins) + 1) / (len(self.bins) + 1)
+        out[:, self.bins] = self.smooth_um[self.bins] + left * (1.0 - share) + right * share
+        return out
+
+
+def features_of(moved_um: Floats, width_deg: float) -> tuple[Feature, ...]:
+    """Return the local features of turns (turns, bins); none of fewer than two turns or of a coarse grid.
+
+    What stands out of the eight lowest orders, fitted so that a few bins do not matter, by far more than the rest does, is one where
+    it is short and in nearly every turn.
+    """
+    turns, n = moved_um.shape
+    if turns < 2 or n < _FEWEST_BINS:
+        return ()
+    mean = moved_um.mean(axis=0)
+    smooth = _smooth(mean)
+    left = mean - smooth
+    scale = _scale(left)
+    error = moved_um.std(axis=0, ddof=1) / np.sqrt(turns)
+    usual = float(np.median(error))
+    out = np.abs(left) > max(_EDGE * scale, _EDGE * usual)
+    found = []
+    for bins in _regions(out, max(2, round(_NEAR_DEG / width_deg))):
+        peak = bins[int(np.argmax(np.abs(left[bins])))]
+        each = (moved_um[:, peak] - smooth[peak]) / left[peak]
+        high = abs(left[peak]) > max(_PEAK * scale, _ERRORS * usual)
+        if high and len(bins) * width_deg <= _WIDEST_DEG and np.mean(each > 0.5) >= _EVERY:
+            # A bin more on each side: an edge lies anywhere in it.
+            wide = np.arange(bins[0] - 1, bins[0] + len(bins) + 1) % n
+            found.append(Feature(width_deg * (peak + 0.5), len(bins) * width_deg, float(left[peak]), wide, smooth))
+    if sum(len(f.bins) - 2 for f in found) > _MOST * n:
+        return ()
+    return tuple(found)
+
+
+def _smooth(mean: Floats) -> Floats:
+    """Return the lowest orders of a curve; bins far off them count less.
+
+    It begins with all bins, with the lower half of each neighbourhood, and with the upper: of a surface with many gaps or teeth
+    one of them lies on it. The fit that leaves the least at a third of the bins is taken.
+    """
+    n = len(mean)
+    angle = 2.0 * np.pi * np.arange(n) / n
+    waves = np.arange(1, min(_ORDERS, n // 6) + 1)
+    design = np.hstack([np.ones((n, 1)), np.cos(np.outer(angle, waves)), np.sin(np.outer(angle, waves))])
+    reach = max(1, round(_BESIDE_DEG / 360.0 * n))
+    beside = np.array([np.median(np.take(mean, range(k - reach, k + reach + 1), mode="wrap")) for k in range(n)])
+    starts = [np.asarray(part, dtype=np.float64) for part in (np.ones(n), mean <= beside, mean >= beside)]
+    fits = [_settled(design, mean, start) for start in starts]
+    return min(fits, key=lambda fitted: _scale(mean - fitted))
+
+
+def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:
+    fitted = mean
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        fitted = design @ np.linalg.lstsq(design * root[:, None], mean * root, rcond=None)[0]
+        scale = _scale(mean - fitted)
+        if scale <= 0.0:
+            break
+        weight = np.clip(1.0 - ((mean - fitted) / (_TUKEY * scale)) ** 2, 0.0, 1.0) ** 2
+    return np.asarray(fitted)
+
+
+def _scale(left: Floats) -> float:
+    """Return the deviation of the bins that lie near a curve, though most may lie far off."""
+    return float(np.quantile(np.abs(left), _QUANTILE)) / _OF_NORMAL
+
+
+def _regions(out: NDArray[np.bool_], near: int) -> list[NDArray[np.intp]]:
+    """Return runs of true bins on a circle, those that are near each other as one."""
+    n = len(out)
+    at = np.flatnonzero(out)
+    if not at.size or at.size == n:
+        return []
+    gaps = np.diff(np.append(at, at[0] + n))
+    begins = np.flatnonzero(gaps > near)
+    if not begins.size:
+        return []
+    regions = []
+    for k, end in enumerate(begins):
+        first = at[(begins[k - 1] + 1) % len(at)] if k or len(begins) > 1 else at[(end + 1) % len(at)]
+        last = at[end]
+        regions.append(np.arange(first, last + 1 + (n if last < first else 0)) % n)
+    return regions

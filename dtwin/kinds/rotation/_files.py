@@ -1,0 +1,304 @@
+"""Files of a turning axis as channels: tables of one clock, and logs with one line a reading."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.errors import InputError
+from dtwin.kinds.rotation._heads import ANGLE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
+from dtwin.schema import Floats
+
+SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
+_MOST_BYTES = 256 * 1024**2
+_SNIFFED = 65_536
+_MOST_TITLES = 20
+_MOST_PROBES = 64
+_LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
+_MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Readings of one quantity on its clock, both of shape (n,)."""
+
+    t_s: Floats
+    value: Floats
+
+
+@dataclass
+class Reading:
+    """What a file holds.
+
+    Attributes
+    ----------
+    channels : dict of str to Channel
+        ``angle_deg``, ``pulse_1``, ``speed_rpm`` where they are there.
+    probes : dict of str to Channel
+        Displacements or, ``by_speed``, run-outs in µm, by the probe's name.
+    apart : bool
+        Whether each channel has stamps of its own.
+    started : str
+        ISO 8601 time of the first reading, empty when the file does not tell.
+    """
+
+    channels: dict[str, Channel] = field(default_factory=dict)
+    probes: dict[str, Channel] = field(default_factory=dict)
+    by_speed: bool = False
+    apart: bool = False
+    timed: bool = True
+    started: str = ""
+    rejects: list[dict[str, Any]] = field(default_factory=list)
+
+
+def is_rotation_file(path: Path) -> bool:
+    """Return whether a file alone is surely of a turning axis; it is read no further than its beginning."""
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return False
+    if is_spreadsheet(path):
+        text = decoded(table_bytes(path, _MOST_BYTES)[:_SNIFFED])
+    else:
+        with path.open("rb") as file:
+            text = decoded(file.read(_SNIFFED))
+    return is_log(text) or _headed(rows_of(text), {}) is not None
+
+
+def is_log(text: str) -> bool:
+    """Return whether most of the first lines are ``NAME DATE TIME VALUE``."""
+    first = [line for line in text[:_SNIFFED].splitlines()[:50] if line.strip() and not line.startswith("#")]
+    return bool(first) and 2 * sum(_LINE.match(line) is not None for line in first) > len(first)
+
+
+def read_file(path: Path, recipe: Mapping[str, Any]) -> Reading:
+    """Return the channels of a file.
+
+    ``recipe``: the house's name for a foreign head or channel, ``[campaign.instrument.columns]``.
+
+    Raises ``InputError`` when there is no probe, a unit is not told, or no row holds numbers.
+    """
+    text = decoded(table_bytes(path, _MOST_BYTES))
+    return _from_log(text, recipe, path) if is_log(text) else _from_table(rows_of(text), recipe, path)
+
+
+def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
+    """Return the row of heads, what they mean, and where values begin; None when no row is surely one."""
+    for begin, row in enumerate(rows[:_MOST_TITLES]):
+        below = rows[begin + 1] if begin + 1 < len(rows) else []
+        for units in ([], below):
+            if units is below and (len(below) != len(row) or any(_number(c) is not None for c in below)):
+                continue
+            cells = [*units, *[""] * (len(row) - len(units))]
+            columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
+            if is_turning(columns) or (recipe and any(c.role == "probe" and c.factor for c in columns)):
+                return begin, columns, begin + (2 if units else 1)
+    return None
+
+
+def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
+    told = recipe.get(head.strip())
+    if told is None:
+        return column_of(head, unit)
+    name = str(told)
+    # Empty: the column is not to be used.
+    return column_of(name) if name else Column("")
+
+
+def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path) -> Reading:
+    found = _headed(rows, recipe)
+    if found is None:
+        found = 0, [_meant(head, recipe) for head in rows[0]] if rows else [], 1
+    begin, columns, first = found
+    heads = [cell.strip() for cell in rows[begin]] if rows else []
+    _require(columns, heads, path)
+    by_speed = any(c.role == RUNOUT for c in columns) or not any(c.role == TIME for c in columns)
+    probes = [n for n, c in enumerate(columns) if c.role in ("probe", RUNOUT)]
+    if by_speed and any(columns[n].role == RUNOUT for n in probes):
+        probes = [n for n in probes if columns[n].role == RUNOUT]
+    single = {role: n for n, c in reversed(list(enumerate(columns))) if (role := c.role) in (TIME, ANGLE, PULSE, SPEED)}
+    body = list(rows[first:])
+    told = {n: _values(body, n, columns[n].factor) for n in (*single.values(), *probes) if n != single.get(TIME)}
+    clock = np.arange(len(body), dtype=np.float64)
+    started = ""
+    if TIME in single:
+        clock, started = _clock([_cell(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
+    reading = Reading(by_speed=by_speed, timed=TIME in single, started=started)
+    shared = np.isfinite(clock)
+    for role, n in single.items():
+        if role != TIME:
+            shared &= np.isfinite(told[n])
+    names = _names([columns[n].name for n in probes])
+    for role, n in single.items():
+        if role != TIME:
+            reading.channels[role] = Channel(clock[shared], told[n][shared])
+    for name, n in zip(names, probes, strict=True):
+        good = shared & np.isfinite(told[n])
+        if good.any():
+            reading.probes[name] = Channel(clock[good], told[n][good])
+        bad = [r for r in np.flatnonzero(~good) if _cell(body[r], n).lower() not in _MISSING]
+        reading.rejects += [
+            {"row": int(r), "reason": "not a number", "values": {heads[n]: _cell(body[r], n)[:40]}} for r in bad
+        ]
+    _require_rows(reading, len(body), path)
+    return reading
+
+
+def _from_log(text: str, recipe: Mapping[str, Any], path: Path) -> Reading:
+    """Return the channels of a log with one line a reading; names mean what ``recipe`` says."""
+    stamps: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
+    seen: Counter[str] = Counter()
+    reading = Reading(apart=True)
+    origin: datetime | None = None
+    for row, line in enumerate(text.splitlines()):
+        cells = _LINE.match(line)
+        if cells is None:
+            if line.strip() and not line.startswith("#"):
+                reading.rejects.append({"row": row, "reason": "no reading", "values": {"line": line[:80]}})
+            continue
+        name, day, time, value = cells.groups()
+        seen[name] += 1
+        if name not in recipe:
+            continue
+        number = _number(value)
+        try:
+            at = datetime.fromisoformat(f"{day} {time.replace(',', '.')}")
+        except ValueError:
+            number = None
+        if number is None:
+            reading.rejects.append({"row": row, "reason": "not a number", "values": {name: value[:40]}})
+            continue
+        origin = origin or at
+        stamps.setdefault(name, []).append((at - origin).total_seconds())
+        values.setdefault(name, []).append(number)
+    columns = {name: _meant(name, recipe) for name in stamps}
+    if not any(c.role == "probe" for c in columns.values()):
+        raise InputError(
+            "a log of a turning axis does not say which of its channels is what",
+            code="rotation.channels",
+            where=str(path),
+            got=", ".join(f"{name} ({n})" for name, n in seen.most_common(12))[:400],
+            allowed="angle_deg, speed_rpm, and NAME_mm or NAME_um for each probe, such as radial_top_mm",
+            hint='a campaign.toml with [campaign.instrument.columns] and lines such as "CHANNEL" = "angle_deg"; '
+            "docs/how-to/rotation.md",
+        )
+    _require(list(columns.values()), list(columns), path)
+    probes = [name for name, c in columns.items() if c.role == "probe"]
+    for name, label in zip(probes, _names([columns[n].name for n in probes]), strict=True):
+        reading.probes[label] = _ordered(stamps[name], values[name], columns[name].factor)
+    for name, column in columns.items():
+        if column.role in (ANGLE, PULSE, SPEED):
+            reading.channels[column.role] = _ordered(stamps[name], values[name], column.factor)
+    reading.started = origin.isoformat() if origin else ""
+    return reading
+
+
+def _ordered(t_s: Sequence[float], values: Sequence[float], factor: float) -> Channel:
+    """Return readings in the order of their stamps; of several with one stamp the last."""
+    t = np.array(t_s)
+    order = np.argsort(t, kind="stable")
+    t, v = t[order], np.array(values)[order] * factor
+    last = np.append(np.diff(t) > 0.0, True)
+    return Channel(t[last], v[last])
+
+
+def _require(columns: Sequence[Column], heads: Sequence[str], path: Path) -> None:
+    """Refuse a file without a probe, or with a column whose unit is not told."""
+    probes = [n for n, c in enumerate(columns) if c.role in ("probe", RUNOUT)]
+    if not probes or len(probes) > _MOST_PROBES:
+        raise InputError(
+            "a file of a turning axis lacks columns",
+            code="columns.missing",
+            where=str(path),
+            got=", ".join(heads)[:200] or "nothing",
+            allowed="time, angle or a pulse a turn or speed, and displacements in mm or µm; or speed and run-out",
+            hint='other heads: [campaign.instrument.columns] with lines such as "CH3" = "radial_x_um"',
+        )
+    without = [heads[n] for n, c in enumerate(columns) if c.role and not c.factor]
+    if without:
+        raise InputError(
+            "a column does not say its unit, or one that its quantity cannot have",
+            code="rotation.unit",
+            where=str(path),
+            got=", ".join(without)[:120],
+            allowed="[mm], [µm], [nm] or [in] behind a displacement; s, ms; deg, rad, rev; rpm, 1/min, Hz",
+        )
+    roles = [c.role for c in columns if c.role in (TIME, ANGLE, SPEED)]
+    twice = sorted(role for role in set(roles) if roles.count(role) > 1)
+    if twice:
+        raise InputError(
+            "two columns are the same quantity",
+            code="rotation.twice",
+            where=str(path),
+            got=", ".join(twice),
+            hint='[campaign.instrument.columns] with "HEAD" = "" leaves one out',
+        )
+
+
+def _require_rows(reading: Reading, rows: int, path: Path) -> None:
+    if reading.probes:
+        return
+    words = reading.rejects[0]["values"] if reading.rejects else {}
+    raise InputError(
+        "no row holds finite numbers", code="table.no_rows", where=str(path), got=str(words or f"{rows} rows")[:120]
+    )
+
+
+def _names(names: Sequence[str]) -> list[str]:
+    """Return names of which none occurs twice."""
+    count: Counter[str] = Counter()
+    out = []
+    for name in names:
+        count[name] += 1
+        out.append(name if count[name] == 1 else f"{name}-{count[name]}")
+    return out
+
+
+def _cell(row: Sequence[str], n: int) -> str:
+    return row[n].strip() if n < len(row) else ""
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
+
+
+def _values(body: Sequence[Sequence[str]], n: int, factor: float) -> Floats:
+    cells = (_number(_cell(row, n)) for row in body)
+    return np.array([np.nan if v is None else v * factor for v in cells], dtype=np.float64)
+
+
+def _clock(cells: Sequence[str], factor: float, path: Path) -> tuple[Floats, str]:
+    """Return times in seconds, NaN where there is none, and when they began, where stamps tell."""
+    numbers = np.array([np.nan if (v := _number(c)) is None else v * factor for c in cells], dtype=np.float64)
+    if np.isfinite(numbers).any():
+        return numbers, ""
+    out, origin = np.full(len(cells), np.nan), None
+    for n, cell in enumerate(cells):
+        try:
+            at = datetime.fromisoformat(cell)
+            origin = origin or at
+            out[n] = (at - origin).total_seconds()
+        except (ValueError, TypeError):
+            continue
+    if origin is None:
+        raise InputError(
+            "times are of no known form",
+            code="rotation.time",
+            where=str(path),
+            got=(cells[0] if cells else "nothing")[:40],
+            allowed="seconds, milliseconds, or ISO 8601",
+        )
+    return out, origin.isoformat()

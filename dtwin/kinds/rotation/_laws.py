@@ -1,0 +1,158 @@
+"""What values at several speeds follow: nothing, the speed, its square, a resonance, or the time; judged on speeds held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.schema import Floats
+from dtwin.statistics import f_tail
+
+CONSTANT, SPEED, SQUARE, TIME, RESONANCE = "constant", "speed", "square", "time", "resonance"
+FEWEST_SPEEDS = 4
+_FEWEST_RESONANCE = 6
+_BETTER = 0.5
+"""A law must leave no more of the squares on speeds held out than this part of what the simpler one leaves."""
+_AS_GOOD = 1.5
+"""A rival that leaves no more than this many times as much is not told apart."""
+_CHANCE = 0.01
+_SAME_SPEED = 0.01
+_DAMPING = (0.01, 0.02, 0.05, 0.1, 0.2)
+_CRITICAL = np.geomspace(0.25, 4.0, 97)
+
+
+@dataclass(frozen=True)
+class Law:
+    """What values follow.
+
+    Attributes
+    ----------
+    name : str
+        ``constant``, ``speed``, ``square``, ``time``, ``resonance``; empty when several would do.
+    rivals : tuple of str
+        Those that cannot be told apart, the best first; one when it is named.
+    change : float
+        Largest distance of two fitted values, of the best law.
+    left : mapping of str to float
+        RMS on speeds held out, by law.
+    p_value : float
+        Of the best law against the constant.
+    speeds : int
+        Distinct ones.
+    critical_rpm : float
+        Of a resonance; NaN without.
+    """
+
+    name: str
+    rivals: tuple[str, ...]
+    change: float
+    left: Mapping[str, float]
+    p_value: float
+    speeds: int
+    critical_rpm: float = float("nan")
+
+
+def groups_of(speed_rpm: Floats) -> Floats:
+    """Return the number of the group of each speed; those within 1 % are one."""
+    order = np.argsort(speed_rpm)
+    ranked = speed_rpm[order]
+    new = np.concatenate([[False], np.diff(ranked) > _SAME_SPEED * np.maximum(ranked[1:], 1e-9)])
+    out = np.empty(len(speed_rpm))
+    out[order] = np.cumsum(new)
+    return out
+
+
+def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law | None:
+    """Return what values (n, parts) follow; None with fewer than four distinct speeds.
+
+    ``noise``: variance of one part of a value, by its repeats within a run; what is left is taken to be no less.
+    """
+    group = groups_of(speed_rpm)
+    count = len(np.unique(group))
+    if count < FEWEST_SPEEDS:
+        return None
+    n = speed_rpm / speed_rpm.max()
+    ones = np.ones(len(n))
+    designs = {CONSTANT: ones[:, None], SPEED: np.column_stack([ones, n]), SQUARE: np.column_stack([ones, n**2])}
+    if np.ptp(time) > 0.0:
+        designs[TIME] = np.column_stack([ones, (time - time.mean()) / np.ptp(time)])
+    held = {name: _held_out(design, values, group) for name, design in designs.items()}
+    critical = float("nan")
+    if values.shape[1] == 2 and count >= _FEWEST_RESONANCE:
+        held[RESONANCE] = _held_out_resonance(values, n, group)
+    others = [name for name in held if name != CONSTANT]
+    chance = {}
+    for name in others:
+        if name == RESONANCE:
+            fitted, shape = _resonance(values, n, ones.astype(bool))
+            critical = shape * float(speed_rpm.max())
+            chance[name] = _chance(values, fitted, held_dof=6, noise=noise)
+        else:
+            fitted = designs[name] @ np.linalg.lstsq(designs[name], values, rcond=None)[0]
+            chance[name] = _chance(values, fitted, held_dof=2 * values.shape[1], noise=noise)
+    able = [name for name in others if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]]
+    left = {name: float(np.sqrt(sse / values.size)) for name, sse in held.items()}
+    if not able:
+        return Law(CONSTANT, (CONSTANT,), 0.0, left, min(chance.values()), count)
+    able.sort(key=lambda name: held[name])
+    # A resonance has three numbers more: it must earn them.
+    if able[0] == RESONANCE and len(able) > 1 and held[RESONANCE] > _BETTER * held[able[1]]:
+        able = [*able[1:], RESONANCE]
+    best = able[0]
+    rivals = (best, *(name for name in able[1:] if held[name] < _AS_GOOD * held[best] and name != RESONANCE))
+    fitted = (
+        _resonance(values, n, ones.astype(bool))[0]
+        if best == RESONANCE
+        else designs[best] @ np.linalg.lstsq(designs[best], values, rcond=None)[0]
+    )
+    change = float(max(np.linalg.norm(a - b) for a in fitted for b in fitted))
+    name = best if len(rivals) == 1 else ""
+    return Law(name, rivals, change, left, chance[best], count, critical if best == RESONANCE else float("nan"))
+
+
+def _held_out(design: Floats, values: Floats, group: Floats) -> float:
+    """Return the squares left on each speed by the others."""
+    total = 0.0
+    for g in np.unique(group):
+        own = group == g
+        found = np.linalg.lstsq(design[~own], values[~own], rcond=None)[0]
+        total += float(np.sum((values[own] - design[own] @ found) ** 2))
+    return total
+
+
+def _held_out_resonance(values: Floats, n: Floats, group: Floats) -> float:
+    total = 0.0
+    for g in np.unique(group):
+        own = group == g
+        fitted, _ = _resonance(values, n, ~own)
+        total += float(np.sum((values[own] - fitted[own]) ** 2))
+    return total
+
+
+def _resonance(values: Floats, n: Floats, use: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> tuple[Floats, float]:
+    """Return values fitted by a constant and a rotor with one critical speed, and that speed (of the largest one)."""
+    v = values[:, 0] + 1j * values[:, 1]
+    best, fitted, at = np.inf, v, float("nan")
+    for critical in _CRITICAL:
+        r = n / critical
+        for damping in _DAMPING:
+            design = np.column_stack([np.ones(len(n)), r**2 / (1.0 - r**2 + 2j * damping * r)])
+            found = np.linalg.lstsq(design[use], v[use], rcond=None)[0]
+            sse = float(np.sum(np.abs(v[use] - design[use] @ found) ** 2))
+            if sse < best:
+                best, fitted, at = sse, design @ found, float(critical)
+    return np.column_stack([fitted.real, fitted.imag]), at
+
+
+def _chance(values: Floats, fitted: Floats, held_dof: int, noise: float) -> float:
+    """Return how probable it is that chance takes as much of the squares as a law does."""
+    parts = values.shape[1]
+    whole = float(np.sum((values - values.mean(axis=0)) ** 2))
+    left = float(np.sum((values - fitted) ** 2))
+    more, rest = held_dof - parts, values.size - held_dof
+    if rest < 1 or whole <= 0.0:
+        return 1.0
+    spread = max(left / rest, noise, 1e-300)
+    return f_tail((whole - left) / more / spread, (float(more), float(rest)))

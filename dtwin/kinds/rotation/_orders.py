@@ -1,0 +1,100 @@
+"""What turns at another rate than the axis: orders that are no whole numbers, in what differs from turn to turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.kinds.rotation._turns import Turns
+from dtwin.schema import Floats
+
+_FEWEST_TURNS = 8
+_FALSE = 1e-3
+_BESIDE = 2.0
+_NEIGHBOURS = 12
+_MOST = 5
+_KNOWN = 4.0
+"""Of so many neighbours one counts: their median is scattered, and a window makes neighbours alike."""
+_LN2 = float(np.log(2.0))
+
+
+@dataclass(frozen=True)
+class Order:
+    """A line of the spectrum: times a turn, amplitude, and how sure it is no chance."""
+
+    order: float
+    amplitude_um: float
+    p_value: float
+    resolution: float
+
+
+def orders_of(turns: Turns) -> tuple[Order, ...]:
+    """Return the lines between the whole orders, the largest first; none of fewer than eight turns in a row.
+
+    A line stands out of the median of its neighbours by so much that among all of them chance does so once in a thousand runs.
+    """
+    if turns.n < _FEWEST_TURNS or turns.n != turns.whole:
+        return ()
+    left = (turns.moved_um - turns.moved_um.mean(axis=0)).ravel()
+    # Backwards the rows are in the order of time, and each row is not.
+    series = left if turns.forward else turns.moved_um[::-1].ravel() - np.tile(turns.moved_um.mean(axis=0), turns.n)
+    n = len(series)
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft(series * window)) ** 2
+    power[0] = 0.0
+    order = np.arange(len(power)) / turns.n
+    near = np.abs(order - np.round(order)) * turns.n
+    usable = (near > _BESIDE) & (order * turns.n > _BESIDE)
+    usable[-1] = False
+    floor, known = _floor(power, usable)
+    ratio = power / floor
+    tests = int(usable.sum())
+    found: list[Order] = []
+    for k in np.argsort(-ratio):
+        if not usable[k] or len(found) == _MOST:
+            break
+        single = float((1.0 + ratio[k] / known) ** -known)
+        chance = float(-np.expm1(tests * np.log1p(-min(single, 0.5))))
+        if chance > _FALSE:
+            break
+        if power[k] < max(power[k - 1], power[k + 1]):
+            continue
+        shift = _vertex(*np.sqrt(power[k - 1 : k + 2]))
+        at = (k + shift) / turns.n
+        if any(abs(at - other.order) * turns.n < 2.0 * _BESIDE for other in found):
+            continue
+        # A whole number beside which a line stands is that number, modulated.
+        amplitude = 2.0 * float(np.sqrt(power[k])) / float(window.sum())
+        found.append(Order(float(at), amplitude, chance, 1.0 / turns.n))
+    return tuple(sorted(found, key=lambda line: -line.amplitude_um))
+
+
+def _floor(power: Floats, usable: NDArray[np.bool_]) -> tuple[Floats, float]:
+    """Return the mean power about each bin, by the median of its nearest neighbours on both sides, and for how many it stands.
+
+    What differs from turn to turn in one order stands out of all of the spectrum, and not of its neighbours.
+    """
+    at = np.flatnonzero(usable)
+    floor = np.full(len(power), np.inf)
+    for n, k in enumerate(at):
+        beside = at[max(0, n - _NEIGHBOURS - 2) : n + _NEIGHBOURS + 3]
+        beside = beside[np.abs(beside - k) > 2]
+        if len(beside) >= _NEIGHBOURS:
+            floor[k] = float(np.median(power[beside])) / _LN2
+    return floor, 2.0 * _NEIGHBOURS / _KNOWN
+
+
+def _vertex(before: float, at: float, after: float) -> float:
+    """Return where a parabola through three neighbours is highest, in bins."""
+    bend = before - 2.0 * at + after
+    return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend else 0.0
+
+
+def said_order(line: Order) -> str:
+    """Return a line in words, with what can turn so."""
+    what = f"order {line.order:z.2f} ± {line.resolution / 2:z.2f}, {line.amplitude_um:z.3g} µm"
+    if line.order < 0.5:
+        return f"{what}: slower than half a turn, as the cage of a rolling bearing or a belt is"
+    return f"{what}: no whole number, so it does not turn with the axis: rolling elements, a belt, a motor or its gear, or vibration"

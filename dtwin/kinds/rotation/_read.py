@@ -1,0 +1,171 @@
+"""Files of a turning axis as runs: one run is one probe at one speed, or the run-outs of one probe over speed.
+
+``[campaign.instrument.columns]`` names the house's column for a foreign head or channel: ``"CH3" = "radial_x_um"``; an empty one
+leaves it out. A run's ``condition`` may state ``speed_rpm``, and ``angle_log``, a file of the same folder that holds the angle.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.campaign_folder import inside
+from dtwin.errors import InputError
+from dtwin.kinds.rotation._angles import angle_of_pulses, nominal_angle, smooth_angle, unwrapped
+from dtwin.kinds.rotation._files import Channel, Reading, read_file
+from dtwin.kinds.rotation._heads import ANGLE, PULSE, SPEED, direction_of
+from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.units import is_number
+
+_TOLD_OFF = 0.05
+_UM_PER_MM = 1e3
+_MOST_RPM = 1e6
+OVER_SPEED = "run-out over speed"
+"""What the condition of a run states as its ``form`` when its samples are run-outs, not displacements."""
+
+
+def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
+    """Return a run for each probe of a file, and the rows that hold no usable number.
+
+    Raises ``InputError`` when there is no probe, and neither angle nor pulse nor speed.
+    """
+    recipe = campaign.instrument.get("columns", {})
+    reading = read_file(path, recipe if isinstance(recipe, Mapping) else {})
+    if reading.by_speed:
+        return _over_speed(reading, path), reading.rejects
+    condition = stated.get("condition", {})
+    log = condition.get("angle_log") if isinstance(condition, Mapping) else None
+    if log is not None:
+        other = read_file(inside(path.parent, log, "condition.angle_log"), {**recipe, "": ""})
+        reading = _with_angle_of(reading, other)
+    told = condition.get(SPEED) if isinstance(condition, Mapping) else None
+    return _turning(reading, told, path), reading.rejects
+
+
+def _over_speed(reading: Reading, path: Path) -> list[Run]:
+    runs = []
+    for name, probe in reading.probes.items():
+        speed = reading.channels.get(SPEED)
+        if speed is None:
+            raise InputError(
+                "a table of run-out does not say its speeds",
+                code="columns.missing",
+                where=str(path),
+                got=name,
+                allowed="a column of speed in rpm, 1/min or Hz; or time and angle",
+            )
+        at = np.isin(speed.t_s, probe.t_s)
+        rpm = speed.value[at]
+        wrong = (rpm < 0.0) | (rpm > _MOST_RPM) | (probe.value < 0.0)
+        if wrong.any():
+            n = int(np.flatnonzero(wrong)[0])
+            raise InputError(
+                "a run-out and a speed are not negative",
+                code="rotation.negative",
+                where=f"{path} row {int(probe.t_s[n]) + 1}",
+                got=f"{rpm[n]:g} rpm, {probe.value[n] / _UM_PER_MM:g} mm",
+                allowed=f"speeds from 0 to {_MOST_RPM:g} rpm, run-outs from 0 on",
+            )
+        samples = {"t_s": probe.t_s, SPEED: rpm, "runout_um": probe.value}
+        condition = {"probe": name, "sense": direction_of(name), "form": OVER_SPEED}
+        said = () if reading.timed else (_no_clock(),)
+        meta = RunMeta(run_id=_safe(name), kind="rotation", condition=condition, started=reading.started)
+        runs.append(Run(meta, samples, source=str(path), findings=said))
+    return runs
+
+
+def _no_clock() -> Finding:
+    said = "the table has no clock: its rows are taken to have been measured in their order"
+    return Finding("clock.assumed", "info", said)
+
+
+def _with_angle_of(reading: Reading, other: Reading) -> Reading:
+    """Return a reading with the channels of another file, whose stamps are of the same clock."""
+    from datetime import datetime
+
+    if not reading.started or not other.started:
+        return replace(reading, channels={**other.channels, **reading.channels})
+    later = (datetime.fromisoformat(other.started) - datetime.fromisoformat(reading.started)).total_seconds()
+    moved = {role: Channel(c.t_s + later, c.value) for role, c in other.channels.items()}
+    return replace(reading, channels={**moved, **reading.channels}, apart=True)
+
+
+def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
+    if told is not None and (not is_number(told) or not 0.0 < float(told) < _MOST_RPM):
+        raise InputError(
+            "the speed of a run is not usable",
+            code="rotation.speed",
+            where=str(path),
+            got=str(told)[:40],
+            allowed=f"condition.speed_rpm above 0 and below {_MOST_RPM:g}",
+        )
+    angle, origin, findings = _angle(reading, path)
+    runs = []
+    for name, probe in reading.probes.items():
+        t, x, said = probe.t_s, probe.value, list(findings)
+        if angle is None:
+            speed = _speed(reading, told, path)
+            a, found = nominal_angle(t, speed, x)
+            said.append(_no_angle(speed, found))
+        else:
+            inside_it = (t >= angle.t_s[0]) & (t <= angle.t_s[-1])
+            if inside_it.sum() < 2:
+                raise InputError(
+                    "probe and angle were not read at the same time", code="rotation.apart", where=str(path), got=name
+                )
+            t, x = t[inside_it], x[inside_it]
+            a = np.interp(t, angle.t_s, angle.value)
+        rpm = abs(a[-1] - a[0]) / 6.0 / max(float(t[-1] - t[0]), 1e-12)
+        if told is not None and abs(rpm - float(told)) > _TOLD_OFF * float(told):
+            text = f"{told:g} rpm are stated, the axis turned at {rpm:z.4g} rpm"
+            said.append(Finding("rotation.speed_told", "warning", text, {"told_rpm": float(told), "read_rpm": rpm}))
+        condition: dict[str, Any] = {"probe": name, "sense": direction_of(name), "angle": origin}
+        condition |= {SPEED: float(f"{rpm:.5g}")} if told is None else {}
+        samples: dict[str, Floats] = {"t_s": t - t[0], ANGLE: a, "displacement_um": x}
+        meta = RunMeta(_safe(name), "rotation", condition=condition, started=reading.started)
+        rate = 1.0 / float(np.median(np.diff(t))) if len(t) > 1 and np.median(np.diff(t)) > 0.0 else float("nan")
+        runs.append(Run(replace(meta, sample_rate_hz=rate), samples, source=str(path), findings=tuple(said)))
+    return runs
+
+
+def _angle(reading: Reading, path: Path) -> tuple[Channel | None, str, list[Finding]]:
+    """Return the angle of a reading, what it is from, and what is noticed; no angle where there is but a speed."""
+    angle, pulse = reading.channels.get(ANGLE), reading.channels.get(PULSE)
+    if angle is not None and len(angle.t_s) > 1:
+        if reading.apart:
+            smooth, said = smooth_angle(angle, str(path))
+            return smooth, "log", said
+        return Channel(angle.t_s, unwrapped(angle.value, str(path))), "encoder", []
+    if pulse is not None and len(pulse.t_s) > 1:
+        return angle_of_pulses(pulse, str(path)), "pulses", []
+    return None, "speed", []
+
+
+def _speed(reading: Reading, told: object, path: Path) -> float:
+    read = reading.channels.get(SPEED)
+    speed = float(np.median(np.abs(read.value))) if read is not None and len(read.value) else told
+    if is_number(speed) and 0.0 < speed < _MOST_RPM:
+        return float(speed)
+    raise InputError(
+        "neither angle, nor pulses, nor a speed are told",
+        code="rotation.angle",
+        where=str(path),
+        allowed="a column angle [deg], pulse, or speed [rpm]; or condition = { speed_rpm = 1200 } in the run",
+    )
+
+
+def _no_angle(told: float, found: float) -> Finding:
+    said = (
+        f"no angle was read: it is computed from {told:g} rpm, taken as {found:z.5g} rpm, at which the most repeats from turn to turn; angles mean "
+        "nothing beyond this run, and what the speed varies by counts as asynchronous"
+    )
+    return Finding("rotation.nominal", "warning", said, {"told_rpm": told, "found_rpm": found})
+
+
+def _safe(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_+-]+", "-", name).strip("-_+")[:60] or "probe"

@@ -1,0 +1,192 @@
+"""A probe at several speeds: its once-per-turn vector, its mean reading, its form, and what they follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.kinds.rotation._laws import Law, groups_of, law_of
+from dtwin.kinds.rotation._orders import Order, orders_of
+from dtwin.kinds.rotation._read import OVER_SPEED
+from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, turns_of
+from dtwin.schema import Floats, Run
+from dtwin.statistics import t_quantile, t_tail
+
+_FORM = np.arange(2, 41)
+_REACH_DEG = 25.0
+_ALIKE = 0.9
+_CHANCE = 0.01
+_LEAST_DEG = 0.2
+_COVERED = 0.97725
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a probe."""
+
+    run_id: str
+    speed_rpm: float
+    turns: Turns
+    figures: Figures
+    orders: tuple[Order, ...]
+    phased: bool
+    started: str
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How far the form turns with the speed: ``ms`` that the angle is behind the probe, with k = 2."""
+
+    ms: float
+    k2_ms: float
+    largest_deg: float
+
+
+@dataclass(frozen=True)
+class OverSpeed:
+    """A probe over its speeds.
+
+    Attributes
+    ----------
+    vector, mean : Law or None
+        What the once-per-turn vector and the mean reading follow; None with too few speeds, or without a phase.
+    spread_um : float
+        Largest distance of two vectors, delay taken away; NaN without a phase.
+    noise_um : float
+        k = 2 of a vector by blocks of turns, of the worst run.
+    """
+
+    probe: str
+    sense: str
+    points: tuple[Point, ...]
+    delay: Delay | None
+    form_known: bool
+    vector: Law | None
+    mean: Law | None
+    spread_um: float
+    noise_um: float
+    by_clock: bool
+
+
+def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
+    """Return the sound turning runs by probe and set-up with the sense of rotation, by speed."""
+    found: dict[tuple[str, str], list[Point]] = {}
+    for run in runs:
+        if run.meta.condition.get("form") == OVER_SPEED or any(f.severity == "error" for f in run.findings):
+            continue
+        if "displacement_um" not in run.samples or (turns := turns_of(run)) is None:
+            continue
+        way = "" if turns.forward else ", turning backwards"
+        key = (str(run.meta.condition.get("probe", run.meta.run_id)), run.meta.setup + way)
+        phased = run.meta.condition.get("angle") != "speed"
+        found.setdefault(key, []).append(
+            Point(run.meta.run_id, speed_of(run), turns, figures_of(turns), orders_of(turns), phased, run.meta.started)
+        )
+    return {key: sorted(points, key=lambda p: p.speed_rpm) for key, points in found.items()}
+
+
+def speed_of(run: Run) -> float:
+    """Return the speed of a run: as it turned, else as it is stated."""
+    a, t = run.samples["angle_deg"], run.samples["t_s"]
+    span = float(t[-1] - t[0])
+    turned = abs(float(a[-1] - a[0])) / 6.0 / span if span > 0.0 else math.nan
+    told = run.meta.condition.get("speed_rpm")
+    return turned if math.isfinite(turned) else float(told or math.nan)
+
+
+def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> OverSpeed:
+    """Return what a probe follows over its speeds."""
+    speed = np.array([p.speed_rpm for p in points])
+    times, by_clock = _times([p.started for p in points])
+    phased = all(p.phased for p in points)
+    known, shift = form_shift(points) if phased else (False, np.zeros(len(points)))
+    delay = _delay(speed, shift) if known else None
+    once = np.array([p.figures.once for p in points])
+    if delay is not None:
+        once = once * np.exp(1j * np.radians(delay.ms * 6e-3 * speed))
+    vectors = np.column_stack([once.real, once.imag])
+    within = [p.figures.once_covariance for p in points]
+    noise = [float(np.trace(c)) / 2.0 for c in within if np.isfinite(c).all()]
+    mean = np.array([[p.figures.mean_um] for p in points])
+    mean_noise = [(p.figures.mean_k2_um / 2.0) ** 2 for p in points if math.isfinite(p.figures.mean_k2_um)]
+    return OverSpeed(
+        key[0],
+        sense,
+        tuple(points),
+        delay,
+        known,
+        law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
+        law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0),
+        float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
+        2.0 * math.sqrt(max(noise, default=math.nan)),
+        by_clock,
+    )
+
+
+def _times(started: Sequence[str]) -> tuple[Floats, bool]:
+    """Return when runs began in hours, and whether clocks tell; zeros without."""
+    try:
+        at = [datetime.fromisoformat(s).timestamp() / 3600.0 for s in started]
+    except ValueError:
+        return np.zeros(len(started)), False
+    out = np.array(at)
+    return out - out.min(), len(set(at)) == len(at)
+
+
+def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
+    """Return whether the form of all runs is the same but turned, and by how many degrees from that of the slowest.
+
+    The form is what comes 2 to 40 times per turn, features with it: unbalance has no part in it.
+    """
+    bins = min(p.turns.read_um.shape[1] for p in points)
+    orders = _FORM[bins // 4 > _FORM]
+    waves = np.array([_waves(p.turns, orders) for p in points])
+    tried = np.arange(-_REACH_DEG, _REACH_DEG, 0.1)
+    turned = np.exp(-1j * np.outer(np.radians(tried), orders))
+    shift, alike = np.zeros(len(points)), True
+    for n, of in enumerate(waves):
+        # From its neighbour in speed: the form turns little from one to the next.
+        reference = waves[max(0, n - 1)]
+        match = (turned @ (of * np.conj(reference))).real
+        best = int(np.argmax(match))
+        scale = float(np.linalg.norm(of) * np.linalg.norm(reference))
+        alike &= scale > 0.0 and match[best] > _ALIKE * scale
+        if 0 < best < len(tried) - 1:
+            bend = match[best - 1] - 2.0 * match[best] + match[best + 1]
+            vertex = 0.5 * (match[best - 1] - match[best + 1]) / bend if bend else 0.0
+            shift[n] = (shift[n - 1] if n else 0.0) + tried[best] + 0.1 * float(np.clip(vertex, -0.5, 0.5))
+        else:
+            alike = False
+    return bool(alike and len(orders) > 3), shift
+
+
+def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:
+    mean = turns.read_um.mean(axis=0)
+    return np.asarray(2.0 * np.exp(1j * np.outer(orders, np.radians(turns.angle_deg))) @ mean / len(mean))
+
+
+def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
+    """Return the delay that a form which turns in proportion to the speed shows, None where it does not surely turn."""
+    if len(np.unique(groups_of(speed))) < 3:
+        return None
+    design = np.column_stack([np.ones(len(speed)), speed])
+    found = np.linalg.lstsq(design, shift_deg, rcond=None)[0]
+    left = shift_deg - design @ found
+    dof = len(speed) - 2
+    error = math.sqrt(float(left @ left) / dof * float(np.linalg.inv(design.T @ design)[1, 1]))
+    slope = float(found[1])
+    if abs(slope) * float(np.ptp(speed)) < _LEAST_DEG or 2.0 * t_tail(abs(slope) / max(error, 1e-12), dof) > _CHANCE:
+        return None
+    return Delay(-slope / 6e-3, t_quantile(_COVERED, dof) * error / 6e-3, abs(slope) * float(speed.max()))
+
+
+def next_speed(speed_rpm: Floats) -> float:
+    """Return the speed that would tell most: in the widest gap of the squares of the speeds."""
+    squares = np.sort(np.concatenate([[0.0], np.unique(speed_rpm) ** 2]))
+    widest = int(np.argmax(np.diff(squares)))
+    return float(np.sqrt(0.5 * (squares[widest] + squares[widest + 1])))

@@ -1,0 +1,273 @@
+"""A run cut into turns, and its figures after ISO 230-7: total run-out, once per turn, synchronous, asynchronous."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.kinds.rotation._features import Feature, features_of
+from dtwin.kinds.rotation._heads import AXIAL
+from dtwin.schema import Floats, Run
+
+_TURN = 360.0
+_BINS = (360, 180, 120, 90, 72, 60, 36, 24, 16)
+_HIGHEST_ORDER = 50
+_GAP_DEG = 6.0
+_GAP_BINS = 3
+_BACK_DEG = 20.0
+_MOST_BLOCKS = 10
+KEEP = "keep"
+"""What the condition of a run states as ``features`` when local features are not to be left out."""
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Whole turns of a run on a grid of angles.
+
+    Attributes
+    ----------
+    angle_deg : ndarray, shape (bins,)
+        Middle of each bin, from 0 to 360, in the order of the turn.
+    read_um : ndarray, shape (turns, bins)
+        Readings as they are.
+    moved_um : ndarray, shape (turns, bins)
+        The same without mean, straight drift over the time, and local features.
+    t_s : ndarray, shape (turns,)
+        Middle of each turn.
+    whole : int
+        Turns of the run, with those that gaps spoil.
+    forward : bool
+        Whether the angle rose.
+    """
+
+    angle_deg: Floats
+    read_um: Floats
+    moved_um: Floats
+    t_s: Floats
+    whole: int
+    drift_um: float
+    features: tuple[Feature, ...]
+    axial: bool
+    forward: bool = True
+
+    @property
+    def n(self) -> int:
+        """Turns that are used."""
+        return len(self.moved_um)
+
+
+@dataclass(frozen=True)
+class Value:
+    """A figure, with the standard deviation of one block of turns."""
+
+    um: float
+    block_um: float
+    blocks: int
+
+    @property
+    def k2_um(self) -> float:
+        """Half width (k = 2) by what differs from block to block; NaN of one block."""
+        return 2.0 * self.block_um / float(np.sqrt(self.blocks)) if self.blocks > 1 else float("nan")
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of a run.
+
+    Attributes
+    ----------
+    once : complex
+        Amplitude and phase of what comes once per turn, in µm: it is largest at the angle of the number.
+    once_covariance : ndarray, shape (2, 2)
+        Of its real and imaginary part, from blocks; NaN of one block.
+    floor_um : float
+        Range that blocks of turns alone would leave in the synchronous curve; NaN of one turn.
+    """
+
+    turns: int
+    total: Value
+    once_amplitude: Value
+    once: complex
+    once_covariance: Floats
+    synchronous: Value
+    residual: Value
+    asynchronous: Value
+    asynchronous_rms: Value
+    mean_um: float
+    mean_k2_um: float
+    floor_um: float
+
+
+def one_way(angle_deg: Floats) -> slice:
+    """Return the longest stretch in which the axis did not turn back by more than 20 degrees."""
+    rising = longest_rise(angle_deg)
+    falling = longest_rise(-angle_deg)
+    return max((rising, falling), key=lambda s: abs(angle_deg[s.stop - 1] - angle_deg[s.start]))
+
+
+def longest_rise(angle_deg: Floats) -> slice:
+    """Return the longest stretch in which an angle rises, but for less than 20 degrees."""
+    best, start, top = slice(0, 1), 0, float(angle_deg[0])
+    peak = 0
+    # Each tenth degree is enough, and spares a loop over every reading.
+    for n in _steps(angle_deg):
+        if angle_deg[n] > top:
+            top, peak = float(angle_deg[n]), n
+        elif top - angle_deg[n] > _BACK_DEG or angle_deg[n] < angle_deg[start]:
+            if top - angle_deg[start] > angle_deg[best.stop - 1] - angle_deg[best.start]:
+                best = slice(start, peak + 1)
+            start, top, peak = n, float(angle_deg[n]), n
+    if top - angle_deg[start] > angle_deg[best.stop - 1] - angle_deg[best.start]:
+        best = slice(start, peak + 1)
+    return best
+
+
+def _steps(angle_deg: Floats) -> list[int]:
+    coarse = np.floor(10.0 * angle_deg)
+    change = np.flatnonzero(np.diff(coarse) != 0.0) + 1
+    return [*change.tolist(), len(angle_deg) - 1]
+
+
+def turns_of(run: Run) -> Turns | None:
+    """Return the turns of a run, None when it holds no whole one with enough readings."""
+    part = one_way(run.samples["angle_deg"])
+    a, x, t = (run.samples[name][part] for name in ("angle_deg", "displacement_um", "t_s"))
+    forward = bool(a[-1] >= a[0])
+    if not forward:
+        a, x, t = a[::-1], x[::-1], t[::-1]
+    whole = int((a[-1] - a[0]) // _TURN)
+    if whole < 1:
+        return None
+    per_turn = len(a) * _TURN / float(a[-1] - a[0])
+    bins = next((b for b in _BINS if b <= per_turn), 0)
+    if not bins:
+        return None
+    width = _TURN / bins
+    begin = float(np.ceil(a[0] / width) * width)
+    whole = int((a[-1] - begin + 1e-9) // _TURN)
+    if whole < 1:
+        return None
+    place = np.floor((a - begin) / width).astype(int)
+    inside = (place >= 0) & (place < whole * bins)
+    count = np.bincount(place[inside], minlength=whole * bins)
+    full = count > 0
+    grid = begin + width * (np.arange(whole * bins) + 0.5)
+    at, of, when = (np.bincount(place[inside], v[inside], whole * bins)[full] / count[full] for v in (a, x, t))
+    # Backlash of an encoder and jitter leave an order that is not quite that of the angle.
+    order = np.argsort(at, kind="stable")
+    read = np.interp(grid, at[order], of[order]).reshape(whole, bins)
+    middle = np.interp(grid, at[order], when[order]).reshape(whole, bins).mean(axis=1)
+    sound = np.array([_largest_gap(row) <= max(_GAP_BINS, _GAP_DEG / width) for row in full.reshape(whole, bins)])
+    if not sound.any():
+        return None
+    angle = np.mod(grid[:bins], _TURN)
+    if not forward:
+        read, middle, sound = read[::-1], middle[::-1], sound[::-1]
+    axial = run.meta.condition.get("sense") == AXIAL
+    kept = read[sound]
+    level, slope = _line(np.flatnonzero(sound).astype(np.float64), kept.mean(axis=1))
+    along = np.arange(bins) / bins - 0.5
+    drift = level + slope * (np.flatnonzero(sound)[:, None] + (along if forward else -along)[None, :])
+    moved = kept - drift
+    found = () if run.meta.condition.get("features") == KEEP else features_of(moved, width)
+    for feature in found:
+        moved = feature.bridged(moved)
+    found = tuple(replace(f, angle_deg=float(np.mod(begin + f.angle_deg, _TURN))) for f in found)
+    moved = moved - moved.mean()
+    return Turns(angle, kept, moved, middle[sound], whole, slope * (whole - 1), found, axial, forward)
+
+
+def _line(at: Floats, mean: Floats) -> tuple[float, float]:
+    """Return level and slope of the means of turns; no slope of fewer than three."""
+    if len(at) < 3:
+        return float(mean.mean()), 0.0
+    slope, level = np.polyfit(at, mean, 1)
+    return float(level), float(slope)
+
+
+def _largest_gap(full: NDArray[np.bool_]) -> int:
+    empty = np.concatenate([[0], (~full).astype(int), [0]])
+    edges = np.flatnonzero(np.diff(empty))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+
+
+def filtered(curve_um: Floats) -> Floats:
+    """Return curves over one turn without what comes more than 50 times a turn; shape (..., bins)."""
+    waves = np.fft.rfft(curve_um, axis=-1)
+    waves[..., _HIGHEST_ORDER + 1 :] = 0.0
+    return np.asarray(np.fft.irfft(waves, curve_um.shape[-1], axis=-1))
+
+
+def once_of(curve_um: Floats, angle_deg: Floats) -> complex:
+    """Return amplitude and phase of what comes once per turn."""
+    return complex(2.0 * np.mean(curve_um * np.exp(1j * np.radians(angle_deg))))
+
+
+def synchronous_um(turns: Turns, moved_um: Floats | None = None) -> tuple[Floats, Floats]:
+    """Return the synchronous curve, and its residual without what comes once per turn; both of shape (bins,)."""
+    mean = filtered((turns.moved_um if moved_um is None else moved_um).mean(axis=0))
+    wave = once_of(mean, turns.angle_deg) * np.exp(-1j * np.radians(turns.angle_deg))
+    residual = mean - mean.mean() - wave.real
+    return (mean - mean.mean() if turns.axial else residual), residual
+
+
+def figures_of(turns: Turns) -> Figures:
+    """Return the figures of a run; what they are uncertain by comes from blocks of neighbouring turns."""
+    moved, read = turns.moved_um, turns.read_um
+    parts = np.array_split(np.arange(turns.n), min(turns.n, _MOST_BLOCKS))
+
+    def figure(of: Callable[[NDArray[np.intp]], float]) -> Value:
+        every = of(np.arange(turns.n))
+        return Value(every, _deviation(of, parts), len(parts))
+
+    def once(of: NDArray[np.intp]) -> complex:
+        return once_of(moved[of].mean(axis=0), turns.angle_deg)
+
+    # Of the readings as they are: what the drift adds within a turn belongs to it.
+    total = np.ptp(read, axis=1)
+    own = np.array([once(part) for part in parts])
+    covariance = np.full((2, 2), np.nan)
+    if len(parts) > 1:
+        covariance = np.cov(own.real, own.imag) / len(parts)
+    apart = filtered(moved) - filtered(moved.mean(axis=0))
+    rms = figure(lambda of: float(np.sqrt(np.mean((moved[of] - moved[of].mean(axis=0)) ** 2) * _unbiased(len(of)))))
+    wide = float(np.ptp(apart, axis=0).max()) if turns.n > 1 else float("nan")
+    # A range draws on few turns; its scatter relative to its size is that of the RMS.
+    share = rms.block_um / rms.um if rms.um else 0.0
+    floor = float("nan")
+    if turns.n > 1:
+        halves = filtered(moved[::2].mean(axis=0)) - filtered(moved[1::2].mean(axis=0))
+        floor = float(np.ptp(halves)) / 2.0
+    means = read.mean(axis=1)
+    return Figures(
+        turns.n,
+        figure(lambda of: float(total[of].mean())),
+        figure(lambda of: abs(once(of))),
+        once(np.arange(turns.n)),
+        covariance,
+        figure(lambda of: float(np.ptp(synchronous_um(turns, moved[of])[0]))),
+        figure(lambda of: float(np.ptp(synchronous_um(turns, moved[of])[1]))),
+        Value(wide, wide * share, len(parts)),
+        rms,
+        float(means.mean()),
+        2.0 * float(np.std([means[p].mean() for p in parts], ddof=1)) / len(parts) ** 0.5 if len(parts) > 1 else np.nan,
+        floor,
+    )
+
+
+def _unbiased(n: int) -> float:
+    return n / (n - 1) if n > 1 else np.nan
+
+
+def _deviation(of: Callable[[NDArray[np.intp]], float], parts: list[NDArray[np.intp]]) -> float:
+    """Return the standard deviation of one block, by leaving out each block in turn."""
+    n = len(parts)
+    if n < 2:
+        return float("nan")
+    without = np.array([of(np.concatenate([p for j, p in enumerate(parts) if j != i])) for i in range(n)])
+    if not np.isfinite(without).all():
+        return float("nan")
+    return float(np.sqrt((n - 1) * np.sum((without - without.mean()) ** 2)))

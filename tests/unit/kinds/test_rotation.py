@@ -1,0 +1,394 @@
+"""Turning axes: figures of a known target, what stands out of them, and what a single run refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+from unit.kinds.turning_target import Target, table, turned
+
+from dtwin.cli import app
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.kinds.rotation._files import is_rotation_file
+from dtwin.kinds.rotation._read import read_rotation
+from dtwin.kinds.rotation._turns import figures_of, turns_of
+from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+
+ROOT = Path(__file__).parents[3]
+RPM = 60.0
+
+
+def run_of(angle: Floats, um: Floats, sense: str = "radial", rpm: float = RPM) -> Run:
+    condition: dict[str, float | str] = {"probe": "p", "sense": sense, "angle": "encoder"}
+    t_s = np.arange(angle.size) * abs(angle[1] - angle[0]) / 6.0 / rpm
+    return Run(RunMeta("r", "rotation", condition=condition), {"t_s": t_s, "angle_deg": angle, "displacement_um": um})
+
+
+def judged(run: Run) -> list[Finding]:
+    return kind_named("rotation").judge_run(run)
+
+
+def read(
+    folder: Path, text: str, recipe: Mapping[str, str] | None = None, name: str = "a.csv", **condition: Any
+) -> list[Run]:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    campaign = Campaign("c", "m", "rotation", instrument={"columns": dict(recipe or {})})
+    return read_rotation(path, campaign, {"condition": condition})[0]
+
+
+@pytest.mark.parametrize(("sense", "once"), [("radial", False), ("axial", True), ("", False)])
+def test_the_figures_are_those_of_the_target(sense: str, once: bool) -> None:
+    target = Target()
+    inside = 0
+    for seed in range(40):
+        angle = turned(24.3)
+        turns = turns_of(run_of(angle, target.read(angle, seed), sense))
+        assert turns is not None
+        found = figures_of(turns)
+        assert found.turns == 24
+        assert abs(found.once) == pytest.approx(8.0, abs=0.02)
+        assert np.degrees(np.angle(found.once)) == pytest.approx(30.0, abs=0.2)
+        assert found.residual.um == pytest.approx(target.synchronous_um(), abs=0.1)
+        inside += abs(found.synchronous.um - target.synchronous_um(once)) < found.synchronous.k2_um + 0.03
+    assert inside >= 36
+
+
+def test_the_uncertainty_of_what_comes_once_per_turn_is_that_of_turns() -> None:
+    # The vector of each turn is drawn: neighbours are alike, as turns of a warm bearing are.
+    rng, inside = np.random.default_rng(1), 0
+    for seed in range(200):
+        own = np.zeros(60)
+        for n in range(1, 60):
+            own[n] = 0.5 * own[n - 1] + rng.normal(0.0, 0.2)
+        angle = turned(60.0, begin=0.0)
+        um = Target(noise_um=0.01).read(angle, seed) + np.repeat(own, 200) * np.cos(np.radians(angle - 30.0))
+        turns = turns_of(run_of(angle, um))
+        assert turns is not None
+        value = figures_of(turns).once_amplitude
+        inside += abs(value.um - 8.0) < value.k2_um
+    # Blocks of six turns still are a little alike.
+    assert 0.84 <= inside / 200 <= 0.99
+
+
+def test_asynchronous_motion_is_what_differs_from_turn_to_turn() -> None:
+    angle = turned(40.1, begin=0.0)
+    steady = turns_of(run_of(angle, Target(noise_um=0.02).read(angle, 3)))
+    loose = turns_of(run_of(angle, Target(noise_um=0.02, each_turn_um=0.5).read(angle, 3)))
+    assert steady is not None
+    assert loose is not None
+    assert figures_of(loose).asynchronous_rms.um == pytest.approx(0.5, rel=0.15)
+    # What the target drew for each turn: two numbers, and the widest that they span in any phase.
+    drawn = 0.5 * np.random.default_rng(3).normal(0.0, 1.0, (2, 41))[:, :40]
+    phase = np.linspace(0.0, np.pi, 181)
+    widest = np.ptp(drawn.T @ np.array([np.cos(phase), np.sin(phase)]), axis=0).max()
+    assert figures_of(loose).asynchronous.um == pytest.approx(widest, abs=0.1)
+    assert figures_of(steady).asynchronous_rms.um < 0.03
+
+
+def test_a_drift_is_told_beside_and_changes_no_figure() -> None:
+    angle = turned(20.0)
+    target = Target(drift_um_turn=2.0)
+    turns = turns_of(run_of(angle, target.read(angle, 1)))
+    assert turns is not None
+    found = figures_of(turns)
+    assert turns.drift_um == pytest.approx(2.0 * 18, rel=0.01)
+    assert abs(found.once) == pytest.approx(8.0, abs=0.02)
+    assert found.asynchronous_rms.um < 0.1
+
+
+@pytest.mark.parametrize("depth", [5.0, -3.0])
+def test_a_groove_is_form_of_the_surface_and_no_error_motion(depth: float) -> None:
+    named = 0
+    for seed in range(40):
+        target = Target(dips=((200.0, 5.0, depth),))
+        angle = turned(20.0, readings=360)
+        run = run_of(angle, target.read(angle, seed))
+        told = [f for f in judged(run) if f.code == "rotation.feature"]
+        turns = turns_of(run)
+        assert turns is not None
+        right = len(told) == 1 and abs(float(np.asarray(told[0].numbers["angle_deg"])) - 200.0) < 3.0
+        named += right and ("dip" if depth > 0 else "bump") in told[0].message
+        assert figures_of(turns).synchronous.um == pytest.approx(target.synchronous_um(), abs=0.15)
+        assert figures_of(turns).total.um > 12.0 + (0.5 * depth if depth < 0 else 0.0)
+    assert named >= 38
+
+
+def test_slots_all_round_are_an_interrupted_surface() -> None:
+    target = Target(dips=tuple((10.0 * k + 2.0, 4.0, 300.0 + 7.0 * (k % 5)) for k in range(36)))
+    angle = turned(12.0, readings=720)
+    run = run_of(angle, target.read(angle, 2))
+    assert "rotation.interrupted" in {f.code for f in judged(run)}
+    turns = turns_of(run)
+    assert turns is not None
+    assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.3)
+
+
+def test_nothing_is_named_where_nothing_is() -> None:
+    quiet = 0
+    for seed in range(40):
+        angle = turned(24.0)
+        quiet += not judged(run_of(angle, Target(each_turn_um=0.1).read(angle, seed)))
+    assert quiet >= 38
+
+
+@pytest.mark.parametrize("order", [0.42, 3.57, 7.31])
+def test_an_order_that_is_no_whole_number_is_named(order: float) -> None:
+    named = 0
+    for seed in range(40):
+        angle = turned(30.0)
+        told = [f for f in judged(run_of(angle, Target(others={order: (0.05, 7.0)}).read(angle, seed)))]
+        lines = [f.numbers["order_1"] for f in told if f.code == "rotation.orders"]
+        named += any(isinstance(found, list) and len(found) == 1 and abs(found[0] - order) < 0.02 for found in lines)
+    assert named >= 38
+
+
+def test_a_feature_of_one_turn_alone_is_no_form() -> None:
+    angle = turned(20.0, readings=360)
+    um = Target().read(angle, 5)
+    um[360 * 7 + 100 : 360 * 7 + 103] += 9.0
+    codes = {f.code for f in judged(run_of(angle, um))}
+    assert "rotation.single" in codes
+    assert "rotation.feature" not in codes
+
+
+def test_what_makes_a_run_useless_is_said() -> None:
+    angle = turned(20.0)
+    um = Target().read(angle, 0)
+
+    def codes(a: Floats, x: Floats) -> set[str]:
+        return {f.code for f in judged(run_of(a, x)) if f.severity != "info"}
+
+    assert codes(angle, um) == set()
+    assert codes(angle[:150], um[:150]) == {"rotation.no_turn"}
+    assert codes(angle[::20], um[::20]) == {"rotation.coarse"}
+    assert codes(angle, np.full(um.size, 3.0)) == {"rotation.stuck"}
+    assert codes(angle, np.minimum(um, 4.0)) == {"rotation.clipped"}
+    assert codes(angle, 1e-4 * um) == {"rotation.size"}
+    assert codes(angle, 1e4 * um) == {"rotation.size"}
+    assert codes(angle[:700], um[:700]) == {"rotation.few_turns"}
+    back = np.concatenate([angle, angle[-1] - (angle[:1000] - angle[0])])
+    assert codes(back, Target().read(back, 0)) == {"rotation.turned_back"}
+    # A clock that goes on, and an axis that gets faster.
+    run = run_of(angle, um)
+    faster = {**run.samples, "t_s": np.sqrt(1.0 + run.samples["t_s"])}
+    assert {f.code for f in judged(Run(run.meta, faster))} == {"rotation.unsteady"}
+    stopped = {**run.samples, "t_s": np.zeros(um.size)}
+    assert {f.code for f in judged(Run(run.meta, stopped))} == {"clock.backwards"}
+
+
+def test_turns_with_lost_readings_are_left_out() -> None:
+    angle = turned(20.1, begin=0.0)
+    keep = np.ones(angle.size, bool)
+    keep[5 * 200 + 20 : 5 * 200 + 60] = False
+    run = run_of(angle, Target().read(angle, 0))
+    lost = Run(run.meta, {name: values[keep] for name, values in run.samples.items()})
+    turns = turns_of(lost)
+    assert turns is not None
+    assert (turns.n, turns.whole) == (19, 20)
+    assert [f.code for f in judged(lost)] == ["rotation.lost"]
+
+
+def test_turning_backwards_gives_the_same_figures() -> None:
+    angle = turned(20.0)
+    um = Target().read(angle, 4)
+    there, back = turns_of(run_of(angle, um)), turns_of(run_of(angle[::-1].copy(), um[::-1].copy()))
+    assert there is not None
+    assert back is not None
+    assert figures_of(back).once == pytest.approx(figures_of(there).once, abs=1e-6)
+    assert figures_of(back).synchronous.um == pytest.approx(figures_of(there).synchronous.um, abs=1e-6)
+
+
+ANGLE = turned(12.0)
+TIME = ANGLE / 6.0 / RPM
+UM = Target().read(ANGLE, 9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table({"t_s": TIME, "angle_deg": ANGLE % 360.0, "radial_x_um": UM}),
+        table(
+            {"t_s": TIME, "angle_deg": (ANGLE + 180.0) % 360.0 - 180.0, "radial_x_mm": UM / 1000.0},
+            form=lambda v: f"{v:.9f}",
+        ),
+        table({"Zeit [ms]": 1000.0 * TIME, "Winkel [rad]": np.radians(ANGLE), "radial x [µm]": UM}, ";").replace(
+            ".", ","
+        ),
+        table(
+            {"time (s)": TIME, "angle [rev]": ANGLE / 360.0, "radial x [mm]": UM / 1000.0}, "\t", lambda v: f"{v:.9f}"
+        ),
+        table({"time": TIME, "spindle angle": ANGLE, "radial x [in]": UM / 25400.0}, form=lambda v: f"{v:.12f}"),
+        "spindle 3\n"
+        + table({"time": TIME, "angle": ANGLE, "radial x": UM}).replace("radial x\n", "radial x\ns,deg,µm\n"),
+    ],
+)
+def test_every_way_to_write_a_run_is_read(tmp_path: Path, text: str) -> None:
+    (run,) = read(tmp_path, text)
+    assert is_rotation_file(tmp_path / "a.csv")
+    turns = turns_of(run)
+    assert turns is not None
+    assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.05)
+    assert run.meta.condition["sense"] == "radial"
+    assert run.meta.condition["speed_rpm"] == pytest.approx(RPM, rel=1e-3)
+
+
+def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
+    pulse = (ANGLE % 360.0 < 20.0).astype(float)
+    (run,) = read(tmp_path, table({"t_s": TIME, "index pulse": pulse, "radial_um": UM}))
+    turns = turns_of(run)
+    assert turns is not None
+    assert run.meta.condition["angle"] == "pulses"
+    assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.05)
+
+
+def test_a_speed_alone_is_made_exact_by_what_repeats_and_has_no_phase(tmp_path: Path) -> None:
+    off = 1.004
+    for text, told in (
+        (table({"t_s": TIME, "speed [rpm]": np.full(TIME.size, RPM * off), "radial_um": UM}), {}),
+        (table({"t_s": TIME, "radial_um": UM}), {"speed_rpm": RPM * off}),
+    ):
+        (run,) = read(tmp_path, text, **told)
+        assert [f.code for f in run.findings] == ["rotation.nominal"]
+        turns = turns_of(run)
+        assert turns is not None
+        assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.1)
+        assert figures_of(turns).asynchronous_rms.um < 0.2
+        figures = kind_named("rotation").campaign_figures([run])["rotation"]["runs"]["radial"]
+        assert figures["once_deg"] is None
+
+
+def log_of(delay_s: float = 0.0, jitter: bool = False) -> str:
+    """One line a reading: an angle at 50 Hz, whose stamps may come in bursts, and two probes at 200 and 100 Hz."""
+    from datetime import datetime, timedelta
+
+    begin, rng, lines = datetime(2026, 3, 2, 8, 0), np.random.default_rng(3), []
+    for name, rate, value in (
+        ("AX:PosAct", 50.0, lambda t: 6.0 * RPM * t % 360.0),
+        ("S1:Enc", 200.0, lambda t: (40000.0 + Target().read(6.0 * RPM * t, 1)) / 1000.0),
+        ("S2:Enc", 100.0, lambda t: (20000.0 + Target(once=(3.0, 0.0)).read(6.0 * RPM * t, 2)) / 1000.0),
+    ):
+        t = np.arange(0.0, 30.0, 1.0 / rate)
+        late = (
+            delay_s + (np.ceil(t / 0.1) * 0.1 - t if jitter else 0.0) * (name == "AX:PosAct")
+            if name == "AX:PosAct"
+            else 0.0
+        )
+        for at, v in zip(t + late, value(t), strict=True):
+            lines.append((at, f"{name} {begin + timedelta(seconds=float(at)):%Y-%m-%d %H:%M:%S.%f} {v:.6f}"))
+    rng.shuffle(lines)
+    return "\n".join(line for _, line in sorted(lines)) + "\nS1:Enc <disconnected>\n"
+
+
+CHANNELS = {"AX:PosAct": "angle_deg", "S1:Enc": "radial_top_mm", "S2:Enc": "axial_mm"}
+
+
+@pytest.mark.parametrize("jitter", [False, True])
+def test_a_log_of_one_line_a_reading_is_read_by_the_names_of_its_channels(tmp_path: Path, jitter: bool) -> None:
+    runs = read(tmp_path, log_of(jitter=jitter), CHANNELS, "a.log")
+    assert [run.meta.run_id for run in runs] == ["radial_top", "axial"]
+    assert [f.code for f in runs[0].findings] == (["rotation.stamps"] if jitter else [])
+    for run, once in zip(runs, (8.0, 3.0), strict=True):
+        turns = turns_of(run)
+        assert turns is not None
+        assert turns.n == 29
+        assert abs(figures_of(turns).once) == pytest.approx(once, abs=0.1)
+
+
+def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, log_of(), {}, "a.log")
+    assert refused.value.code == "rotation.channels"
+    assert "S1:Enc (6001)" not in str(refused.value.got)
+    assert "S1:Enc (6000)" in str(refused.value.got)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        (table({"t_s": TIME, "angle_deg": np.radians(ANGLE) % (2.0 * np.pi), "radial_um": UM}), "rotation.unit"),
+        (table({"t_s": TIME, "angle_deg": ANGLE, "radial": UM}), "rotation.unit"),
+        (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
+        (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
+        (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.pulses"),
+        (table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": UM}, form=lambda v: "x"), "rotation.time"),
+        ("t_s,angle_deg,radial_um\n" + "1,2,x\n" * 9, "table.no_rows"),
+        ("t_s,angle_deg,angle_rad,radial_um\n" + "1,2,3,4\n" * 9, "rotation.twice"),
+        ("speed_rpm,runout_um\n100,-4\n", "rotation.negative"),
+        ("radial_um,axial_um\n1,2\n", "columns.missing"),
+        ("", "file.empty"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(tmp_path: Path, text: str, code: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, text)
+    assert refused.value.code == code
+
+
+def test_rows_without_a_number_are_rejected_and_the_rest_is_used(tmp_path: Path) -> None:
+    lines = table({"t_s": TIME, "angle_deg": ANGLE % 360.0, "radial_um": UM, "axial_um": UM}).splitlines()
+    lines[50] = "nan,nan,nan,nan"
+    lines[60] = ",".join([*lines[60].split(",")[:2], "12 mm", "inf"])
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    runs, rejects = read_rotation(path, Campaign("c", "m", "rotation"), {})
+    assert [run.n_samples for run in runs] == [len(TIME) - 2] * 2
+    assert {str(next(iter(r["values"].values()))) for r in rejects} >= {"12 mm", "inf"}
+    assert all(turns_of(run) is not None for run in runs)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.binary(max_size=300),
+    st.sampled_from(["t_s,angle_deg,radial_um\n", "speed_rpm,runout_um\n", "A 2026-03-02 08:00:00 1\n"]),
+)
+def test_no_file_ends_in_anything_but_a_refusal(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, head: str
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "a.csv"
+    path.write_bytes(head.encode() + content)
+    is_rotation_file(path)
+    with suppress(InputError):
+        campaign = Campaign("c", "m", "rotation", instrument={"columns": {"A": "radial_mm"}})
+        for run in read_rotation(path, campaign, {"condition": {"speed_rpm": 60.0}})[0]:
+            judged(run)
+
+
+def test_no_table_of_another_kind_is_taken_for_a_turning_axis() -> None:
+    files = [
+        p
+        for folder in ("data", "tests")
+        for p in (ROOT / folder).rglob("*")
+        if p.suffix in (".csv", ".txt", ".log", ".xlsx")
+    ]
+    assert files
+    assert [p.name for p in files if is_rotation_file(p)] == []
+    for kind in kinds():
+        if kind.name != "rotation":
+            assert {"angle_deg", "displacement_um"} - set(kind.columns)
+
+
+def test_a_table_alone_is_checked_by_the_command(tmp_path: Path) -> None:
+    path = tmp_path / "spindle.csv"
+    path.write_text(
+        table({"t_s": TIME, "angle_deg": ANGLE % 360.0, "radial_x_um": UM, "axial_um": UM}), encoding="utf-8"
+    )
+    done = CliRunner().invoke(app, ["check", str(path), "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    symbols = [[c["symbol"] for c in part["characteristics"]] for part in result["sheet"]["parts"]]
+    assert symbols == [["TIR", "e", "S", "A"], ["TIR", "e", "S", "R", "A"]]
+    said = CliRunner().invoke(app, ["check", str(path)], catch_exceptions=False).output
+    # Nothing of positioning is said of a turning axis.
+    assert not re.search(r"backlash|positioning|accuracy", said)
+    assert "S holds the form of the target" in said
