@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from dtwin.config import Home
 from dtwin.own_address import is_foreign, names_this_computer
 from dtwin.people import ROLES, Person, act_as, acting, note, read_people
-from dtwin.workbench._roles import overheard, role_for
+from dtwin.workbench._roles import OTHERWISE, overheard, role_for
 
 _READING = ("GET", "HEAD")
 _MOVE_ON = (
@@ -147,13 +147,14 @@ class Guarded:
         cookies = cookie_parser(headers.get("cookie", ""))
         person = self.access.person(cookies.get(self.access.cookie))
         allowed = person is not None
-        scope.setdefault("state", {}).update(allowed=allowed, who=None if person is None else person.name)
+        may = [] if person is None else [role for role in ROLES if person.may(role)]
+        scope.setdefault("state", {}).update(allowed=allowed, who=None if person is None else person.name, may=may)
         if scope["method"] not in _READING:
             if headers.get("origin") is None or is_foreign(headers["origin"], headers["host"]):
                 return _refusal("the request comes from another site", "use the workbench's page")
             if person is None:
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
-            role = role_for(scope["path"]) or "promote"
+            role = role_for(scope["path"]) or OTHERWISE
             if not person.may(role):
                 return _refusal(
                     f"{person.name} may not {role}", f"ask for the role: dtwin people add NAME --role {role}"

@@ -19,6 +19,7 @@ from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import bench_of
 from dtwin.workbench._jobs import Job
+from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "page.unknown", "model.unknown")
 _WORDS = {
@@ -75,6 +76,8 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
     bench = bench_of(request)
     found = _ENVIRONMENT.get_template(template).render(
         allowed=request.state.allowed,
+        may=request.state.may,
+        needed=[*NEEDED, ("", OTHERWISE)],
         path=request.url.path,
         home=str(bench.home.root),
         shared=bench.access.shared,

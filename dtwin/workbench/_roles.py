@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 from starlette.types import Message, Receive
 
-# By the begin of an address; the first that fits.
-_NEEDED = (
+NEEDED = (
     (r"/api/jobs/", "look"),
     (r"/api/live/[^/]+/stop$", "stop"),
     (r"/api/models/", "promote"),
@@ -19,13 +18,16 @@ _NEEDED = (
     (r"/api/(trays|measuring)(/|$)", "measure"),
     (r"/api/machines/[^/]+/(event|tolerance|schedule|plans)(/|$)", "measure"),
 )
+"""Roles by the begin of an address, as regular expressions that a browser understands, too; the first that fits."""
+OTHERWISE = "promote"
+"""What an address needs that nobody thought of."""
 _REASONS = ("because", "comment", "why", "note")
 _MOST = 64_000
 
 
 def role_for(path: str) -> str | None:
     """Return the role that a change at an address needs, None for an address that nobody thought of."""
-    return next((role for pattern, role in _NEEDED if re.match(pattern, path)), None)
+    return next((role for pattern, role in NEEDED if re.match(pattern, path)), None)
 
 
 def overheard(receive: Receive) -> tuple[Receive, Callable[[], str]]:

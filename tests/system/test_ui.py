@@ -19,6 +19,9 @@ from chromium import chromium
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 from workbench_server import Workbench, running_workbench
 
+from dtwin.config import Home
+from dtwin.people import add_person
+
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 PATIENCE_MS = 60_000
@@ -470,6 +473,22 @@ def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbenc
         status, text = bench.ask("/api/twins", method="POST", body=body, cookie=cookie, **given)
         assert (status, "the token is missing" in text) == (403, True)
     assert bench.ask("/?token=wrong")[0] == 403
+
+
+def test_a_person_sees_which_buttons_are_not_for_them(browser: Browser, bench: Workbench) -> None:
+    state = Home(bench.home)
+    token = add_person(state, "max", ["measure"])
+    try:
+        other = browser.new_page()
+        other.goto(f"{bench.base}/?token={token}")
+        other.goto(f"{bench.base}/campaigns/mill-backlash")
+        find = other.get_by_role("button", name="Find what these runs can tell")
+        expect(find).to_be_disabled()
+        assert "the role train" in (find.get_attribute("title") or "")
+        expect(other.get_by_role("button", name="Amend")).to_be_enabled()
+        other.close()
+    finally:
+        (state.root / "people.toml").unlink()
 
 
 @pytest.mark.parametrize("origin", ["http://example.org", "null", "http://127.0.0.1:1"])

@@ -241,6 +241,13 @@ function contentOf(form) {
   return content;
 }
 
+// Roles of who looks at the page, and which an address needs; the server decides, this only says so beforehand.
+const mine = JSON.parse(document.body.dataset.may), needed = JSON.parse(document.body.dataset.needed);
+function lacking(address) {
+  const role = needed.find(([begin]) => new RegExp(`^${begin}`).test(address))[1];
+  return mine.includes(role) ? "" : role;
+}
+
 function watchForms() {
   for (const form of all("form[data-post]")) {
     form.addEventListener("submit", (event) => {
@@ -278,9 +285,17 @@ function watchForms() {
     });
   }
   byId("work-close").addEventListener("click", () => byId("work").close());
-  if (document.body.dataset.allowed === "no") {
-    all("form[data-post] [type=submit], form[data-simple] [type=submit], form[data-save] [type=submit], .drop input, [data-forget]").forEach((part) => { part.disabled = true; });
+  const close = (part, address) => {
+    const role = lacking(address);
+    part.disabled = part.disabled || Boolean(role);
+    if (role && mine.length) part.title = `This needs the role ${role}: dtwin people add NAME --role ${role}`;
+  };
+  for (const form of all("form[data-post], form[data-simple], form[data-save]")) {
+    const address = form.dataset.post || form.dataset.simple || form.dataset.save;
+    form.querySelectorAll("[type=submit]").forEach((part) => close(part, address));
   }
+  all(".drop input").forEach((part) => close(part, "/api/trays"));
+  all("[data-forget]").forEach((part) => close(part, "/api/jobs/"));
 }
 
 async function watchJobs() {
@@ -371,7 +386,7 @@ async function entriesOf(entry, path) {
 const wanted = ([name]) => !/(^|\/)(\.|__MACOSX\/|Thumbs\.db$)/.test(name);
 
 function upload(gather) {
-  if (document.body.dataset.allowed === "no") return;
+  if (lacking("/api/trays")) return;
   start("Upload", async () => {
     const files = (await gather()).filter(wanted);
     if (!files.length) throw new Error("nothing was dropped that is a file");
