@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ _LONGEST_HEAD = 65_536
 _MOST_COMMENTS = 1000
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
+_CODED = dict.fromkeys(_TEXT_COLUMNS, pa.dictionary(pa.int32(), pa.string()))
 
 
 def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
@@ -34,7 +37,12 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
     Returns ``rejects``: rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
     """
     table = _read_table(path)
-    columns = {name: _as_array(table, name, path) for name in table.column_names}
+    columns: dict[str, NDArray[Any]] = {}
+    for name in table.column_names:
+        columns[name] = _as_array(table, name, path)
+        # What is an array need not be held as a column, too.
+        table = table.drop_columns([name])
+    pa.default_memory_pool().release_unused()
     required = kind_named(kind).columns
     missing = [name for name in required if name not in columns]
     if missing:
@@ -42,7 +50,7 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
             f"a {kind} run lacks columns",
             code="columns.missing",
             where=str(path),
-            got=", ".join(table.column_names)[:200],
+            got=", ".join(columns)[:200],
             allowed=", ".join(required),
         )
     floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
@@ -83,7 +91,10 @@ def _read_table(path: Path) -> pa.Table:
     try:
         if suffix == ".parquet":
             return pq.read_table(path, page_checksum_verification=True)
-        return pa_csv.read_csv(_source(path), **_dialect(path))
+        # In blocks, so that the file itself is never in memory; the first block alone does not tell integers from floats.
+        numbers = {name: pa.float64() for name in _names(path) if name not in _TEXT_COLUMNS}
+        with pa_csv.open_csv(_source(path), **_dialect(path, numbers)) as opened:
+            return opened.read_all()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _malformed(path, error) from error
 
@@ -103,9 +114,10 @@ def _source(path: Path) -> Path | io.BytesIO:
     return io.BytesIO(table_bytes(path, _MAX_TABLE_BYTES)) if is_spreadsheet(path) else path
 
 
-def _dialect(path: Path) -> dict[str, Any]:
+def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({})) -> dict[str, Any]:
     """Return how a file parts its columns and writes decimals, by its first line that is no comment.
 
+    ``numbers``: types of columns that are known.
     Spreadsheets of many countries part columns by semicolons and write decimal commas.
     """
     comments = 0
@@ -119,11 +131,15 @@ def _dialect(path: Path) -> dict[str, Any]:
     return {
         "read_options": pa_csv.ReadOptions(skip_rows=comments),
         "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
-        "convert_options": pa_csv.ConvertOptions(decimal_point="," if european else "."),
+        "convert_options": pa_csv.ConvertOptions(
+            decimal_point="," if european else ".", column_types={**_CODED, **numbers}
+        ),
     }
 
 
 def _malformed(path: Path, error: Exception) -> InputError:
+    if "conversion error" in str(error):
+        return _not_numeric(str(path), error)
     return InputError(
         "the table cannot be read",
         code="table.malformed",
@@ -137,13 +153,18 @@ def _malformed(path: Path, error: Exception) -> InputError:
 def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
     column = table.column(name)
     if name in _TEXT_COLUMNS:
-        return np.array(column.cast(pa.string()).to_pylist(), dtype=object)
+        # One string for all cells that say the same.
+        coded = column.cast(pa.string()).dictionary_encode(null_encoding="encode").combine_chunks()
+        words = np.array(coded.dictionary.to_pylist(), dtype=object)
+        return words[coded.indices.to_numpy()]
     try:
         return column.cast(pa.float64()).to_numpy()
     except (pa.ArrowException, ValueError) as error:
-        raise InputError(
-            "a column is not numeric", code="columns.number", where=f"{path} {name[:60]}", got=str(error)[:120]
-        ) from error
+        raise _not_numeric(f"{path} {name[:60]}", error) from error
+
+
+def _not_numeric(where: str, error: Exception) -> InputError:
+    return InputError("a column is not numeric", code="columns.number", where=where, got=str(error)[:120])
 
 
 def _drop_bad_rows(

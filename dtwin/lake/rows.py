@@ -91,17 +91,23 @@ _CONTENT = (
 )
 
 
+_PIECE = 65_536
+
+
 def columns_sha256(columns: Mapping[str, NDArray[Any]]) -> str:
     """Return a hash of columns: names, types and values."""
     digest = hashlib.sha256()
     for name in sorted(columns):
         values = columns[name]
         digest.update(f"{name} {values.dtype.str} {values.size};".encode())
-        digest.update(
-            json.dumps(values.tolist()).encode()
-            if values.dtype == object
-            else np.ascontiguousarray(values).data.cast("B")
-        )
+        if values.dtype == object:
+            # As one JSON array, in pieces that are small in memory.
+            parts = (json.dumps(values[n : n + _PIECE].tolist())[1:-1] for n in range(0, values.size, _PIECE))
+            for number, part in enumerate(parts):
+                digest.update((", " if number else "[").encode() + part.encode())
+            digest.update(b"]" if values.size else b"[]")
+        else:
+            digest.update(np.ascontiguousarray(values).data.cast("B"))
     return digest.hexdigest()
 
 

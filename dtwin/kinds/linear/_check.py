@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding
-from dtwin.kinds.linear._matrix import TARGET_MM, linear_test
+from dtwin.kinds.linear._matrix import TARGET_MM, LinearTest, linear_test
 from dtwin.schema import Finding, Floats, Run
 
 # A slide that is further off than this has lost steps, or the unit is wrong.
@@ -84,8 +84,8 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
                 {"conditions_1": 1.0},
             )
         )
-    told = [f for axis in _by_axis(runs) for f in _across_cycles(axis)]
     tests = [linear_test(axis) for axis in _by_axis(runs)]
+    told = [finding for test in tests for finding in _across_cycles(test)]
     datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
     return findings + (told or _drift(runs)) + datum
 
@@ -99,8 +99,7 @@ def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:
     return list(found.values())
 
 
-def _across_cycles(runs: Sequence[Run]) -> list[Finding]:
-    test = linear_test(runs)
+def _across_cycles(test: LinearTest) -> list[Finding]:
     if test.position_mm.size < 2:
         return []
     return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
@@ -121,7 +120,7 @@ def _missed(run: Run) -> list[Finding]:
     for way in ways:
         at = position[direction == way]
         found = _targets_of(at)
-        absent += sorted(set(np.round(wanted, 6)) - set(np.round(found, 6)))
+        absent += np.setdiff1d(np.round(wanted, 6), np.round(found, 6)).tolist()
         twice += len(at) - len(found)
     findings = []
     if absent:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Floats, Run
@@ -37,16 +38,15 @@ class LinearTest:
 def linear_test(runs: Sequence[Run]) -> LinearTest:
     """Put the readings of runs into matrices."""
     columns = [_by_target(run, way) for way in ("forward", "reverse") for run in runs]
-    everywhere = set.intersection(*(set(c) for c in columns))
-    anywhere = set.union(*(set(c) for c in columns))
-    targets = sorted(everywhere)
-    matrix = np.array([[c[t] for c in columns] for t in targets]).reshape(len(targets), len(columns))
+    anywhere, times = np.unique(np.concatenate([numbers for numbers, _ in columns]), return_counts=True)
+    targets = anywhere[times == len(columns)]
+    matrix = np.stack([errors[np.isin(numbers, targets, assume_unique=True)] for numbers, errors in columns], axis=1)
     pitch = runs[0].meta.condition.get("screw_pitch_mm")
     return LinearTest(
-        position_mm=np.array(targets, dtype=float) * TARGET_MM,
+        position_mm=targets * TARGET_MM,
         forward_um=matrix[:, : len(runs)],
         reverse_um=matrix[:, len(runs) :],
-        left_out=len(anywhere) - len(everywhere),
+        left_out=len(anywhere) - len(targets),
         pitch_mm=pitch if isinstance(pitch, float) else None,
         axis=str(runs[0].meta.condition.get("axis", "Z")),
         first=_first(runs),
@@ -60,10 +60,12 @@ def _first(runs: Sequence[Run]) -> str:
     return begun.pop() if len(begun) == 1 else ""
 
 
-def _by_target(run: Run, way: str) -> dict[int, float]:
+def _by_target(run: Run, way: str) -> tuple[NDArray[np.int64], Floats]:
+    """Return the numbers of targets, ascending, and the last error that was read at each."""
     chosen = run.samples["direction"] == way
-    numbers = np.round(run.samples["position_mm"][chosen] / TARGET_MM).astype(int)
-    return dict(zip(numbers.tolist(), run.samples["error_um"][chosen].tolist(), strict=True))
+    numbers = np.round(run.samples["position_mm"][chosen] / TARGET_MM).astype(np.int64)
+    unique, last = np.unique(numbers[::-1], return_index=True)
+    return unique, np.asarray(run.samples["error_um"][chosen][::-1][last], dtype=float)
 
 
 def other_formulas_um(forward_um: Floats, reverse_um: Floats) -> dict[str, float]:

@@ -1,0 +1,48 @@
+"""Columns of large tables: read in blocks, and the same as if read at once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire._tabular import read_columns
+from dtwin.errors import InputError
+from dtwin.lake.rows import columns_sha256
+
+# Some blocks of a megabyte.
+ROWS = 150_000
+
+
+def written(path: Path, last: str) -> Path:
+    ways = ("forward", "reverse", "forward")
+    rows = [f"{n},{n % 400},{ways[n % 3]},0" for n in range(ROWS)]
+    path.write_text("\n".join(["t_s,position_mm,direction,error_um", *rows, last]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_column_of_integers_that_ends_in_a_fraction_is_read(tmp_path: Path) -> None:
+    columns, rejects = read_columns(written(tmp_path / "a.csv", f"{ROWS},1,reverse,0.25"), "linear")
+    assert (columns["error_um"][0], columns["error_um"][-1]) == (0.0, 0.25)
+    assert columns["direction"].dtype == object
+    assert [columns["direction"][n] for n in (0, 1, 2, ROWS)] == ["forward", "reverse", "forward", "reverse"]
+    assert rejects == []
+    # One string a word, not one a row.
+    assert len({id(word) for word in columns["direction"]}) == 2
+
+
+def test_a_word_far_down_is_refused_with_its_row(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        read_columns(written(tmp_path / "a.csv", f"{ROWS},1,reverse,lost"), "linear")
+    assert refused.value.code == "columns.number"
+    assert "lost" in str(refused.value.got)
+
+
+@pytest.mark.parametrize("size", [0, 1, 3, 65_536, 65_537])
+def test_the_hash_of_words_is_that_of_one_json_array(size: int) -> None:
+    words = np.array([("forward", 'rück"wärts', None)[n % 3] for n in range(size)], dtype=object)
+    whole = f"way |O {size};".encode() + json.dumps(words.tolist()).encode()
+    assert columns_sha256({"way": words}) == hashlib.sha256(whole).hexdigest()
