@@ -13,9 +13,10 @@ from dtwin.kinds.rotation._orders import Order
 from dtwin.kinds.rotation._runout import run_outs, runout_sentences
 from dtwin.kinds.rotation._speeds import OverSpeed, Point, next_speed, over_speed, points_of
 from dtwin.report.text import decimals, table
-from dtwin.schema import Finding, Run
+from dtwin.schema import Finding, Floats, Run
 
 _LARGE = 4.0
+_MATTERS = 0.05
 _SAME_ORDER = 0.02
 _APART = 0.2
 
@@ -61,14 +62,17 @@ def _judge(found: OverSpeed) -> list[Finding]:
 
 
 def _few(found: OverSpeed, what: str, spread_um: float) -> list[Finding]:
-    said = f"{found.probe}: {what}; what it follows cannot be told with these speeds: measure at {_asked(found)} too"
+    said = f"{found.probe}: {what}; what it follows cannot be told with these speeds: measure {_asked(found)} too"
     return [Finding("rotation.few_speeds", "info", said, {"spread_um": spread_um})]
 
 
-def _asked(found: OverSpeed) -> str:
-    speed = np.array([p.speed_rpm for p in found.points])
-    again = "" if found.by_clock else ", and the lowest again at the end"
-    return f"{next_speed(speed):z.3g} rpm{again}"
+def _speeds(found: OverSpeed) -> Floats:
+    return np.array([p.speed_rpm for p in found.points])
+
+
+def _asked(found: OverSpeed, law: Law | None = None) -> str:
+    again = law is not None and TIME in law.rivals
+    return "the lowest speed again at the end" if again else f"{next_speed(_speeds(found)):z.3g} rpm"
 
 
 def _judge_once(found: OverSpeed) -> list[Finding]:
@@ -90,6 +94,10 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             if law.speeds >= 6
             else f"; whether a resonance makes it grow faster cannot be told with {law.speeds} speeds"
         )
+        if law.bent:
+            least = (
+                f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too"
+            )
         said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{least}.{delay}"
         return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
     if law.name == RESONANCE:
@@ -101,15 +109,15 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             Finding("rotation.resonance", "warning", said, {"change_um": law.change, "critical_rpm": law.critical_rpm})
         ]
     if law.name == CONSTANT:
-        if found.spread_um > _LARGE * found.noise_um:
-            said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, or few repeats"
+        size = max(abs(p.figures.once) for p in found.points)
+        if found.spread_um > max(_LARGE * found.noise_um, _MATTERS * size):
+            near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too" if law.bent else ""
+            said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
             return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
-        said = (
-            f"{found.probe}: what comes once per turn is the same at all speeds: {_mounting(found.sense)}, no unbalance"
-        )
+        said = f"{found.probe}: what comes once per turn is the same at all speeds within {found.spread_um:z.2g} µm: {_mounting(found.sense)}, no unbalance"
         return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)} measure at {_asked(found)} too.{delay}"
+    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)} measure {_asked(found, law)} too.{delay}"
     return [
         Finding(
             "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
@@ -143,7 +151,8 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
     means = [p.figures.mean_um for p in found.points]
     spread, noise = max(means) - min(means), max(p.figures.mean_k2_um for p in found.points)
     if law is None or law.name == CONSTANT:
-        if not spread > _LARGE * noise:
+        size = max(p.figures.total.um for p in found.points)
+        if not spread > max(_LARGE * noise, _MATTERS * size):
             return []
         if law is None:
             return _few(found, f"the mean reading changes by {spread:z.3g} µm", spread)
@@ -158,7 +167,7 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
         SPEED: ("rotation.mean_speed", "heat of the bearings, or a film of oil or air"),
     }.get(
         law.name,
-        ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure at {_asked(found)} too"),
+        ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure {_asked(found, law)} too"),
     )
     words = " or ".join(_WORDS[name] for name in law.rivals)
     said = f"{found.probe}: the mean reading moves by {law.change:z.3g} µm with {words}: {cause}"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
@@ -17,10 +18,12 @@ _BETTER = 0.5
 """A law must leave no more of the squares on speeds held out than this part of what the simpler one leaves."""
 _AS_GOOD = 1.5
 """A rival that leaves no more than this many times as much is not told apart."""
+_TOGETHER = 0.9
+"""Time and speed that are correlated more are not told apart, whatever is left: no drift is quite straight."""
 _CHANCE = 0.01
 _SAME_SPEED = 0.01
 _DAMPING = (0.01, 0.02, 0.05, 0.1, 0.2)
-_CRITICAL = np.geomspace(0.25, 4.0, 97)
+_CRITICAL = np.geomspace(0.25, 4.0, 385)
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ class Law:
         Distinct ones.
     critical_rpm : float
         Of a resonance; NaN without.
+    bent : bool
+        Whether a resonance fits far better than the square of the speed does, though it predicts no better.
     """
 
     name: str
@@ -52,6 +57,7 @@ class Law:
     p_value: float
     speeds: int
     critical_rpm: float = float("nan")
+    bent: bool = False
 
 
 def groups_of(speed_rpm: Floats) -> Floats:
@@ -79,7 +85,7 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
     if np.ptp(time) > 0.0:
         designs[TIME] = np.column_stack([ones, (time - time.mean()) / np.ptp(time)])
     held = {name: _held_out(design, values, group) for name, design in designs.items()}
-    critical = float("nan")
+    critical, bent = float("nan"), False
     if values.shape[1] == 2 and count >= _FEWEST_RESONANCE:
         held[RESONANCE] = _held_out_resonance(values, n, group)
     others = [name for name in held if name != CONSTANT]
@@ -89,19 +95,29 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
             fitted, shape = _resonance(values, n, ones.astype(bool))
             critical = shape * float(speed_rpm.max())
             chance[name] = _chance(values, fitted, held_dof=6, noise=noise)
+            # As if what the square of the speed leaves were to be explained.
+            square = designs[SQUARE] @ np.linalg.lstsq(designs[SQUARE], values, rcond=None)[0]
+            bent = _chance(values - square, fitted - square, held_dof=6, noise=noise) < _CHANCE
         else:
             fitted = designs[name] @ np.linalg.lstsq(designs[name], values, rcond=None)[0]
             chance[name] = _chance(values, fitted, held_dof=2 * values.shape[1], noise=noise)
     able = [name for name in others if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]]
     left = {name: float(np.sqrt(sse / values.size)) for name, sse in held.items()}
     if not able:
-        return Law(CONSTANT, (CONSTANT,), 0.0, left, min(chance.values()), count)
+        return Law(CONSTANT, (CONSTANT,), 0.0, left, min(chance.values()), count, bent=bent)
     able.sort(key=lambda name: held[name])
     # A resonance has three numbers more: it must earn them.
     if able[0] == RESONANCE and len(able) > 1 and held[RESONANCE] > _BETTER * held[able[1]]:
         able = [*able[1:], RESONANCE]
     best = able[0]
-    rivals = (best, *(name for name in able[1:] if held[name] < _AS_GOOD * held[best] and name != RESONANCE))
+    rivals = (
+        best,
+        *(
+            name
+            for name in able[1:]
+            if name != RESONANCE and (held[name] < _AS_GOOD * held[best] or _together(best, name, designs))
+        ),
+    )
     fitted = (
         _resonance(values, n, ones.astype(bool))[0]
         if best == RESONANCE
@@ -109,7 +125,14 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
     )
     change = float(max(np.linalg.norm(a - b) for a in fitted for b in fitted))
     name = best if len(rivals) == 1 else ""
-    return Law(name, rivals, change, left, chance[best], count, critical if best == RESONANCE else float("nan"))
+    return Law(name, rivals, change, left, chance[best], count, critical if best == RESONANCE else float("nan"), bent)
+
+
+def _together(one: str, other: str, designs: Mapping[str, Floats]) -> bool:
+    """Return whether one of two laws is of the time, and rose with the other."""
+    if TIME not in (one, other) or RESONANCE in (one, other):
+        return False
+    return abs(float(np.corrcoef(designs[one][:, 1], designs[other][:, 1])[0, 1])) > _TOGETHER
 
 
 def _held_out(design: Floats, values: Floats, group: Floats) -> float:
@@ -131,19 +154,19 @@ def _held_out_resonance(values: Floats, n: Floats, group: Floats) -> float:
     return total
 
 
-def _resonance(values: Floats, n: Floats, use: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> tuple[Floats, float]:
+def _resonance(values: Floats, n: Floats, use: NDArray[np.bool_]) -> tuple[Floats, float]:
     """Return values fitted by a constant and a rotor with one critical speed, and that speed (of the largest one)."""
     v = values[:, 0] + 1j * values[:, 1]
-    best, fitted, at = np.inf, v, float("nan")
-    for critical in _CRITICAL:
-        r = n / critical
-        for damping in _DAMPING:
-            design = np.column_stack([np.ones(len(n)), r**2 / (1.0 - r**2 + 2j * damping * r)])
-            found = np.linalg.lstsq(design[use], v[use], rcond=None)[0]
-            sse = float(np.sum(np.abs(v[use] - design[use] @ found) ** 2))
-            if sse < best:
-                best, fitted, at = sse, design @ found, float(critical)
-    return np.column_stack([fitted.real, fitted.imag]), at
+    critical, damping = (grid.ravel() for grid in np.meshgrid(_CRITICAL, _DAMPING))
+    r = n / critical[:, None]
+    shape = r**2 / (1.0 - r**2 + 2j * damping[:, None] * r)
+    # A straight line through complex numbers, for all shapes at once.
+    off = shape[:, use] - shape[:, use].mean(axis=1, keepdims=True)
+    moved = v[use] - v[use].mean()
+    gain = (np.conj(off) @ moved) / np.sum(np.abs(off) ** 2, axis=1)
+    best = int(np.argmin(np.sum(np.abs(moved - gain[:, None] * off) ** 2, axis=1)))
+    fitted = v[use].mean() + gain[best] * (shape[best] - shape[best, use].mean())
+    return np.column_stack([fitted.real, fitted.imag]), float(critical[best])
 
 
 def _chance(values: Floats, fitted: Floats, held_dof: int, noise: float) -> float:

@@ -136,7 +136,8 @@ def runout_sentences(told: RunOut) -> list[tuple[str, str, str]]:
                 f"{told.probe}: run-out changes by {told.law.change:z.3g} µm with {named}{more}; {no_phase}",
             )
         )
-    if told.unexplained_p < _CHANCE:
+    inside = largest not in (first, last)
+    if told.unexplained_p < _CHANCE and inside:
         text = (
             f"{told.probe}: run-out differs between speeds by more than repeats and a steady law explain, and is largest at {largest.speed_rpm:g} rpm "
             f"({max(means):z.3g} µm): a resonance looks so; measure between its neighbours"

@@ -27,7 +27,7 @@ _COVERED = 0.97725
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a probe."""
+    """One run of a probe; ``place``: among the runs of the campaign."""
 
     run_id: str
     speed_rpm: float
@@ -36,6 +36,7 @@ class Point:
     orders: tuple[Order, ...]
     phased: bool
     started: str
+    place: int
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class OverSpeed:
 def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
     """Return the sound turning runs by probe and set-up with the sense of rotation, by speed."""
     found: dict[tuple[str, str], list[Point]] = {}
-    for run in runs:
+    for place, run in enumerate(runs):
         if run.meta.condition.get("form") == OVER_SPEED or any(f.severity == "error" for f in run.findings):
             continue
         if "displacement_um" not in run.samples or (turns := turns_of(run)) is None:
@@ -85,7 +86,16 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
         key = (str(run.meta.condition.get("probe", run.meta.run_id)), run.meta.setup + way)
         phased = run.meta.condition.get("angle") != "speed"
         found.setdefault(key, []).append(
-            Point(run.meta.run_id, speed_of(run), turns, figures_of(turns), orders_of(turns), phased, run.meta.started)
+            Point(
+                run.meta.run_id,
+                speed_of(run),
+                turns,
+                figures_of(turns),
+                orders_of(turns),
+                phased,
+                run.meta.started,
+                place,
+            )
         )
     return {key: sorted(points, key=lambda p: p.speed_rpm) for key, points in found.items()}
 
@@ -102,7 +112,7 @@ def speed_of(run: Run) -> float:
 def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> OverSpeed:
     """Return what a probe follows over its speeds."""
     speed = np.array([p.speed_rpm for p in points])
-    times, by_clock = _times([p.started for p in points])
+    times, by_clock = _times(points)
     phased = all(p.phased for p in points)
     known, shift = form_shift(points) if phased else (False, np.zeros(len(points)))
     delay = _delay(speed, shift) if known else None
@@ -128,14 +138,15 @@ def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> Ove
     )
 
 
-def _times(started: Sequence[str]) -> tuple[Floats, bool]:
-    """Return when runs began in hours, and whether clocks tell; zeros without."""
+def _times(points: Sequence[Point]) -> tuple[Floats, bool]:
+    """Return when runs began in hours, and whether clocks tell it; without, their places in the campaign."""
     try:
-        at = [datetime.fromisoformat(s).timestamp() / 3600.0 for s in started]
+        at = [datetime.fromisoformat(p.started).timestamp() / 3600.0 for p in points]
     except ValueError:
-        return np.zeros(len(started)), False
-    out = np.array(at)
-    return out - out.min(), len(set(at)) == len(at)
+        at = []
+    if len(set(at)) == len(points):
+        return np.array(at) - min(at), True
+    return np.array([float(p.place) for p in points]), False
 
 
 def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
