@@ -39,7 +39,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             + " --machine NAME",
         )
     run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
-    if kind_named(kind).goes_round and "direction" not in run:
+    if kind_named(kind).goes_round and "direction" not in run and kind_named(kind).reader_of(path) is None:
         angle = read_columns(path, kind)[0]["angle_deg"]
         run["direction"] = "CCW" if angle[-1] > angle[0] else "CW"
     if told.get("axis") is not None:

@@ -291,7 +291,9 @@ def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> 
             allowed="CCW or CW",
             hint='add direction = "CCW" to the run in campaign.toml',
         )
-    if meta.direction is not None and entry.file.suffix.lower() == ".b5r":
+    if meta.direction is not None and (
+        entry.file.suffix.lower() == ".b5r" or kind_named(meta.kind).reader_of(entry.file)
+    ):
         return meta.direction
     return cast(Direction, told)
 

@@ -10,7 +10,6 @@ import csv
 import hashlib
 import io
 import json
-import math
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -20,8 +19,8 @@ from typing import Any
 
 import tomli_w
 
-from dtwin.acquire._foreign_columns import Column, all_units, columns_of, header_row, is_number
 from dtwin.acquire._lone_table import open_table, safe_name
+from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, mark_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded
@@ -35,7 +34,6 @@ _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
 _MARKS = {";": "semicolons", "\t": "tabs", ",": "commas"}
-_TIME, _ANGLE = "t_s", "angle_deg"
 
 
 @dataclass(frozen=True)
@@ -213,7 +211,7 @@ def understand(
         columns: tuple[Column, ...] = ()
         if answers or not any(kind.takes_alone(lone) for kind in kinds()):
             columns = columns_of(heads, found.units, answers)
-            plain = _converted(columns, found.body, _seconds_per_deg(columns, told, path))
+            plain = _converted(columns, found.body)
             write_text(lone, plain, "a table")
         kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -300,23 +298,6 @@ def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool
     return write_text(folder / "campaign.toml", source + tomli_w.dumps(document), "the campaign")
 
 
-def _seconds_per_deg(columns: Sequence[Column], told: Mapping[str, Any], path: Path) -> float | None:
-    """Return the time that a degree took, where a table of a circle tells none: at the programmed feed."""
-    names = {c.name for c in columns}
-    if not any(kind.goes_round and set(kind.columns) - names == {_TIME} for kind in kinds()):
-        return None
-    radius_mm, feed_mm_min = told.get("radius_mm"), told.get("feed_mm_min")
-    if not radius_mm or not feed_mm_min:
-        raise InputError(
-            "the table of a circle tells no time",
-            code="import.time",
-            where=str(path),
-            got=", ".join(sorted(names - {""})),
-            hint="--radius and --feed tell how long a degree takes; a column of time in s is better",
-        )
-    return float(math.radians(1.0) * radius_mm / (feed_mm_min / 60.0))
-
-
 def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Path) -> str:
     for kind in kinds():
         if kind.takes_alone(lone) or (columns and set(names) >= set(kind.columns)):
@@ -331,21 +312,13 @@ def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Pat
     )
 
 
-def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]], seconds_per_deg: float | None) -> str:
+def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
     kept = [(n, column) for n, column in enumerate(columns) if column.name]
     table = [[column.name for _, column in kept]]
     for row in body:
         cells = [(row[n].strip() if n < len(row) else "", column.factor) for n, column in kept]
         table.append([f"{float(cell) * factor:.12g}" if is_number(cell) else "" for cell, factor in cells])
-    return _as_csv(table if seconds_per_deg is None else _with_time(table, seconds_per_deg))
-
-
-def _with_time(table: Sequence[Sequence[str]], seconds_per_deg: float) -> list[list[str]]:
-    """Return a table of a circle with a column of time at the programmed feed."""
-    at = table[0].index(_ANGLE)
-    begun = next((float(row[at]) for row in table[1:] if row[at]), 0.0)
-    times = [f"{abs(float(row[at]) - begun) * seconds_per_deg:.12g}" if row[at] else "" for row in table[1:]]
-    return [[first, *row] for first, row in zip([_TIME, *times], table, strict=True)]
+    return _as_csv(table)
 
 
 def _as_csv(rows: Sequence[Sequence[str]]) -> str:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import plotly.graph_objects as go
 
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
+    from dtwin.kinds.kind import FileReader, TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
@@ -45,6 +47,16 @@ class _Circular(Kind):
         from dtwin.kinds.circular._machines import MACHINES
 
         return MACHINES
+
+    def reader_of(self, path: Path) -> FileReader | None:
+        from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
+
+        return read_circle_runs if is_circle_table(path) else None
+
+    def takes_alone(self, path: Path) -> bool:
+        from dtwin.kinds.circular._circle_table import is_circle_table
+
+        return is_circle_table(path)
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.circular._planned import planned

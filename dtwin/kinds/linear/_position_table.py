@@ -156,7 +156,25 @@ def _read(text: str, path: Path) -> PositionTable:
         _require_lengths(rows[:2], path)
         wide, long = wide_of(rows[0]), long_of(rows[0])
         readings += _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
-    return matrix_of(_as_they_are(readings), path)
+    table = matrix_of(_as_they_are(readings), path)
+    _require_near(table, path)
+    return table
+
+
+def _require_near(table: PositionTable, path: Path) -> None:
+    """Refuse what was taken for positions and does not follow its targets: deviations without a unit, most likely."""
+    read_um = np.hstack([table.forward_um, table.reverse_um])
+    there = np.isfinite(read_um).any(axis=1)
+    target_mm, off_mm = table.target_mm[there], np.nanmean(read_um[there], axis=1) / UM_PER_MM
+    if table.by_position and np.median(np.abs(off_mm - np.median(off_mm))) > _LITTLE * np.ptp(table.target_mm):
+        raise InputError(
+            "the readings are taken for positions, and do not follow their targets",
+            code="position_table.unit",
+            where=str(path),
+            got=f"{target_mm[-1] + off_mm[-1]:z.6g} mm at a target of {target_mm[-1]:z.6g} mm",
+            allowed="positions; or deviations whose heads say so and state the unit",
+            hint="write the unit of deviations into their heads, such as: forward 1 [µm]",
+        )
 
 
 def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:

@@ -157,6 +157,8 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
         ("target,direction,actual\n0,sideways,2\n", "sideways"),
         ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
         ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+        # Deviations in µm, of which nothing says so.
+        ("target,F1,R1\n0,0.1,4\n100,1,5\n200,2,6.2\n300,3,7\n", "5 mm at a target of 300 mm"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, got: str) -> None:

@@ -75,6 +75,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
 
 
 def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mapping[str, str]) -> tuple[Column, ...]:
+    """Return what each column is; ``answers``: names here by head, where the user told them."""
     found: list[Column] = []
     for n, head in enumerate(heads):
         column = _column(head, units[n].strip() if units is not None and n < len(units) else "", answers.get(head))
@@ -126,6 +127,7 @@ def all_units(row: Sequence[str]) -> bool:
 
 
 def is_number(cell: str) -> bool:
+    """Tell whether a cell is a finite number."""
     try:
         return math.isfinite(float(cell))
     except ValueError:

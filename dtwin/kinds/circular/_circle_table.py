@@ -1,0 +1,300 @@
+"""Tables of circles as other programs write them: no column of time, one column a direction, a radius, or two coordinates.
+
+Four forms are known by their heads, in which, or in a row below them, units stand:
+
+* an angle and a deviation under the house's names, without a time: ``angle_deg, deviation_um``;
+* an angle and a deviation for each direction: ``angle [deg], ccw [µm], cw [µm]``, with numbers behind them where a direction was repeated;
+* an angle and a measured radius: ``angle [deg], radius [mm]``;
+* two coordinates, as a grid encoder or a control records them: ``X [mm], Y [mm]``; the centre is that of the least-squares circle.
+
+Radii are told from the programmed one. Where no time is told, it follows from the programmed feed. Further columns with a unit
+stand beside, as of any table.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.errors import InputError
+from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
+from dtwin.units import UM_PER_MM
+
+SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
+_MAX_BYTES = 64 * 1024**2
+_SNIFFED = 65_536
+_FEWEST = 36
+"""Rows of a circle."""
+_LEAST_DEG, _BACK_DEG = 90.0, 20.0
+"""Shortest arc that is a run, and how far an angle runs back where the direction changes."""
+_MOST_OFF = 0.1
+"""Of the programmed radius."""
+_WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
+_ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta)$", re.I)
+_TIME = re.compile(r"^(t|time|zeit)$", re.I)
+_RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
+_COORDINATE = re.compile(r"^(actual |ist|pos(ition)? )?([xyz])([ _]?(actual|act|ist|pos|position))?$", re.I)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """Which column is which; ``ways``: direction of each deviation, where heads tell it; ``pair``: columns of two coordinates."""
+
+    angle: int | None
+    time: int | None
+    radius: int | None
+    ways: tuple[tuple[int, Direction | None], ...]
+    pair: tuple[tuple[int, str], ...]
+
+
+def is_circle_table(path: Path) -> bool:
+    """Return whether the heads of a file are those of one of the forms; it is read no further than its beginning."""
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return False
+    if is_spreadsheet(path):
+        begin = table_bytes(path, _MAX_BYTES)[:_SNIFFED]
+    else:
+        with path.open("rb") as file:
+            begin = file.read(_SNIFFED)
+    try:
+        return _form_of(_table(decoded(begin), path)[0]) is not None
+    except InputError:
+        return False
+
+
+def read_circle_runs(
+    path: Path, campaign: Campaign, stated: Mapping[str, Any]
+) -> tuple[list[Run], list[dict[str, Any]]]:
+    """Read a table of one of the forms as runs, one a direction and repeat, and its rows without a number.
+
+    ``stated``: the ``[[run]]`` entry with ``radius_mm`` and ``feed_mm_min``.
+
+    Raises
+    ------
+    InputError
+        When a unit or condition is missing, or the rows do not go round.
+    """
+    columns, body = _table(decoded(table_bytes(path, _MAX_BYTES)), path)
+    form = _form_of(columns)
+    radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
+    if form is None or not radius_mm or not feed_mm_min:
+        raise _wrong("a table of a circle needs its programmed radius and feed", path, "radius_mm, feed_mm_min", "both")
+    needed = [i for i in (form.angle, form.time, form.radius) if i is not None]
+    needed += [i for i, _ in (*form.ways, *form.pair)]
+    for i in needed:
+        if not columns[i].unit or columns[i].why_not:
+            raise _wrong(
+                "a column tells no unit that is known", path, columns[i].head, "such as ccw [µm], angle [deg], X [mm]"
+            )
+    values = {i: _numbers(body, i, columns[i]) for i in needed}
+    beside = {i: c.name for i, c in enumerate(columns) if i not in needed and c.name}
+    kept = {name: _numbers(body, i, columns[i], as_it_is=True) for i, name in beside.items()}
+    rejects = [
+        {
+            "row": n,
+            "reason": "not a number",
+            "values": {columns[i].head: body[n][i][:40] for i in needed if i < len(body[n])},
+        }
+        for n in np.flatnonzero(~np.all([np.isfinite(v) for v in values.values()], axis=0))
+    ]
+    if form.pair:
+        angle, curves = _around(form, values, stated, float(radius_mm), path)
+    else:
+        angle = _unwrapped(np.radians(values[form.angle or 0]))
+        curves = [(None, UM_PER_MM * (values[form.radius] - radius_mm))] if form.radius is not None else []
+        curves += [(way, values[i]) for i, way in form.ways]
+    runs: list[Run] = []
+    for way, deviation_um in curves:
+        good = np.isfinite(angle) & np.isfinite(deviation_um)
+        if form.time is not None:
+            good &= np.isfinite(values[form.time])
+        rows = (
+            {"angle_deg": angle, "deviation_um": deviation_um}
+            | ({} if form.time is None else {"t_s": values[form.time]})
+            | kept
+        )
+        runs += _runs({name: column[good] for name, column in rows.items()}, way, stated, str(path))
+    if not runs:
+        raise _wrong(
+            "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
+        )
+    return _counted(runs), rejects
+
+
+def _table(text: str, path: Path) -> tuple[tuple[Column, ...], list[list[str]]]:
+    rows = rows_of(text)
+    if rows and all(len(row) == 1 for row in rows):
+        # Parted by blanks, which may stand before a unit, too.
+        rows = [re.sub(r"\s+(?=[\[(])", "", row[0]).split() for row in rows]
+    begin = header_row(rows, path)
+    units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
+    return columns_of([cell.strip() for cell in rows[begin]], units, {}), rows[begin + (1 if units is None else 2) :]
+
+
+def _form_of(columns: Sequence[Column]) -> _Form | None:
+    names = [_bare(column) for column in columns]
+    first = {
+        pattern: next((i for i, n in enumerate(names) if pattern.match(n)), None)
+        for pattern in (_ANGLE, _TIME, _RADIUS)
+    }
+    ways: tuple[tuple[int, Direction | None], ...] = tuple(
+        (i, _way(name)) for i, name in enumerate(names) if _way(name)
+    )
+    ways = ways or tuple((i, None) for i, column in enumerate(columns) if column.head == "deviation_um")
+    pair = tuple(
+        (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
+    )
+    form = _Form(first[_ANGLE], first[_TIME], first[_RADIUS], ways, pair)
+    known = len(ways) + len(pair) + sum(i is not None for i in first.values())
+    lengths = all(columns[i].name.endswith("_mm") or not columns[i].unit for i, _ in pair)
+    if (
+        len({axis for _, axis in pair}) == len(pair) == 2
+        and lengths
+        and known == 2 + (form.time is not None) == len(columns)
+    ):
+        return _Form(None, form.time, None, (), pair)
+    if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
+        return None
+    if form.angle is not None and not pair and bool(ways) != (form.radius is not None):
+        return form
+    return None
+
+
+def _bare(column: Column) -> str:
+    """Return a head without its unit, in small letters, with blanks."""
+    base = re.sub(r"[\[(].*?[\])]", "", column.head).strip()
+    return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
+
+
+def _way(name: str) -> Direction | None:
+    words = [re.sub(r"\d+$", "", word) if not re.fullmatch(r"g0?[23]", word) else word for word in name.split()]
+    told = {_WAYS[word] for word in words if word in _WAYS}
+    way = told.pop() if len(told) == 1 else None
+    return "CCW" if way == "CCW" else "CW" if way == "CW" else None
+
+
+def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is: bool = False) -> Floats:
+    """Return a column in degrees, seconds, µm or, of lengths that are no deviations, mm; what is no number is NaN.
+
+    ``as_it_is``: in the unit of the column's name.
+    """
+    values = np.full(len(body), np.nan)
+    for n, row in enumerate(body):
+        try:
+            values[n] = float(row[i])
+        except (ValueError, IndexError):
+            continue
+    values[~(np.abs(values) < 1e9)] = np.nan
+    scaled = values * column.factor
+    if as_it_is:
+        return scaled
+    here = column.name.rpartition("_")[2]
+    wanted = "um" if _way(_bare(column)) or column.head == "deviation_um" else "mm"
+    return np.asarray(scaled * {("mm", "um"): UM_PER_MM, ("um", "mm"): 1.0 / UM_PER_MM}.get((here, wanted), 1.0))
+
+
+def _around(
+    form: _Form, values: Mapping[int, Floats], stated: Mapping[str, Any], radius_mm: float, path: Path
+) -> tuple[Floats, list[tuple[Direction | None, Floats]]]:
+    """Return angle and deviation of two coordinates about the centre of their least-squares circle."""
+    plane = str(stated.get("plane", ""))
+    by_axis = {axis: values[i] for i, axis in form.pair}
+    if set(plane) != set(by_axis):
+        raise _wrong(
+            "the coordinates are not those of the plane", path, " and ".join(by_axis), f"those of plane {plane}"
+        )
+    first, second = (by_axis[axis] for axis in plane)
+    good = np.isfinite(first) & np.isfinite(second)
+    if good.sum() < _FEWEST:
+        raise _wrong("there are too few rows for a circle", path, f"{int(good.sum())} rows", f"{_FEWEST} rows")
+    u, v = first[good] - first[good].mean(), second[good] - second[good].mean()
+    design = np.stack([u, v, np.ones_like(u)], axis=1)
+    (a, b, c), *_ = np.linalg.lstsq(design, u**2 + v**2, rcond=None)
+    found_mm = float(np.sqrt(max(c + (a**2 + b**2) / 4.0, 0.0)))
+    if not abs(found_mm - radius_mm) < _MOST_OFF * radius_mm:
+        raise _wrong(
+            "the coordinates lie on another circle", path, f"a radius of {found_mm:z.6g} mm", f"about {radius_mm:g} mm"
+        )
+    u, v = first - first[good].mean() - a / 2.0, second - second[good].mean() - b / 2.0
+    return _unwrapped(np.arctan2(v, u)), [(None, UM_PER_MM * (np.hypot(u, v) - radius_mm))]
+
+
+def _unwrapped(angle_rad: Floats) -> Floats:
+    """Return an angle in degrees without jumps; NaN stays where it is."""
+    out = np.full(angle_rad.size, np.nan)
+    good = np.isfinite(angle_rad)
+    out[good] = np.degrees(np.unwrap(angle_rad[good]))
+    return out
+
+
+def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str, Any], source: str) -> list[Run]:
+    """Return the stretches in which an angle runs one way; of a column whose direction its head tells, the whole, that way round."""
+    angle = rows["angle_deg"]
+    out = []
+    for part in [slice(0, angle.size)] if way is not None else _stretches(angle):
+        samples = {name: column[part] for name, column in rows.items()}
+        theta = samples["angle_deg"]
+        if theta.size < _FEWEST or float(np.ptp(theta)) < _LEAST_DEG:
+            continue
+        runs: Direction = "CCW" if theta[-1] > theta[0] else "CW"
+        findings = []
+        if way is not None and way != runs:
+            # Both directions stand over one column of angles, which runs as one of them.
+            samples = {name: column[::-1] for name, column in samples.items() if name != "t_s"}
+        if "t_s" not in samples:
+            per_deg_s = float(np.radians(1.0) * stated["radius_mm"] / (stated["feed_mm_min"] / 60.0))
+            samples["t_s"] = np.abs(samples["angle_deg"] - samples["angle_deg"][0]) * per_deg_s
+            text = "the table has no clock; its time follows from the programmed feed"
+            findings.append(Finding("clock.assumed", "info", text))
+        gap_s = float(np.median(np.diff(samples["t_s"])))
+        rate_hz = 1.0 / gap_s if gap_s > 0.0 else float("nan")
+        meta = RunMeta("", "circular", direction=way or runs, sample_rate_hz=rate_hz)
+        out.append(Run(meta, samples, source=source, findings=tuple(findings)))
+    return out
+
+
+def _stretches(angle: Floats) -> list[slice]:
+    """Return stretches between turning points; shaking by less than ``_BACK_DEG`` is none."""
+    begins, end, sign = [0], 0, 0.0
+    for n in range(1, angle.size):
+        moved = angle[n] - angle[end]
+        if sign == 0.0 and abs(moved) > _BACK_DEG:
+            sign = float(np.sign(moved))
+        if moved * sign > 0.0:
+            end = n
+        elif sign and -moved * sign > _BACK_DEG:
+            begins.append(end)
+            sign, end = -sign, n
+    return [slice(a, b) for a, b in zip(begins, [*begins[1:], angle.size], strict=True)]
+
+
+def _counted(runs: Sequence[Run]) -> list[Run]:
+    """Give each run its name and its repeat of its direction."""
+    seen: dict[Any, int] = {}
+    out = []
+    for run in runs:
+        way = run.meta.direction
+        seen[way] = seen.get(way, 0) + 1
+        name = f"{str(way).lower()}{seen[way]}"
+        out.append(replace(run, meta=replace(run.meta, run_id=name, repeat=seen[way])))
+    return out
+
+
+def _wrong(message: str, path: Path, got: str, allowed: str) -> InputError:
+    return InputError(
+        message,
+        code="circle_table.form",
+        where=str(path),
+        got=got[:120],
+        allowed=allowed,
+        hint="docs/how-to/ingest-your-own.md, tables of circles",
+    )

@@ -1,0 +1,147 @@
+"""Circles as other programs write them: a column a direction, a radius, two coordinates."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dtwin.acquire.ingest import open_source
+from dtwin.errors import InputError
+from dtwin.kinds.circular._circle_table import is_circle_table
+from dtwin.schema import Run
+
+TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
+ANGLE = np.arange(720) * 0.5 + 0.25
+
+
+def error_um(angle: np.ndarray, way: float) -> np.ndarray:
+    """A scale error, and play that turns with the direction."""
+    return 4.0 * np.cos(2 * np.radians(angle)) + 3.0 * way * np.sign(np.sin(np.radians(angle)))
+
+
+def read(path: Path, text: str, **told: Any) -> list[Run]:
+    path.write_text(text, encoding="utf-8")
+    sources = open_source(path, TOLD | told)[1]
+    return [run for runs, _ in sources for run in runs]
+
+
+def table(heads: str, *columns: np.ndarray, by: str = ",") -> str:
+    return "\n".join([heads, *(by.join(f"{v:.6f}" for v in row) for row in zip(*columns, strict=True))]) + "\n"
+
+
+def test_a_column_for_each_direction_is_a_run_that_way_round(tmp_path: Path) -> None:
+    ways = (1.0, -1.0, 1.0, -1.0)
+    heads = "angle [deg],ccw 1 [µm],cw 1 [µm],ccw 2 [µm],cw 2 [µm],air [°C]"
+    runs = read(tmp_path / "a.csv", table(heads, ANGLE, *(error_um(ANGLE, way) for way in ways), ANGLE * 0.0 + 20.0))
+    assert [(r.meta.run_id, r.meta.direction, r.meta.repeat) for r in runs] == [
+        ("a-ccw1", "CCW", 1),
+        ("a-cw1", "CW", 1),
+        ("a-ccw2", "CCW", 2),
+        ("a-cw2", "CW", 2),
+    ]
+    turn_s = 2 * np.pi * 150.0 / (1000.0 / 60.0)
+    for run, way in zip(runs, ways, strict=True):
+        angle = run.samples["angle_deg"]
+        assert np.all(np.diff(angle) * way > 0.0)
+        assert run.samples["deviation_um"] == pytest.approx(error_um(angle, way), abs=1e-5)
+        assert run.samples["t_s"][[0, -1]] == pytest.approx([0.0, turn_s * 719 / 720])
+        assert run.samples["air_c"] == pytest.approx(20.0)
+        assert [f.code for f in run.findings] == ["clock.assumed"]
+
+
+def test_a_radius_is_told_from_the_programmed_one(tmp_path: Path) -> None:
+    down = ANGLE[::-1]
+    (run,) = read(
+        tmp_path / "a.csv",
+        table("time [s];angle [deg];radius [mm]", ANGLE, down, 150.0 + error_um(down, -1.0) / 1e3, by=";"),
+    )
+    assert (run.meta.direction, run.meta.sample_rate_hz) == ("CW", pytest.approx(2.0))
+    assert run.samples["deviation_um"] == pytest.approx(error_um(down, -1.0), abs=2e-3)
+    assert run.findings == ()
+
+
+@pytest.mark.parametrize(("heads", "name", "by"), [("X [mm] Y [mm]", "a.txt", " "), ("x_mm,y_mm", "a.csv", ",")])
+def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
+    tmp_path: Path, heads: str, name: str, by: str
+) -> None:
+    angle = np.concatenate([ANGLE, ANGLE[::-1]])
+    way = np.repeat([1.0, -1.0], ANGLE.size)
+    r_mm = 150.0 + error_um(angle, way) / 1e3
+    x, y = (
+        centre + r_mm * shape
+        for centre, shape in ((812.5, np.cos(np.radians(angle))), (-40.0, np.sin(np.radians(angle))))
+    )
+    runs = read(tmp_path / name, table(heads, x, y, by=by))
+    assert [run.meta.direction for run in runs] == ["CCW", "CW"]
+    for run, sign in zip(runs, (1.0, -1.0), strict=True):
+        # The play is odd in direction: about their common centre it stays.
+        assert run.samples["deviation_um"] == pytest.approx(error_um(run.samples["angle_deg"], sign), abs=0.05)
+        assert np.ptp(run.samples["angle_deg"]) == pytest.approx(359.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "told", "got"),
+    [
+        (table("angle,ccw,cw", ANGLE, ANGLE, ANGLE), {}, "angle"),
+        (table("angle [deg],ccw,cw", ANGLE, ANGLE, ANGLE), {}, "ccw"),
+        (
+            table("x_mm,y_mm", 150 * np.cos(np.radians(ANGLE)), 150 * np.sin(np.radians(ANGLE))),
+            {"radius_mm": 100.0},
+            "a radius of 150 mm",
+        ),
+        (
+            table("x_mm,y_mm", 150 * np.cos(np.radians(ANGLE)), 150 * np.sin(np.radians(ANGLE))),
+            {"plane": "YZ"},
+            "X and Y",
+        ),
+        (table("angle [deg],radius [mm]", ANGLE[:30], ANGLE[:30]), {}, "30 rows"),
+        (table("x_mm,y_mm", ANGLE[:20], ANGLE[:20]), {}, "20 rows"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, told: dict[str, Any], got: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path / "a.csv", text, **told)
+    assert refused.value.code == "circle_table.form"
+    assert got in str(refused.value.got)
+
+
+def test_rows_without_a_number_are_told_and_left_out(tmp_path: Path) -> None:
+    lines = table("angle [deg],ccw [µm],cw [µm]", ANGLE, error_um(ANGLE, 1.0), error_um(ANGLE, -1.0)).splitlines()
+    lines[11] = "5.25,lost,1.0"
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    runs, rejected = next(iter(open_source(path, TOLD)[1]))
+    assert [run.n_samples for run in runs] == [719, 720]
+    assert [(r["row"], r["values"]["ccw [µm]"]) for part in rejected for r in part.rows] == [(10, "lost")]
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "t_s,angle_deg,deviation_um",
+        "t_s,angle_deg,deviation_um,radius_mm",
+        "t_s,x_mm,y_mm,z_mm,error_x_um",
+        "target,forward 1,reverse 1",
+        "angle_deg,x_um,y_um",
+    ],
+)
+def test_tables_of_others_are_left_to_them(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{heads}\n" + ",".join(str(n) for n in range(len(heads.split(",")))) + "\n", encoding="utf-8")
+    assert not is_circle_table(path)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=300))
+def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    path = tmp_path_factory.mktemp("any") / "a.csv"
+    path.write_bytes(b"angle [deg],ccw [um],cw [um]\n0,1,2\n" + content)
+    if is_circle_table(path):
+        with suppress(InputError):
+            list(open_source(path, TOLD)[1])
