@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table
-from dtwin.schema import Run
+from dtwin.schema import Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
 ANGLE = np.arange(720) * 0.5 + 0.25
 
 
-def error_um(angle: np.ndarray, way: float) -> np.ndarray:
+def error_um(angle: Floats, way: float | Floats) -> Floats:
     """A scale error, and play that turns with the direction."""
-    return 4.0 * np.cos(2 * np.radians(angle)) + 3.0 * way * np.sign(np.sin(np.radians(angle)))
+    return np.asarray(4.0 * np.cos(2 * np.radians(angle)) + 3.0 * way * np.sign(np.sin(np.radians(angle))))
 
 
 def read(path: Path, text: str, **told: Any) -> list[Run]:
@@ -31,7 +31,7 @@ def read(path: Path, text: str, **told: Any) -> list[Run]:
     return [run for runs, _ in sources for run in runs]
 
 
-def table(heads: str, *columns: np.ndarray, by: str = ",") -> str:
+def table(heads: str, *columns: Floats, by: str = ",") -> str:
     return "\n".join([heads, *(by.join(f"{v:.6f}" for v in row) for row in zip(*columns, strict=True))]) + "\n"
 
 
@@ -61,7 +61,8 @@ def test_a_radius_is_told_from_the_programmed_one(tmp_path: Path) -> None:
         tmp_path / "a.csv",
         table("time [s];angle [deg];radius [mm]", ANGLE, down, 150.0 + error_um(down, -1.0) / 1e3, by=";"),
     )
-    assert (run.meta.direction, run.meta.sample_rate_hz) == ("CW", pytest.approx(2.0))
+    assert run.meta.direction == "CW"
+    assert run.meta.sample_rate_hz == pytest.approx(2.0)
     assert run.samples["deviation_um"] == pytest.approx(error_um(down, -1.0), abs=2e-3)
     assert run.findings == ()
 
