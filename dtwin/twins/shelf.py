@@ -5,18 +5,14 @@ from __future__ import annotations
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
-from dtwin.physics.twin import Twin
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
 from dtwin.twins.registration import VERSIONS, log_soon, place_of
-
-if TYPE_CHECKING:
-    from dtwin.kinds.volumetric import HeatTwin
 
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""
@@ -41,7 +37,16 @@ def require_same_machine(name: str, machine: str, campaign: str, its_machine: st
         )
 
 
-def effect_there(twin: Twin | HeatTwin, effect: str, hint: str | None = None) -> InputError:
+class _Versioned(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def version(self) -> int: ...
+    @property
+    def labels(self) -> Sequence[str]: ...
+
+
+def effect_there(twin: _Versioned, effect: str, hint: str | None = None) -> InputError:
     """Return the refusal to add what a twin has."""
     return InputError(
         "the twin has this effect already",
@@ -52,7 +57,7 @@ def effect_there(twin: Twin | HeatTwin, effect: str, hint: str | None = None) ->
     )
 
 
-def effect_absent(twin: Twin | HeatTwin, effect: str) -> InputError:
+def effect_absent(twin: _Versioned, effect: str) -> InputError:
     """Return the refusal to take out what a twin does not have."""
     return InputError(
         "the twin does not have this effect",

@@ -8,42 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.errors import InputError
 from dtwin.kinds.drift._data import Loaded, load
 from dtwin.kinds.drift._diagnosis import KIND, REPLICATION, DriftDiagnosis, diagnose, drift_figures_of
 from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, finite, joined, same, written
 from dtwin.kinds.drift._model import Series, Term, fitted
-from dtwin.schema import Floats, require_name
+from dtwin.schema import Floats
 from dtwin.statistics import rms
-from dtwin.twins.shelf import TwinShelf, require_same_machine
+from dtwin.twins.shelf import require_same_machine
+from dtwin.twins.term_twins import TermTwin, TermTwins
 
-FORMAT = "dtwin-drift-twin-1"
 _MOST_RUNGS = 20
 _PLACES = 5
 
 
-@dataclass(frozen=True)
-class DriftTwin:
-    """A fitted twin of drift; ``document`` is what is stored of it."""
-
-    name: str
-    version: int
-    machine: str
-    campaign: str
-    action: str
-    terms: tuple[Term, ...]
-    figures: Mapping[str, float | None]
-    document: Mapping[str, Any]
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Terms as a user writes them."""
-        return tuple(written(term) for term in self.terms)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
-        return dict(self.document)
+class DriftTwin(TermTwin[Term]):
+    """A fitted twin of drift."""
 
     def left_um(self, series: Series) -> Floats:
         """Return what the twin leaves of a log, whose zero is fitted, shape (n,)."""
@@ -94,25 +74,30 @@ class DriftComparison:
         }
 
 
-class DriftTwins(TwinShelf):
-    """The twins of a home that are of drift."""
+class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
+    """The twins of a home that are of drift: each of the longest sound log of a campaign."""
 
-    def __init__(self, home: Home) -> None:
-        super().__init__(home, KIND)
+    named, form = KIND, "dtwin-drift-twin-1"
+    no_robust = "dtwin check stops spoilt logs"
 
-    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> DriftTwin:
-        """Fit a twin to the longest sound log of a campaign; an existing twin of that name gets a new version.
+    def loaded(self, campaign: str) -> Loaded:
+        return load(self.home, campaign)
 
-        Raises ``InputError`` when an effect or a sensor is not known, or a robust fit is asked for.
-        """
-        require_name(name, "the twin")
-        if robust:
-            raise InputError(
-                "a twin of drift has no robust fit", code="twin.robust", hint="dtwin check stops spoilt logs"
-            )
-        loaded = load(self.home, campaign)
-        terms = joined(loaded.series, (), asked(loaded.series, effects))
-        return self._store(name, loaded, terms, "fit")
+    def asked(self, loaded: Loaded, effects: Sequence[str], axis: str) -> Sequence[Term]:
+        return asked(loaded.series, effects, axis)
+
+    def label(self, term: Term) -> str:
+        return written(term)
+
+    def joined(self, loaded: Loaded, terms: Sequence[Term], more: Sequence[Term]) -> Sequence[Term]:
+        """Return terms with others; a lag takes the place of what is at once."""
+        return joined(loaded.series, terms, more)
+
+    def same(self, one: Term, other: Term) -> bool:
+        return same(one, other)
+
+    def diagnosed(self, loaded: Loaded, terms: Sequence[Term]) -> DriftDiagnosis:
+        return diagnose(loaded.series, terms)
 
     def compare(self, name: str, campaign: str | None = None) -> DriftComparison:
         """Compare a twin with the longest log of a campaign; only the zero is of that log."""
@@ -120,44 +105,6 @@ class DriftTwins(TwinShelf):
         loaded = load(self.home, campaign or twin.campaign)
         require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
         return DriftComparison(twin, loaded, twin.left_um(loaded.series))
-
-    def diagnose(self, name: str, *, seed: int = 0) -> tuple[DriftTwin, DriftDiagnosis]:
-        """Find out what a twin lacks; nothing here is random."""
-        twin = self.newest(name)
-        return twin, self._diagnosed(twin, load(self.home, twin.campaign))
-
-    def add(self, name: str, effect: str, axis: str = "") -> DriftTwin:
-        """Add an effect of a sensor, or of all, refit, and store the new version; a lag takes the place of what is at once."""
-        twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        more = [t for t in asked(loaded.series, [effect], axis) if not any(same(t, old) for old in twin.terms)]
-        if not more:
-            raise InputError(
-                "the twin has this effect already", code="twin.has_effect", where=f"twin {name}", got=effect
-            )
-        terms = joined(loaded.series, twin.terms, more)
-        return self._store(name, loaded, terms, f"add {', '.join(written(t) for t in more)}")
-
-    def remove(self, name: str, effect: str, axis: str = "") -> DriftTwin:
-        """Take an effect out, of one sensor or of all, refit, and store the new version."""
-        twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        gone = asked(loaded.series, [effect], axis)
-        kept = tuple(term for term in twin.terms if not any(same(term, one) for one in gone))
-        if len(kept) == len(twin.terms):
-            raise InputError(
-                "the twin does not have this effect",
-                code="twin.no_effect",
-                where=f"twin {name}",
-                got=effect,
-                allowed=", ".join(twin.labels) or "it has none",
-            )
-        return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}")
-
-    def restore(self, name: str, version: int) -> DriftTwin:
-        """Refit with the effects of an older version, and store that as a new one."""
-        old = self.newest(name, version)
-        return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[DriftTwin], list[tuple[str, ...]], DriftDiagnosis]:
         """Diagnose and add until nothing pays; what pays nothing beside the others is then taken out, one after the other."""
@@ -179,34 +126,9 @@ class DriftTwins(TwinShelf):
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 
-    def newest(self, name: str, version: int | None = None) -> DriftTwin:
-        """Return a version of a twin, the newest one without a number."""
-        document, path = self.newest_document(name, version)
-        try:
-            if document["format"] != FORMAT:
-                raise ValueError(f"format {document['format']}")
-            return _from(document)
-        except (KeyError, TypeError, ValueError) as error:
-            raise StoreError(
-                "this is not a twin of drift", code="twin.format", where=str(path), allowed=FORMAT, got=str(error)[:80]
-            ) from error
-
-    def _diagnosed(self, twin: DriftTwin, loaded: Loaded) -> DriftDiagnosis:
-        diagnosis = diagnose(loaded.series, twin.terms)
-        named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **diagnosis.as_dict()})
-        return diagnosis
-
-    def _store(self, name: str, loaded: Loaded, terms: Sequence[Term], action: str) -> DriftTwin:
+    def fitted(self, loaded: Loaded, terms: Sequence[Term]) -> Mapping[str, Any]:
         model = fitted(loaded.series, terms)
-        document = {
-            "format": FORMAT,
-            "kind": KIND,
-            "twin": name,
-            "version": self.next_version(name),
-            "machine": loaded.machine,
-            "campaign": loaded.campaign,
-            "action": action,
+        return {
             "effects": [
                 {
                     "effect": effect_of(t).name,
@@ -231,17 +153,12 @@ class DriftTwins(TwinShelf):
             "per_kelvin": [float(value) for value in model.value[1:]],
             "setup": {"zero_um": float(model.value[0])},
             "figures": {k: finite(v) for k, v in drift_figures_of(loaded.series, terms).items()},
-            "data": dict(loaded.data),
             "replication": REPLICATION,
         }
-        self.store(document)
-        return _from(document)
 
-
-def _from(document: Mapping[str, Any]) -> DriftTwin:
-    terms = tuple(
-        Term(EFFECTS[e["effect"]].term, f"temperature_{e['axis']}_c", float(e["time_constant_s"] or 0.0))
-        for e in document["effects"]
-    )
-    head = {key: document[key] for key in ("version", "machine", "campaign", "action")}
-    return DriftTwin(name=document["twin"], terms=terms, figures=document["figures"], document=document, **head)
+    def stored(self, document: Mapping[str, Any]) -> DriftTwin:
+        terms = tuple(
+            Term(EFFECTS[e["effect"]].term, f"temperature_{e['axis']}_c", float(e["time_constant_s"] or 0.0))
+            for e in document["effects"]
+        )
+        return DriftTwin.of(document, terms)

@@ -8,44 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
 from dtwin.kinds.poses._fit import Grams, left_mm, parameters, solve
 from dtwin.kinds.poses._series import mean_mm
 from dtwin.kinds.poses._setup import Setup
-from dtwin.schema import Floats, require_name
+from dtwin.schema import Floats
 from dtwin.statistics import rms
-from dtwin.twins.shelf import TwinShelf, require_same_machine
+from dtwin.twins.shelf import require_same_machine
+from dtwin.twins.term_twins import TermTwin, TermTwins
 
-FORMAT = "dtwin-pose-twin-1"
 _MOST_RUNGS = 40
 _PLACES = 5
 
 
-@dataclass(frozen=True)
-class PoseTwin:
-    """A fitted twin of an arm; ``document`` is what is stored of it."""
-
-    name: str
-    version: int
-    machine: str
-    campaign: str
-    action: str
-    terms: tuple[Term, ...]
-    figures: Mapping[str, float]
-    document: Mapping[str, Any]
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Terms as a user writes them."""
-        return tuple(term.label for term in self.terms)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
-        return dict(self.document)
+PoseTwin = TermTwin[Term]
+"""A fitted twin of an arm."""
 
 
 @dataclass(frozen=True)
@@ -92,24 +71,23 @@ class PoseComparison:
         }
 
 
-class PoseTwins(TwinShelf):
+class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
     """The twins of a home that are of arms."""
 
-    def __init__(self, home: Home) -> None:
-        super().__init__(home, KIND)
+    named, form = KIND, "dtwin-pose-twin-1"
+    no_robust = "dtwin check names spoilt rows"
 
-    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> PoseTwin:
-        """Fit a twin to a campaign; an existing twin of that name gets a new version.
+    def loaded(self, campaign: str) -> Loaded:
+        return load(self.home, campaign)
 
-        Raises ``InputError`` when an effect is not known, or a robust fit is asked for.
-        """
-        require_name(name, "the twin")
-        if robust:
-            raise InputError(
-                "a twin of poses has no robust fit", code="twin.robust", hint="dtwin check names spoilt rows"
-            )
-        loaded = load(self.home, campaign)
-        return self._store(name, loaded, terms_of(tuple(effects), _joints(loaded)), "fit")
+    def asked(self, loaded: Loaded, effects: Sequence[str], axis: str) -> Sequence[Term]:
+        return terms_of([f"{effect}@{axis}" if axis else effect for effect in effects], _joints(loaded))
+
+    def label(self, term: Term) -> str:
+        return term.label
+
+    def diagnosed(self, loaded: Loaded, terms: Sequence[Term]) -> PoseDiagnosis:
+        return diagnose(loaded.grams, terms)
 
     def compare(self, name: str, campaign: str | None = None) -> PoseComparison:
         """Compare a twin with measurements; frame and tool are those of the campaign."""
@@ -118,45 +96,6 @@ class PoseTwins(TwinShelf):
         require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
         same = load(self.home, loaded.campaign, _setup(twin))
         return PoseComparison(twin, loaded, applied(loaded.grams, twin.document["parameters"]), _as_fitted(twin, same))
-
-    def diagnose(self, name: str, *, seed: int = 0) -> tuple[PoseTwin, PoseDiagnosis]:
-        """Find out what a twin lacks; nothing here is random."""
-        twin = self.newest(name)
-        return twin, self._diagnosed(twin, load(self.home, twin.campaign))
-
-    def add(self, name: str, effect: str, axis: str = "") -> PoseTwin:
-        """Add an effect, of one joint or of all, refit, and store the new version."""
-        twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        more = terms_of([f"{effect}@{axis}" if axis else effect], _joints(loaded))
-        new = [term for term in more if term not in twin.terms]
-        if not new:
-            raise InputError(
-                "the twin has this effect already", code="twin.has_effect", where=f"twin {name}", got=effect
-            )
-        return self._store(name, loaded, (*twin.terms, *new), f"add {', '.join(term.label for term in new)}")
-
-    def remove(self, name: str, effect: str, axis: str = "") -> PoseTwin:
-        """Take an effect out, of one joint or of all, refit, and store the new version."""
-        twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        gone = terms_of([f"{effect}@{axis}" if axis else effect], _joints(loaded))
-        kept = tuple(term for term in twin.terms if term not in gone)
-        if len(kept) == len(twin.terms):
-            allowed = ", ".join(twin.labels) or "it has none"
-            raise InputError(
-                "the twin does not have this effect",
-                code="twin.no_effect",
-                where=f"twin {name}",
-                got=effect,
-                allowed=allowed,
-            )
-        return self._store(name, loaded, kept, f"remove {effect}")
-
-    def restore(self, name: str, version: int) -> PoseTwin:
-        """Refit with the effects of an older version, and store that as a new one."""
-        old = self.newest(name, version)
-        return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
         """Diagnose and add until no effect pays; what pays nothing beside the others at the end is taken out again."""
@@ -179,29 +118,8 @@ class PoseTwins(TwinShelf):
             said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 
-    def newest(self, name: str, version: int | None = None) -> PoseTwin:
-        """Return a version of a twin, the newest one without a number."""
-        document, path = self.newest_document(name, version)
-        if document.get("format") != FORMAT:
-            raise StoreError("this is not a twin of poses", code="twin.format", where=str(path), allowed=FORMAT)
-        return _from(document)
-
-    def _diagnosed(self, twin: PoseTwin, loaded: Loaded) -> PoseDiagnosis:
-        diagnosis = diagnose(loaded.grams, twin.terms)
-        named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **diagnosis.as_dict()})
-        return diagnosis
-
-    def _store(self, name: str, loaded: Loaded, terms: Sequence[Term], action: str) -> PoseTwin:
-        figures = {k: v if np.isfinite(v) else None for k, v in pose_figures(loaded.grams, terms).items()}
-        document = {
-            "format": FORMAT,
-            "kind": KIND,
-            "twin": name,
-            "version": self.next_version(name),
-            "machine": loaded.machine,
-            "campaign": loaded.campaign,
-            "action": action,
+    def fitted(self, loaded: Loaded, terms: Sequence[Term]) -> Mapping[str, Any]:
+        return {
             "effects": [
                 {"effect": t.effect, "axis": t.axis, "label": t.label, "title": EFFECTS[t.effect].title} for t in terms
             ],
@@ -217,12 +135,13 @@ class PoseTwins(TwinShelf):
                 for p in parameters(loaded.grams, terms)
             ],
             "setup": _setup_dict(loaded, terms),
-            "figures": figures,
-            "data": dict(loaded.data),
+            "figures": {k: v if np.isfinite(v) else None for k, v in pose_figures(loaded.grams, terms).items()},
             "replication": "block of neighbouring poses",
         }
-        self.store(document)
-        return _from(document)
+
+    def stored(self, document: Mapping[str, Any]) -> PoseTwin:
+        terms = tuple(Term(e["effect"], int(e["axis"][1:]) if e["axis"] else 0) for e in document["effects"])
+        return PoseTwin.of(document, terms)
 
 
 def applied(grams: Grams, told: Sequence[Mapping[str, Any]]) -> Floats:
@@ -273,9 +192,3 @@ def _numbered(told: Sequence[Mapping[str, Any]]) -> list[tuple[int, Mapping[str,
 
 def _joints(loaded: Loaded) -> int:
     return int(loaded.grams.series.poses.joints_rad.shape[1])
-
-
-def _from(document: Mapping[str, Any]) -> PoseTwin:
-    terms = tuple(Term(e["effect"], int(e["axis"][1:]) if e["axis"] else 0) for e in document["effects"])
-    head = {key: document[key] for key in ("version", "machine", "campaign", "action")}
-    return PoseTwin(name=document["twin"], terms=terms, figures=document["figures"], document=document, **head)

@@ -1,0 +1,162 @@
+"""Twins that are a list of terms with a size each, fitted to one campaign: the verbs that do not depend on its kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.schema import require_name
+from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there
+
+
+class _Told(Protocol):
+    def as_dict(self) -> dict[str, Any]: ...
+
+
+T = TypeVar("T")
+L = TypeVar("L")
+D = TypeVar("D", bound=_Told)
+W = TypeVar("W", bound="TermTwin[Any]")
+
+
+@dataclass(frozen=True)
+class TermTwin(Generic[T]):
+    """A fitted twin; ``document`` is what is stored of it."""
+
+    name: str
+    version: int
+    machine: str
+    campaign: str
+    action: str
+    terms: tuple[T, ...]
+    figures: Mapping[str, Any]
+    document: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any], terms: tuple[T, ...]) -> Self:
+        """Return the twin that was stored."""
+        head = {key: document[key] for key in ("version", "machine", "campaign", "action", "figures")}
+        return cls(name=document["twin"], terms=terms, document=document, **head)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Terms as a user writes them."""
+        return tuple(effect["label"] for effect in self.document["effects"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(self.document)
+
+
+class TermTwins(TwinShelf, Generic[T, L, W, D]):
+    """The twins of a home that are of one kind; a kind says what its terms are, and how they are fitted.
+
+    ``named``: the kind; ``form``: of its documents; ``no_robust``: what helps against spoilt readings instead.
+    """
+
+    named: ClassVar[str]
+    form: ClassVar[str]
+    no_robust: ClassVar[str]
+
+    def __init__(self, home: Home) -> None:
+        super().__init__(home, self.named)
+
+    def loaded(self, campaign: str) -> L:
+        """Return a campaign as it is fitted, with its ``machine``, ``campaign`` and ``data``."""
+        raise NotImplementedError
+
+    def asked(self, loaded: L, effects: Sequence[str], axis: str) -> Sequence[T]:
+        """Return the terms that a user names."""
+        raise NotImplementedError
+
+    def label(self, term: T) -> str:
+        """Return a term as a user writes it."""
+        raise NotImplementedError
+
+    def joined(self, loaded: L, terms: Sequence[T], more: Sequence[T]) -> Sequence[T]:
+        """Return terms with others."""
+        return (*terms, *more)
+
+    def same(self, one: T, other: T) -> bool:
+        """Return whether two terms are one effect."""
+        return one == other
+
+    def diagnosed(self, loaded: L, terms: Sequence[T]) -> D:
+        """Return what a twin of these terms lacks."""
+        raise NotImplementedError
+
+    def fitted(self, loaded: L, terms: Sequence[T]) -> Mapping[str, Any]:
+        """Return what is stored of a fit: ``effects``, ``parameters``, ``figures`` and what else the kind needs."""
+        raise NotImplementedError
+
+    def stored(self, document: Mapping[str, Any]) -> W:
+        """Return the twin of a document."""
+        raise NotImplementedError
+
+    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> W:
+        """Fit a twin to a campaign; an existing twin of that name gets a new version.
+
+        Raises ``InputError`` when an effect is not known, or a robust fit is asked for.
+        """
+        require_name(name, "the twin")
+        if robust:
+            raise InputError(f"a twin of {self.named} has no robust fit", code="twin.robust", hint=self.no_robust)
+        loaded = self.loaded(campaign)
+        return self._store(name, loaded, self.joined(loaded, (), self.asked(loaded, effects, "")), "fit")
+
+    def diagnose(self, name: str, *, seed: int = 0) -> tuple[W, D]:
+        """Find out what a twin lacks; nothing here is random."""
+        twin = self.newest(name)
+        return twin, self._diagnosed(twin, self.loaded(twin.campaign))
+
+    def add(self, name: str, effect: str, axis: str = "") -> W:
+        """Add an effect, of one axis or of all, refit, and store the new version."""
+        twin = self.newest(name)
+        loaded = self.loaded(twin.campaign)
+        more = [t for t in self.asked(loaded, [effect], axis) if not any(self.same(t, old) for old in twin.terms)]
+        if not more:
+            raise effect_there(twin, effect)
+        action = f"add {', '.join(map(self.label, more))}"
+        return self._store(name, loaded, self.joined(loaded, twin.terms, more), action)
+
+    def remove(self, name: str, effect: str, axis: str = "") -> W:
+        """Take an effect out, of one axis or of all, refit, and store the new version."""
+        twin = self.newest(name)
+        loaded = self.loaded(twin.campaign)
+        gone = self.asked(loaded, [effect], axis)
+        kept = [term for term in twin.terms if not any(self.same(term, one) for one in gone)]
+        if len(kept) == len(twin.terms):
+            raise effect_absent(twin, effect)
+        return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}")
+
+    def restore(self, name: str, version: int) -> W:
+        """Refit with the effects of an older version, and store that as a new one."""
+        old = self.newest(name, version)
+        return self._store(name, self.loaded(old.campaign), old.terms, f"restore v{version}")
+
+    def newest(self, name: str, version: int | None = None) -> W:
+        """Return a version of a twin, the newest one without a number."""
+        document, path = self.newest_document(name, version)
+        try:
+            if document["format"] != self.form:
+                raise ValueError(f"format {document['format']}")
+            return self.stored(document)
+        except (KeyError, TypeError, ValueError) as error:
+            told = {"where": str(path), "allowed": self.form, "got": str(error)[:80]}
+            raise StoreError(f"this is not a twin of {self.named}", code="twin.format", **told) from error
+
+    def _diagnosed(self, twin: W, loaded: L) -> D:
+        diagnosis = self.diagnosed(loaded, twin.terms)
+        named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
+        self.store_diagnosis({**named, **diagnosis.as_dict()})
+        return diagnosis
+
+    def _store(self, name: str, loaded: L, terms: Sequence[T], action: str) -> W:
+        head = {"format": self.form, "kind": self.named, "twin": name, "version": self.next_version(name)}
+        of = {key: getattr(loaded, key) for key in ("machine", "campaign", "data")}
+        document = {**head, **of, "action": action, **self.fitted(loaded, terms)}
+        self.store(document)
+        return self.stored(document)
