@@ -278,19 +278,11 @@ def bundle_on_virtual(model: str, machine: str | None) -> tuple[Path, str]:
 
 def _engine(name: str) -> Engine | None:
     """Return the engine that was asked for; None for each kind of campaign's own Operon."""
-    from dtwin.errors import MissingPart
     from dtwin.train.symbolic import PySREngine
 
     if name == "operon":
         return None
     if name == "pysr":
-        reason = PySREngine.absent()
-        if reason is not None:
-            raise MissingPart(
-                "PySR cannot be used",
-                code="pysr.absent",
-                got=reason,
-                hint="the default engine needs neither: --engine operon",
-            )
+        PySREngine.require()
         return PySREngine()
     raise InputError("no such engine", code="train.engine", got=name[:40], allowed="operon, pysr")

@@ -130,8 +130,7 @@ def add_effect(
 ) -> None:
     """Add an effect and refit: a new version."""
     twins = _twins_with(name, effects_path)
-    before = twins.newest(name)
-    _show_rung(before.figures, twins.add(name, effect, axis), as_json=as_json)
+    _show_rung(twins.newest(name), twins.add(name, effect, axis), as_json=as_json)
 
 
 @twin_app.command("remove")
@@ -144,8 +143,7 @@ def remove_effect(
 ) -> None:
     """Take an effect out and refit: a new version."""
     twins = _twins_with(name, effects_path)
-    before = twins.newest(name)
-    _show_rung(before.figures, twins.remove(name, effect, axis), as_json=as_json)
+    _show_rung(twins.newest(name), twins.remove(name, effect, axis), as_json=as_json)
 
 
 @twin_app.command("restore")
@@ -157,8 +155,7 @@ def restore_version(
 ) -> None:
     """Refit with the effects of an older version: a new version, nothing is deleted."""
     twins = _twins_with(name, effects_path)
-    before = twins.newest(name)
-    _show_rung(before.figures, twins.restore(name, version), as_json=as_json)
+    _show_rung(twins.newest(name), twins.restore(name, version), as_json=as_json)
 
 
 @twin_app.command("discover")
@@ -203,7 +200,7 @@ def learn_effect(
         said = ""
     if not as_json:
         print(f"gain on left-out conditions: {100 * gain:z.1f} %{said}")
-    _show_rung(before.figures, twin, as_json=as_json)
+    _show_rung(before, twin, as_json=as_json)
 
 
 @twin_app.command("budget")
@@ -349,16 +346,16 @@ def show_twin(
     emit(document, lambda: "\n".join([twin_text(twin), *lines]), as_json=as_json)
 
 
-def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
+def _show_rung(before: Any, twin: Any, *, as_json: bool) -> None:
     from dtwin.report.text import micrometres
     from dtwin.report.twin_of_kind import twin_text
 
     after_um = twin.figures["rms_after_um"]
-    payload = {**twin.as_dict(), "before": dict(before)}
+    payload = {**twin.as_dict(), "before": dict(before.figures)}
     emit(
         payload,
         lambda: (
-            f"{twin_text(twin)}\nthis step: {micrometres(before['rms_after_um'])} -> "
+            f"{twin_text(twin)}\nthis step: {micrometres(before.figures['rms_after_um'])} -> "
             f"{micrometres(after_um)} µm RMS\nnext: dtwin twin diagnose {twin.name}"
         ),
         as_json=as_json,

@@ -125,6 +125,18 @@ class PySREngine:
             return "no Julia on this machine (PYTHON_JULIAPKG_EXE or julia on the PATH)"
         return None
 
+    @classmethod
+    def require(cls) -> None:
+        """Raise ``MissingPart`` when PySR or Julia is absent."""
+        reason = cls.absent()
+        if reason is not None:
+            raise MissingPart(
+                "PySR cannot be used",
+                code="pysr.absent",
+                got=reason,
+                hint="the default engine needs neither: --engine operon",
+            )
+
     def arguments(self, seed: int) -> dict[str, Any]:
         """Return the arguments that PySR is called with."""
         return {
@@ -148,14 +160,7 @@ class PySREngine:
         MissingPart
             When PySR or Julia is absent.
         """
-        reason = self.absent()
-        if reason is not None:
-            raise MissingPart(
-                "PySR cannot be used",
-                code="pysr.absent",
-                got=reason,
-                hint="the default engine needs neither: --engine operon",
-            )
+        self.require()
         from pysr import PySRRegressor
 
         model = PySRRegressor(**self.arguments(seed))

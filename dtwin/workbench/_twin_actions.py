@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
@@ -78,31 +79,22 @@ def fit(request: Request, wanted: _FitRequest) -> JSONResponse:
 @router.post("/api/twins/{name}/add")
 def add(request: Request, name: str, wanted: _EffectRequest) -> JSONResponse:
     """Add an effect and refit."""
-    bench = bench_of(request)
-    twins = bench.twins_with(name)
-    twins.newest(name)
-    return _start(
-        bench,
-        f"Add {wanted.effect} {wanted.axis}".strip(),
-        name,
-        lambda: twins.add(name, wanted.effect, wanted.axis),
-        "/twins/{name}/versions",
-    )
+    return _changed(request, name, wanted, "add")
 
 
 @router.post("/api/twins/{name}/remove")
 def remove(request: Request, name: str, wanted: _EffectRequest) -> JSONResponse:
     """Take an effect out and refit."""
+    return _changed(request, name, wanted, "remove")
+
+
+def _changed(request: Request, name: str, wanted: _EffectRequest, verb: str) -> JSONResponse:
     bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name)
-    return _start(
-        bench,
-        f"Remove {wanted.effect} {wanted.axis}".strip(),
-        name,
-        lambda: twins.remove(name, wanted.effect, wanted.axis),
-        "/twins/{name}/versions",
-    )
+    title = f"{verb.capitalize()} {wanted.effect} {wanted.axis}".strip()
+    change = partial(getattr(twins, verb), name, wanted.effect, wanted.axis)
+    return _start(bench, title, name, change, "/twins/{name}/versions")
 
 
 @router.post("/api/twins/{name}/learn")

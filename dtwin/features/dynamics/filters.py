@@ -55,8 +55,8 @@ class Filter(Protocol):
 
 
 @dataclass(frozen=True)
-class RandomWalkFilter:
-    """Linear Kalman filter of a deviation that wanders, forwards only.
+class _RandomWalk:
+    """A deviation that wanders.
 
     Attributes
     ----------
@@ -71,10 +71,17 @@ class RandomWalkFilter:
     def __post_init__(self) -> None:
         _require_variances(self.q_um2, self.r_um2, self.p_um2)
 
+    def _named(self, way: str) -> str:
+        return f"{way}, random walk, Q {self.q_um2:.3g} R {self.r_um2:.3g} um2"
+
+
+class RandomWalkFilter(_RandomWalk):
+    """Linear Kalman filter of a deviation that wanders, forwards only."""
+
     @property
     def name(self) -> str:
         """What the filter is."""
-        return f"Kalman filter, random walk, Q {self.q_um2:.3g} R {self.r_um2:.3g} um2"
+        return self._named("Kalman filter")
 
     def static_um(self, deviation_um: Floats) -> Floats:
         """Return the filtered turn."""
@@ -83,27 +90,13 @@ class RandomWalkFilter:
         return np.asarray(found[len(deviation_um) :])
 
 
-@dataclass(frozen=True)
-class Smoother:
-    """Rauch-Tung-Striebel smoother of the same random walk: forwards and back, without lag.
-
-    Attributes
-    ----------
-    q_um2, r_um2, p_um2 : float
-        As for :class:`RandomWalkFilter`.
-    """
-
-    q_um2: float = PUBLISHED_Q_UM2
-    r_um2: float = PUBLISHED_R_UM2
-    p_um2: float = PUBLISHED_P_UM2
-
-    def __post_init__(self) -> None:
-        _require_variances(self.q_um2, self.r_um2, self.p_um2)
+class Smoother(_RandomWalk):
+    """Rauch-Tung-Striebel smoother of the same random walk: forwards and back, without lag."""
 
     @property
     def name(self) -> str:
         """What the filter is."""
-        return f"RTS smoother, random walk, Q {self.q_um2:.3g} R {self.r_um2:.3g} um2"
+        return self._named("RTS smoother")
 
     def static_um(self, deviation_um: Floats) -> Floats:
         """Return the smoothed turn."""
