@@ -17,7 +17,7 @@ from dtwin.kinds.circular._circle_table import is_circle_table
 from dtwin.schema import Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
-ANGLE = np.arange(720) * 0.5 + 0.25
+ANGLE: Floats = np.arange(720.0) * 0.5 + 0.25
 
 
 def error_um(angle: Floats, way: float | Floats) -> Floats:
