@@ -21,6 +21,7 @@ import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, mark_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded
@@ -30,6 +31,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 
 _MAX_BYTES = 64 * 1024**2
+_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
@@ -113,6 +115,12 @@ class Looked:
     rows: tuple[tuple[str, ...], ...]
 
 
+def read_as_it_is(path: Path) -> bool:
+    """Return whether a file needs no import: Parquet with the house's names, and forms that are no plain table."""
+    suffix = path.suffix.lower()
+    return suffix == ".parquet" or (suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds()))
+
+
 def look(path: Path, home: Home, decimal: str = "") -> Looked:
     """Return the table of a file, and what is remembered of an earlier one with its heads.
 
@@ -189,6 +197,14 @@ def understand(
     InputError
         When it is no table, or its columns are those of no kind of test.
     """
+    if read_as_it_is(path):
+        raise InputError(
+            "this file is read as it is",
+            code="import.needless",
+            where=str(path),
+            got=path.suffix,
+            hint=f"dtwin ingest {path.name} with its conditions, such as --axis X --machine NAME",
+        )
     found = look(path, home, decimal)
     heads, stored = found.heads, found.stored
     answers = {**stored.get("columns", {}), **answers}

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse
 
-from dtwin.acquire.importing import Looked, look, understand, write_folder
+from dtwin.acquire.importing import Looked, look, read_as_it_is, understand, write_folder
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.pipeline.measuring import ingest
@@ -88,8 +88,8 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
     """Return what a table of a tray is taken for; where it cannot be, its heads and the reason."""
     bench = bench_of(request)
     path = _in_tray(bench.trays.folder(tray), table.file)
-    if path.suffix.lower() == ".parquet":
-        # Its columns have the names of the house, or it is refused at ingest.
+    if read_as_it_is(path):
+        # What it is will be seen at ingest.
         return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": ""}
     found = look(path, bench.home, table.decimal)
     try:
@@ -152,7 +152,7 @@ def _ingested(bench: Bench, folder: Path, tables: Sequence[_Table], tell: Tell) 
     alone: dict[Path, Mapping[str, Any]] = {}
     for number, table in enumerate(tables):
         path = _in_tray(folder, table.file)
-        if path.suffix.lower() == ".parquet":
+        if read_as_it_is(path):
             alone[path] = table.told.as_dict()
             continue
         found = understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal)

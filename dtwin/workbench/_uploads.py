@@ -21,7 +21,7 @@ _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH = 4
 _CHUNK = 1024 * 1024
 _PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
-_ALLOWED = "a .b5r, a .csv, an .xlsx, a .zip of a campaign folder, or all files of one with its campaign.toml"
+_ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a campaign folder, or all files of one with its campaign.toml"
 
 
 class Trays:

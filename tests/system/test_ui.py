@@ -290,6 +290,22 @@ def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(pa
     expect(page.get_by_text("radius_mm stated anew, because one nought too many")).to_be_visible()
 
 
+def test_a_report_with_tables_is_read_as_it_is(page: Page, bench: Workbench) -> None:
+    table = [
+        "| target | actual 1 | actual 2 |",
+        "| --- | --- | --- |",
+        *(f"| {n} | {n}.001 | {n}.002 |" for n in (0, 10, 20)),
+    ]
+    content = "\n".join(["## Forward", *table, "", "## Reverse", *table])
+    page.goto(f"{bench.base}/campaigns")
+    page.set_input_files("#pick-files", {"name": "slide.md", "mimeType": "text/plain", "buffer": content.encode()})
+    page.get_by_label("Machine", exact=True).fill("mill-y")
+    page.get_by_label("Axis").fill("X")
+    page.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/slide")
+    expect(page.get_by_text("ISO 230-2").first).to_be_visible()
+
+
 def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Workbench, artifacts: Path) -> None:
     def drop(name: str, shift: float = 0.0) -> None:
         rows = [

@@ -319,10 +319,10 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
 
 
 def _cycle(row: Sequence[str], i: int, where: str) -> int:
-    cycle = int(_cell(row, i, where))
-    if cycle < 1:
-        raise _wrong("cycles count from 1", Path(where), str(cycle))
-    return cycle
+    cycle = _cell(row, i, where)
+    if cycle < 1 or cycle % 1:
+        raise _wrong("cycles count from 1", Path(where), f"{cycle:g}")
+    return int(cycle)
 
 
 def _cell(row: Sequence[str], i: int, where: str) -> float:

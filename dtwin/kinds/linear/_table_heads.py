@@ -19,7 +19,7 @@ _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|zie
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-_CYCLE = re.compile(r"^(cycle|run|repeat|test|zyklus|lauf|nr)", re.I)
+_CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
 _WORDS = {
     "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"},

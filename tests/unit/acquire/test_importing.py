@@ -81,6 +81,14 @@ def test_a_positioning_table_is_read_by_its_own_rules(tmp_path: Path) -> None:
     assert runs[0].samples["error_um"][:2] == pytest.approx([0.5, 1.5])
 
 
+def test_a_file_with_rules_of_its_own_needs_no_import(tmp_path: Path) -> None:
+    path = tmp_path / "slide.md"
+    path.write_text("## Forward\n\ntarget | actual 1 | actual 2\n--- | --- | ---\n0 | 0.1 | 0.2\n9 | 9.1 | 9.2\n")
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), {}, {})
+    assert refused.value.code == "import.needless"
+
+
 def test_a_number_without_a_unit_is_left_out_until_it_is_told(tmp_path: Path) -> None:
     path, home = tmp_path / "t.csv", Home(tmp_path / "home")
     path.write_text("t_s,Phi,Delta\n" + "".join(f"{n},{n * 0.01},{n % 3}e-3\n" for n in range(50)), encoding="utf-8")
