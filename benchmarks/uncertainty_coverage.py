@@ -176,6 +176,28 @@ def tested_drift(rng: RNG) -> list[Run]:
     return drift_runs(rng, float(rng.normal(0.0, TOLD["uncertainty_um"] / 2)) / 12.0, 0.3)
 
 
+def turning_runs(rng: RNG, slope: float, noise_um: float) -> list[Run]:
+    """Return 24 turns of an eccentric, oval target; a cage turns 0.41 times a turn, three lobes differ from turn to turn; a probe's scale is off."""
+    angle = 2.0 * np.arange(24.1 * 180)
+    turn, a = (angle // 360.0).astype(int), np.radians(angle)
+    loose = np.cumsum(rng.normal(0.0, 0.05, (2, 25)), axis=1) * 0.5 + rng.normal(0.0, 0.2, (2, 25))
+    moved = 8.0 * np.cos(a - 0.5) + np.cos(2.0 * a) + 0.4 * np.cos(5.0 * a + 1.0)
+    moved = moved + 0.3 * np.cos(0.41 * a + rng.uniform(0.0, 6.28))
+    moved = moved + loose[0, turn] * np.cos(3.0 * a) + loose[1, turn] * np.sin(3.0 * a)
+    samples = {
+        "t_s": angle / 6.0 / 1200.0,
+        "angle_deg": angle,
+        "displacement_um": (1.0 + slope) * moved + rng.normal(0.0, noise_um, a.size),
+    }
+    condition: dict[str, float | str] = {"probe": "radial", "sense": "radial", "angle": "encoder"}
+    return [Run(RunMeta("turns", kind="rotation", condition=condition), samples)]
+
+
+def tested_turning(rng: RNG) -> list[Run]:
+    """Return a real test: a difference as large as the total run-out is off by what the gauge's owner states."""
+    return turning_runs(rng, float(rng.normal(0.0, TOLD["uncertainty_um"] / 2)) / 18.0, 0.05)
+
+
 def figures(kind: str, runs: list[Run]) -> dict[str, tuple[float, float]]:
     """Return value and U of every figure, as a user gets them."""
     geometry = {"chain": "ur5"} if kind == "poses" else {}
@@ -190,6 +212,7 @@ TESTS: dict[str, tuple[Maker, Maker, tuple[str, ...]]] = {
     "circular": (tested_circle, lambda rng: circle_runs(rng, 0.0, 0.0, 0.4), ("D", "Fmax(CCW)", "G(CCW)", "G(b)", "H")),
     "poses": (tested_poses, lambda rng: pose_runs(rng, 0.0, 0.0, 20.0), ("AP", "AP mean", "AD", "AD rms", "RP")),
     "drift": (tested_drift, lambda rng: drift_runs(rng, 0.0, 0.3), ("d", "d(1 h)")),
+    "rotation": (tested_turning, lambda rng: turning_runs(rng, 0.0, 0.05), ("TIR", "e", "S", "A")),
 }
 
 

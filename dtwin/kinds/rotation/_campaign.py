@@ -314,10 +314,10 @@ def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]])
             "probes whose names say neither radial nor axial are evaluated as radial ones: name them, radial_x_um, axial_um"
         )
     for told in result["run_out"]:
-        cells = [[f"{g['speed_rpm']:z.5g}", f"{g['mean_um']:z.2f}", str(g["repeats"])] for g in told["speeds"]]
-        lines += ["", *table((f"{told['run']}, rpm", "run-out, µm", "repeats"), cells).splitlines()]
-        if told["repeat_um"] is not None:
-            lines.append(f"repeats scatter by {told['repeat_um']:z.3g} µm (standard deviation of one)")
+        repeats = (
+            "nothing was repeated" if told["repeat_um"] is None else f"repeats scatter by {told['repeat_um']:z.2g} µm"
+        )
+        lines.append(f"{told['run']}: {len(told['speeds'])} speeds, {repeats}")
     return [*lines, *_noticed(runs)]
 
 

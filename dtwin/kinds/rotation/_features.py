@@ -11,7 +11,8 @@ from dtwin.schema import Floats
 
 _ORDERS = 8
 _TUKEY = 4.685
-_ROUNDS = 20
+_ROUNDS = 12
+_NEAREST = 0.4
 _PEAK = 8.0
 _EDGE = 2.5
 _ERRORS = 5.0
@@ -20,6 +21,7 @@ _WIDEST_DEG = 30.0
 _MOST = 0.65
 """Part of the turn that features may take: what is left must tell the smooth form."""
 _BESIDE_DEG = 20.0
+_THIRD = 0.3
 _QUANTILE = 0.3
 _OF_NORMAL = 0.3853
 """Below it lies that part of the sizes of normal values."""
@@ -91,7 +93,7 @@ def features_of(moved_um: Floats, width_deg: float) -> tuple[Feature, ...]:
 def _smooth(mean: Floats) -> Floats:
     """Return the lowest orders of a curve; bins far off them count less.
 
-    It begins with all bins, with the lower half of each neighbourhood, and with the upper: of a surface with many gaps or teeth
+    It begins with all bins, with the lower third of each neighbourhood, and with the upper: of a surface with many gaps or teeth
     one of them lies on it. The fit that leaves the least at a third of the bins is taken.
     """
     n = len(mean)
@@ -99,21 +101,28 @@ def _smooth(mean: Floats) -> Floats:
     waves = np.arange(1, min(_ORDERS, n // 6) + 1)
     design = np.hstack([np.ones((n, 1)), np.cos(np.outer(angle, waves)), np.sin(np.outer(angle, waves))])
     reach = max(1, round(_BESIDE_DEG / 360.0 * n))
-    beside = np.array([np.median(np.take(mean, range(k - reach, k + reach + 1), mode="wrap")) for k in range(n)])
-    starts = [np.asarray(part, dtype=np.float64) for part in (np.ones(n), mean <= beside, mean >= beside)]
+    near = np.take(mean, np.arange(n)[:, None] + np.arange(-reach, reach + 1), mode="wrap")
+    low, high = np.quantile(near, (_THIRD, 1.0 - _THIRD), axis=1)
+    starts = [np.asarray(part, dtype=np.float64) for part in (np.ones(n), mean <= low, mean >= high)]
     fits = [_settled(design, mean, start) for start in starts]
     return min(fits, key=lambda fitted: _scale(mean - fitted))
 
 
 def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:
+    """Return the fit to the bins that lie nearest to it, then to all, those far off it counting less."""
+    kept = min(len(mean), max(round(_NEAREST * len(mean)), 3 * design.shape[1]))
     fitted = mean
-    for _ in range(_ROUNDS):
+    for n in range(2 * _ROUNDS):
         root = np.sqrt(weight)
         fitted = design @ np.linalg.lstsq(design * root[:, None], mean * root, rcond=None)[0]
-        scale = _scale(mean - fitted)
+        off = np.abs(mean - fitted)
+        scale = _scale(off)
         if scale <= 0.0:
             break
-        weight = np.clip(1.0 - ((mean - fitted) / (_TUKEY * scale)) ** 2, 0.0, 1.0) ** 2
+        if n < _ROUNDS:
+            weight = np.asarray(off <= np.partition(off, kept - 1)[kept - 1], dtype=np.float64)
+        else:
+            weight = np.clip(1.0 - (off / (_TUKEY * scale)) ** 2, 0.0, 1.0) ** 2
     return np.asarray(fitted)
 
 

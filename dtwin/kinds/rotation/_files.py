@@ -16,7 +16,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.rotation._heads import ANGLE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
+from dtwin.kinds.rotation._heads import ANGLE, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
 from dtwin.schema import Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
@@ -79,15 +79,16 @@ def is_log(text: str) -> bool:
     return bool(first) and 2 * sum(_LINE.match(line) is not None for line in first) > len(first)
 
 
-def read_file(path: Path, recipe: Mapping[str, Any]) -> Reading:
+def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Reading:
     """Return the channels of a file.
 
     ``recipe``: the house's name for a foreign head or channel, ``[campaign.instrument.columns]``.
+    ``needed``: ``angle_deg`` where the file is to give the angle of another one.
 
     Raises ``InputError`` when there is no probe, a unit is not told, or no row holds numbers.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
-    return _from_log(text, recipe, path) if is_log(text) else _from_table(rows_of(text), recipe, path)
+    return _from_log(text, recipe, path, needed) if is_log(text) else _from_table(rows_of(text), recipe, path, needed)
 
 
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
@@ -99,7 +100,7 @@ def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[i
                 continue
             cells = [*units, *[""] * (len(row) - len(units))]
             columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
-            if is_turning(columns) or (recipe and any(c.role == "probe" and c.factor for c in columns)):
+            if is_turning(columns) or (recipe and any(c.role == PROBE and c.factor for c in columns)):
                 return begin, columns, begin + (2 if units else 1)
     return None
 
@@ -113,15 +114,15 @@ def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
     return column_of(name) if name else Column("")
 
 
-def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path) -> Reading:
+def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
     found = _headed(rows, recipe)
     if found is None:
         found = 0, [_meant(head, recipe) for head in rows[0]] if rows else [], 1
     begin, columns, first = found
     heads = [cell.strip() for cell in rows[begin]] if rows else []
-    _require(columns, heads, path)
+    _require(columns, heads, path, needed)
     by_speed = any(c.role == RUNOUT for c in columns) or not any(c.role == TIME for c in columns)
-    probes = [n for n, c in enumerate(columns) if c.role in ("probe", RUNOUT)]
+    probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
     if by_speed and any(columns[n].role == RUNOUT for n in probes):
         probes = [n for n in probes if columns[n].role == RUNOUT]
     single = {role: n for n, c in reversed(list(enumerate(columns))) if (role := c.role) in (TIME, ANGLE, PULSE, SPEED)}
@@ -148,11 +149,12 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         reading.rejects += [
             {"row": int(r), "reason": "not a number", "values": {heads[n]: _cell(body[r], n)[:40]}} for r in bad
         ]
-    _require_rows(reading, len(body), path)
+    if needed == PROBE:
+        _require_rows(reading, len(body), path)
     return reading
 
 
-def _from_log(text: str, recipe: Mapping[str, Any], path: Path) -> Reading:
+def _from_log(text: str, recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
     """Return the channels of a log with one line a reading; names mean what ``recipe`` says."""
     stamps: dict[str, list[float]] = {}
     values: dict[str, list[float]] = {}
@@ -181,7 +183,7 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path) -> Reading:
         stamps.setdefault(name, []).append((at - origin).total_seconds())
         values.setdefault(name, []).append(number)
     columns = {name: _meant(name, recipe) for name in stamps}
-    if not any(c.role == "probe" for c in columns.values()):
+    if not any(c.role == needed for c in columns.values()):
         raise InputError(
             "a log of a turning axis does not say which of its channels is what",
             code="rotation.channels",
@@ -191,8 +193,8 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path) -> Reading:
             hint='a campaign.toml with [campaign.instrument.columns] and lines such as "CHANNEL" = "angle_deg"; '
             "docs/how-to/rotation.md",
         )
-    _require(list(columns.values()), list(columns), path)
-    probes = [name for name, c in columns.items() if c.role == "probe"]
+    _require(list(columns.values()), list(columns), path, needed)
+    probes = [name for name, c in columns.items() if c.role == PROBE]
     for name, label in zip(probes, _names([columns[n].name for n in probes]), strict=True):
         reading.probes[label] = _ordered(stamps[name], values[name], columns[name].factor)
     for name, column in columns.items():
@@ -211,10 +213,11 @@ def _ordered(t_s: Sequence[float], values: Sequence[float], factor: float) -> Ch
     return Channel(t[last], v[last])
 
 
-def _require(columns: Sequence[Column], heads: Sequence[str], path: Path) -> None:
+def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed: str) -> None:
     """Refuse a file without a probe, or with a column whose unit is not told."""
-    probes = [n for n, c in enumerate(columns) if c.role in ("probe", RUNOUT)]
-    if not probes or len(probes) > _MOST_PROBES:
+    probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
+    there = bool(probes) if needed == PROBE else any(c.role == needed for c in columns)
+    if not there or len(probes) > _MOST_PROBES:
         raise InputError(
             "a file of a turning axis lacks columns",
             code="columns.missing",

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
+PROBE = "probe"
 RUNOUT = "runout"
 """How the house's name of a column of run-out begins."""
 AXIAL = "axial"
@@ -80,7 +81,7 @@ def column_of(head: str, unit_below: str = "") -> Column:
     if _OTHER.search(words):
         return Column("")
     likely = bool(_PROBE.search(words))
-    return Column("probe", name, scale, likely) if scale or likely else Column("")
+    return Column(PROBE, name, scale, likely) if scale or likely else Column("")
 
 
 def direction_of(name: str) -> str:
@@ -94,5 +95,5 @@ def is_turning(columns: list[Column]) -> bool:
     roles = {c.role for c in columns}
     if SPEED in roles and RUNOUT in roles:
         return True
-    probe = any(c.role == "probe" and c.likely and c.factor for c in columns)
+    probe = any(c.role == PROBE and c.likely and c.factor for c in columns)
     return TIME in roles and probe and bool(roles & {ANGLE, PULSE, SPEED})

@@ -41,7 +41,7 @@ def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
     condition = stated.get("condition", {})
     log = condition.get("angle_log") if isinstance(condition, Mapping) else None
     if log is not None:
-        other = read_file(inside(path.parent, log, "condition.angle_log"), {**recipe, "": ""})
+        other = read_file(inside(path.parent, log, "condition.angle_log"), recipe, ANGLE)
         reading = _with_angle_of(reading, other)
     told = condition.get(SPEED) if isinstance(condition, Mapping) else None
     return _turning(reading, told, path), reading.rejects

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 _READING_UM = 0.5
 _MOST_DRAWN = 40
 _RADIUS_MM = 100.0
+_BASIS = {
+    "turns": "what blocks of neighbouring turns differ by (unit of replication: the block, of ten or fewer turns the turn)",
+    "table": "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)",
+}
 
 
 def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
@@ -35,18 +39,15 @@ def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         notes += sound_runs([run])[1]
         sound = not any(f.severity == "error" for f in run.findings)
         if is_over_speed(run):
-            tables += _over_speed(run, under, sound)
+            tables += pooled(_over_speed(run, under, sound))
             continue
         turns = turns_of(run)
         if turns is None:
             notes.append(f"{run.meta.run_id} is not evaluated: it has no whole turn.")
             continue
         parts.append(Part(_title(run), (run.meta.run_id,), _figures(turns, under), sound))
-    basis = (
-        "what blocks of neighbouring turns differ by (unit of replication: the block, a turn where there are ten or fewer), of a run-out over "
-        "speed what repeats differ by"
-    )
-    return Sheet("ISO 230-7, axes of rotation", "S" if parts else "TIR", (*parts, *pooled(tables)), basis, tuple(notes))
+    basis = "; ".join(_BASIS[form] for form, there in (("turns", parts), ("table", tables)) if there)
+    return Sheet("ISO 230-7, axes of rotation", "S" if parts else "TIR", (*parts, *tables), basis, tuple(notes))
 
 
 def _figures(turns: Turns, under: Circumstances) -> tuple[Characteristic, ...]:

@@ -392,3 +392,48 @@ def test_a_table_alone_is_checked_by_the_command(tmp_path: Path) -> None:
     # Nothing of positioning is said of a turning axis.
     assert not re.search(r"backlash|positioning|accuracy", said)
     assert "S holds the form of the target" in said
+
+
+def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    page = (ROOT / "docs/how-to/rotation.md").read_text(encoding="utf-8")
+    runout, command, told = re.findall(r"```(?:csv title=\"spindle.csv\"|sh|text)\n(.*?)```", page, re.S)[:3]
+    (tmp_path / "spindle.csv").write_text(runout, encoding="utf-8")
+    done = CliRunner().invoke(app, command.split()[1:], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert told.strip() in done.output
+    first, second = re.findall(r"```toml title=\"campaign.toml\"\n(.*?)```", page, re.S)
+    wheel, spindle = tmp_path / "wheel", tmp_path / "spindle"
+    for folder, document in ((spindle, first), (wheel, second)):
+        folder.mkdir()
+        (folder / "campaign.toml").write_text(document, encoding="utf-8")
+    (spindle / "3000rpm.csv").write_text(
+        table({"t_s": TIME, "angle_deg": ANGLE, "CH1": UM, "CH2": UM, "CH3": UM}), encoding="utf-8"
+    )
+    names = {"AX:PosAct": "WHEEL:PosAct", "S1:Enc": "PROBE1:Value", "S2:Enc": "PROBE2:Value"}
+    text = log_of()
+    for ours, theirs in names.items():
+        text = text.replace(ours, theirs)
+    (wheel / "20rpm.log").write_text(text, encoding="utf-8")
+    for folder, parts in ((spindle, ["n3000-radial_x", "n3000-axial"]), (wheel, ["n20-radial", "n20-axial_top"])):
+        result = json.loads(CliRunner().invoke(app, ["check", str(folder), "--json"], catch_exceptions=False).stdout)
+        assert [part["runs"][0] for part in result["sheet"]["parts"]] == parts
+    codes = set(re.findall(r"`(rotation\.\w+)`", page))
+    source = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "dtwin/kinds/rotation").glob("*.py"))
+    # What is refused stands in the refusal; what is found stands on the page.
+    found = set(re.findall(r'"(rotation\.\w+)"', source)) - set(re.findall(r'code="(rotation\.\w+)"', source))
+    assert codes == found
+
+
+def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> None:
+    lines = log_of().splitlines()
+    (tmp_path / "angle.log").write_text("\n".join(line for line in lines if line.startswith("AX")), encoding="utf-8")
+    probes = "\n".join(line for line in lines if not line.startswith("AX"))
+    whole = read(tmp_path, "\n".join(lines), CHANNELS, "whole.log")
+    apart = read(tmp_path, probes, CHANNELS, "probes.log", angle_log="angle.log")
+    for one, other in zip(whole, apart, strict=True):
+        assert other.samples["angle_deg"] == pytest.approx(one.samples["angle_deg"], abs=1e-6)
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, probes, CHANNELS, "probes.log", angle_log="../angle.log")
+    assert refused.value.code == "campaign.escape"
