@@ -7,8 +7,9 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 
 def process(pid: int | None = None) -> str:
@@ -35,6 +36,19 @@ def is_gone(stated: str) -> bool:
     if host != process(0).partition(" ")[0] or not number.isdigit():
         return False
     return process(int(number)) != stated
+
+
+def end_child(process: subprocess.Popen[Any], patience_s: float) -> int | None:
+    """Close the input of a child, which tells it to end, and wait; return its exit code, None when it had to be killed."""
+    with suppress(OSError):
+        if process.stdin is not None:
+            process.stdin.close()
+    try:
+        return process.wait(patience_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return None
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,8 @@ from dtwin.acquire._daq import AccelerometerChannel
 from dtwin.acquire._sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.features.windows import WindowContract
+from dtwin.links.opened import Closed
+from dtwin.processes import end_child
 from dtwin.schema import Floats
 
 _FILTER_SAMPLES = 40.0
@@ -31,7 +32,7 @@ _CONNECT_EXTRA_S = 15.0
 _LEAST_BLOCKS = 8
 
 
-class DaqWindows:
+class DaqWindows(Closed):
     """Delivers windows to the serving loop without waiting.
 
     ``contract``: what the model was trained on; rate and channels must be met exactly.
@@ -112,21 +113,8 @@ class DaqWindows:
     def close(self) -> None:
         """End sampling and release the modules; safe to call twice."""
         if self._process.stdin is not None and not self._process.stdin.closed:
-            self._process.stdin.close()
-            try:
-                self._process.wait(_CLOSE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            end_child(self._process, _CLOSE_S)
             os.close(self._messages)
-
-    def __enter__(self) -> DaqWindows:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _start(self, memory: int, capacity: int, setup: str) -> None:
         self._messages, theirs = os.pipe2(os.O_CLOEXEC)

@@ -7,20 +7,15 @@ from types import TracebackType
 from typing import Any, Self
 
 
-class OpenAndClose(ABC):
-    """The context manager of every instrument, line and output."""
-
-    @abstractmethod
-    def open(self) -> Any:
-        """Connect and set up."""
+class Closed(ABC):
+    """The context manager of what is open once it is made."""
 
     @abstractmethod
     def close(self) -> None:
         """Release the device."""
 
     def __enter__(self) -> Self:
-        """Open the device."""
-        self.open()
+        """Return the device."""
         return self
 
     def __exit__(
@@ -28,3 +23,16 @@ class OpenAndClose(ABC):
     ) -> None:
         """Release the device."""
         self.close()
+
+
+class OpenAndClose(Closed):
+    """The context manager of every instrument, line and output."""
+
+    @abstractmethod
+    def open(self) -> Any:
+        """Connect and set up."""
+
+    def __enter__(self) -> Self:
+        """Open the device."""
+        self.open()
+        return self

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
@@ -24,6 +23,8 @@ import numpy as np
 from dtwin.errors import DeviceError, InputError
 from dtwin.links import state as layout
 from dtwin.links._ur_memory import SharedMemory
+from dtwin.links.opened import Closed
+from dtwin.processes import end_child
 
 _CLOSE_S = 2.0
 # Beyond the driver's own limit of silence: it should have spoken.
@@ -39,7 +40,7 @@ _HINTS = {
 }
 
 
-class UrLink:
+class UrLink(Closed):
     """States from a robot controller, corrections to it.
 
     Parameters
@@ -201,25 +202,10 @@ class UrLink:
         if self._closed:
             return
         self._closed = True
-        with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
-        try:
-            self._process.wait(_CLOSE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_child(self._process, _CLOSE_S)
         for descriptor in (self._memory_file, self._state_ready, self._correction_ready, self._messages):
             os.close(descriptor)
         self._errors.close()
-
-    def __enter__(self) -> UrLink:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _require_open(self) -> None:
         if self._closed:

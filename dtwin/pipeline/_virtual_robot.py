@@ -14,6 +14,7 @@ from pathlib import Path
 
 from dtwin.errors import DeviceError
 from dtwin.links.ur_worker import RTDE_PORT
+from dtwin.processes import end_child
 
 _START_S = 60.0
 
@@ -62,13 +63,7 @@ def virtual_controller(
             _await_ready(process)
             yield host
         finally:
-            if process.stdin is not None:
-                process.stdin.close()
-            try:
-                process.wait(10)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end_child(process, 10.0)
             if process.stdout is not None:
                 process.stdout.close()
 

@@ -20,6 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
+from dtwin.processes import end_child
+
 ENDED, KILLED, GAP = "ended", "killed", "lines_lost"
 SERVING, RELEASED, NOT_RELEASED = "serving", "released", "not_released"
 LINK_LOST, RECONNECTED = "link_lost", "reconnected"
@@ -130,15 +132,7 @@ class Journal:
     def close(self, ended: str, **details: object) -> None:
         """Say goodbye and wait until everything is written; ``complete`` tells whether it was."""
         self.note(ENDED, why=ended, **details)
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError):
-            self._process.stdin.close()
-        try:
-            self.complete = self._process.wait(_CLOSE_S) == 0 and self.dropped == 0
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-            self.complete = False
+        self.complete = end_child(self._process, _CLOSE_S) == 0 and self.dropped == 0
 
 
 @contextlib.contextmanager
