@@ -23,6 +23,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("s", "sec", "sek"), ("s", 1.0)),
     "ms": ("s", 1e-3),
     "min": ("s", 60.0),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std"), ("s", 3600.0)),
     **dict.fromkeys(("°", "deg", "grad"), ("deg", 1.0)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),
@@ -93,6 +94,9 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     else:
         unit = here = _ending(head)
         base, factor = head.removesuffix(f"_{here}"), 1.0
+        before, mark, last = head.rpartition("_")
+        if not here and mark and last.lower() in _UNITS:
+            base, unit, (here, factor) = before, last, _UNITS[last.lower()]
     if answer is not None:
         if not answer:
             return Column(head, unit, "", why_not="you left it out")

@@ -53,9 +53,11 @@ def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
     known = {r.meta.run_id: series_of(r) for r in sound}
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
+    axis = {r.meta.run_id: r.meta.condition.get("axis") for r in sound}
     findings = []
     for n, name in enumerate(told):
-        others = [other for other in told if other != name and (len(told) > 2 or told.index(other) < n)]
+        alike = [other for other in told if axis[other] == axis[name]]
+        others = [other for other in alike if other != name and (len(alike) > 2 or told.index(other) < n)]
         times = [_times(models[other], known[name]) for other in others]
         times = [t for t in times if np.isfinite(t)]
         if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:

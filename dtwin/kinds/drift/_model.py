@@ -6,7 +6,7 @@ Unit of replication is the block: a stretch of time, for readings near in time e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from dtwin.statistics import t_quantile, t_tail
 
 _BLOCKS = 24
 _TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
+_FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02))
 _ALPHA = 0.05
 _MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
@@ -128,9 +129,10 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     x, y = _design(series, terms), series.moved_um
     value: Floats = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
     left = y - x @ value
-    # A jackknife over blocks: readings near in time err alike.
-    each, squares = _without_each(series, terms)
-    blocks = len(each)
+    # A jackknife over blocks: readings near in time err alike. Time constants move along, in first order, for they were fitted, too.
+    moving = [v * _by_time(series, t) for t, v in zip(terms, value[1:], strict=True) if t.tau_s]
+    each = _without_each(series, np.column_stack([x, *moving]))[0][:, : x.shape[1]]
+    squares, blocks = _without_each(series, x)[1], len(each)
     spread = (blocks - 1) / blocks * ((each - each.mean(axis=0)) ** 2).sum(axis=0)
     k2 = t_quantile(0.975, blocks - 1) * np.sqrt(spread)
     size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
@@ -202,9 +204,8 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
         others = (*terms[:i], *terms[i + 1 :])
         kinds = {"steady": ("lag",), "lag": ("lag2",)}.get(term.kind, ())
         for kind in kinds:
-            late = [Term(kind, term.channel, tau) for tau in _TAUS_S]
+            late, each = _lags(series, others, kind, term.channel)
             # The time constant is chosen on blocks that are not the one it is judged on.
-            each = np.array([_held_out(series, (*others, one)) for one in late])
             best = int(np.argmin(each.sum(axis=1)))
             nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
             tried.append((nested, (*others, late[best]), late[best], f"the lag of {term.name}"))
@@ -224,8 +225,24 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
 
 def best_lag(series: Series, others: Sequence[Term], late: Term) -> Term:
     """Return a lag with the time constant that leaves least on blocks held out, beside others."""
-    made = [Term(late.kind, late.channel, tau) for tau in _TAUS_S]
-    return min(made, key=lambda one: float(_held_out(series, (*others, one)).sum()))
+    made, each = _lags(series, others, late.kind, late.channel)
+    return made[int(np.argmin(each.sum(axis=1)))]
+
+
+def _lags(series: Series, others: Sequence[Term], kind: str, channel: str) -> tuple[list[Term], Floats]:
+    """Return lags by their time constants, and the squares that each leaves in each block, shape (lags, blocks).
+
+    Finer about the best: a time constant that is a little off leaves what looks like a curve of the sensor.
+    """
+    made: list[Term] = []
+    each: list[Floats] = []
+    tried = np.array(_TAUS_S)
+    for finer in (*_FINER, None):
+        made += [Term(kind, channel, float(tau)) for tau in tried]
+        each += [_held_out(series, (*others, one)) for one in made[len(each) :]]
+        if finer is not None:
+            tried = made[int(np.argmin(np.array(each).sum(axis=1)))].tau_s * finer
+    return made, np.array(each)
 
 
 def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
@@ -238,18 +255,24 @@ def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
     """Return what is left of each reading by terms that were fitted without its block, shape (n,)."""
     x = _design(series, terms)
-    values, _ = _without_each(series, terms)
+    values, _ = _without_each(series, x)
     return np.asarray(series.moved_um - (x * values[series.block]).sum(axis=1))
 
 
 def _held_out(series: Series, terms: Sequence[Term]) -> Floats:
     """Return the squares that are left in each block when it was held out, µm²."""
-    return _without_each(series, terms)[1]
+    return _without_each(series, _design(series, terms))[1]
 
 
-def _without_each(series: Series, terms: Sequence[Term]) -> tuple[Floats, Floats]:
-    """Return the values fitted without each block, and the squares that they leave in it."""
-    x, y = _design(series, terms), series.moved_um
+def _by_time(series: Series, late: Term) -> Floats:
+    """Return the derivative of the column of a lag by the logarithm of its time constant."""
+    step = 0.01
+    return (series.column(replace(late, tau_s=late.tau_s * (1.0 + step))) - series.column(late)) / step
+
+
+def _without_each(series: Series, x: Floats) -> tuple[Floats, Floats]:
+    """Return the values of the columns ``x`` fitted without each block, and the squares that they leave in it."""
+    y = series.moved_um
     blocks = int(series.block.max()) + 1
     values, squares = np.empty((blocks, x.shape[1])), np.empty(blocks)
     for block in range(blocks):

@@ -1,27 +1,35 @@
-"""Logs of a displacement beside temperatures, under the headers that they come with.
+"""Logs of displacements beside temperatures, under the headers that they come with.
 
-``[campaign.instrument.columns]`` names the house's column for a foreign header: ``"frame_t" = "temperature_frame_c"``. A
-displacement in steps needs ``step_mm``, of the run's ``condition``, of the instrument, or in a comment of the file.
+``[campaign.instrument.columns]`` names the house's column for a foreign header: ``"frame_t" = "temperature_frame_c"``. Other headers
+say what they are by their units, in the header or in a row below: a length is a displacement, °C a temperature. Each displacement is
+a run. A displacement in steps needs ``step_mm``, of the run's ``condition``, of the instrument, or in a comment of the file.
 """
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.acquire.foreign_columns import all_units, columns_of
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 
 _MOST_BYTES = 256 * 1024**2
-_UM_PER: Mapping[str, float] = {"displacement_um": 1.0, "displacement_mm": 1e3}
+SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
+_SNIFFED = 65_536
+_MOVED = re.compile(r"(displacement|deviation|verlagerung|[xyz])(_\w+)?_um", re.I)
+_OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
+_STAMP = re.compile(r"(time ?_?stamp|date ?_?time|date|datum|zeitstempel|time|zeit)", re.I)
 _STEPS = "displacement_step"
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _SAME = 1e-6
@@ -35,49 +43,95 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
 
     Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
     """
-    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
-    rows = list(csv.reader(lines, delimiter=";" if semicolon else ","))
+    text = decoded(table_bytes(path, _MOST_BYTES))
+    rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
-    heads = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
-    body = [row for row in rows[1:] if len(row) == len(heads)]
+    units = rows[1] if len(rows) > 1 and all_units(rows[1]) else None
+    heads, factors = _named(rows[0] if rows else [], units, recipe)
+    body = [row for row in rows[1 if units is None else 2 :] if len(row) == len(heads)]
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
+    scales = dict(zip(heads, factors, strict=True))
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]
-    moved = next((name for name in (*_UM_PER, _STEPS) if name in column), None)
-    if moved is None or not temperatures or "t_s" not in column or not body:
+    moved = [name for name in heads if name == _STEPS or _MOVED.fullmatch(name)]
+    if not moved or not temperatures or "t_s" not in column or not body:
         raise InputError(
             "a log of drift lacks columns",
             code="columns.missing",
             where=str(path),
             got=", ".join(rows[0])[:200] if rows else "nothing",
-            allowed=f"t_s, {', '.join(_UM_PER)} or {_STEPS}, and temperature_NAME_c",
+            allowed=f"a time, a displacement in µm, mm or as {_STEPS}, and a temperature in °C: t_s, displacement_um, temperature_NAME_c",
             hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
-    findings: list[Finding] = []
-    scale = _UM_PER.get(moved, 0.0)
-    if moved not in _UM_PER:
-        step, contradiction = _step_mm(path, text, campaign, stated)
-        scale = 1e3 * step
-        findings += contradiction
-    samples = {"t_s": _seconds(column["t_s"], path), "displacement_um": _numbers(column[moved], semicolon) * scale}
-    samples |= {name: _numbers(column[name], semicolon) for name in temperatures}
+    shared: dict[str, Floats] = {"t_s": _seconds(column["t_s"], path) * scales["t_s"]}
+    shared |= {name: _numbers(column[name]) for name in temperatures}
     if "sample" in column:
-        samples["sample_1"] = _numbers(column["sample"], semicolon)
+        shared["sample_1"] = _numbers(column["sample"])
+    cold: list[Finding] = []
     for name in temperatures:
-        if np.nanmax(samples[name]) < _COLDEST_C:
+        if np.nanmax(shared[name], initial=-np.inf) < _COLDEST_C:
             said = f"{name} reads below {_COLDEST_C:g} °C throughout: no sensor is connected, and it is left out"
-            findings.append(Finding("drift.no_sensor", "warning", said))
-            del samples[name]
-    good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
-    if not good.any():
-        raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
-    rejects = [{"row": int(r), "reason": "not finite", "values": {}} for r in np.flatnonzero(~good)]
-    kept = {name: values[good] for name, values in samples.items()}
-    kept["t_s"] = kept["t_s"] - kept["t_s"][0]
-    kept["displacement_um"] = kept["displacement_um"] - kept["displacement_um"][0]
-    meta = RunMeta(run_id="log", kind="drift", sample_rate_hz=float("nan"))
-    return [Run(meta, kept, source=str(path), findings=tuple(findings))], rejects
+            cold.append(Finding("drift.no_sensor", "warning", said))
+            del shared[name]
+    runs, rejects = [], []
+    for name in moved:
+        scale, findings = scales[name], list(cold)
+        if name == _STEPS:
+            step, contradiction = _step_mm(path, text, campaign, stated)
+            scale = 1e3 * step
+            findings = [*contradiction, *cold]
+        samples = shared | {"displacement_um": _numbers(column[name]) * scale}
+        good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
+        if not good.any():
+            raise InputError("no row holds finite numbers", code="table.no_rows", where=f"{path} {name}")
+        rejects += [{"row": int(r), "reason": "not finite", "values": {"column": name}} for r in np.flatnonzero(~good)]
+        kept = {column_name: values[good] for column_name, values in samples.items()}
+        kept["t_s"] = kept["t_s"] - kept["t_s"][0]
+        kept["displacement_um"] = kept["displacement_um"] - kept["displacement_um"][0]
+        # The axis that moved may stand in the header, where there are several.
+        told = name.split("_")[0]
+        condition = {"axis": told.upper()} if len(moved) > 1 and told in ("x", "y", "z") else {}
+        run_id = "log" if len(moved) == 1 else told
+        meta = RunMeta(run_id=run_id, kind="drift", condition=condition, sample_rate_hz=float("nan"))
+        runs.append(Run(meta, kept, source=str(path), findings=tuple(findings)))
+    return runs, rejects
+
+
+def is_drift_log(path: Path) -> bool:
+    """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return False
+    if is_spreadsheet(path):
+        begin = table_bytes(path, _MOST_BYTES)[:_SNIFFED]
+    else:
+        with path.open("rb") as file:
+            begin = file.read(_SNIFFED)
+    rows = rows_of(decoded(begin))
+    if len(rows) < 2:
+        return False
+    heads, _ = _named(rows[0], rows[1] if all_units(rows[1]) else None, {})
+    told = {name for name in heads if name == _STEPS or _MOVED.fullmatch(name)}
+    # A log of something else may hold temperatures, too.
+    others = any(_OF_OTHERS.match(name) for name in heads)
+    return "t_s" in heads and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
+
+
+def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> tuple[list[str], list[float]]:
+    """Return the house's names of columns, and the factors to their units: µm of displacements, s, °C."""
+    plain = [cell.strip() for cell in row]
+    names, factors = [], []
+    for head, column in zip(plain, columns_of(plain, units, {}), strict=True):
+        name, factor = str(recipe.get(head, head)), 1.0
+        if head not in recipe and column.name:
+            name, factor = column.name, column.factor
+        if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
+            name = f"temperature_{name}"
+        elif _STAMP.fullmatch(name):
+            name = "t_s"
+        elif name.endswith("_mm"):
+            name, factor = f"{name.removesuffix('_mm')}_um", factor * 1e3
+        names.append(name)
+        factors.append(factor)
+    return names, factors
 
 
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:
@@ -110,19 +164,17 @@ def _number_or_none(text: str) -> float | None:
         return None
 
 
-def _numbers(cells: Sequence[str], comma: bool) -> Floats:
+def _numbers(cells: Sequence[str]) -> Floats:
     out = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
-        try:
-            out[i] = float(cell.replace(",", ".") if comma else cell)
-        except ValueError:
-            continue
+        with suppress(ValueError):
+            out[i] = float(cell)
     return out
 
 
 def _seconds(cells: Sequence[str], path: Path) -> Floats:
     """Return times in seconds: numbers, ISO 8601, or a stamp of a known form."""
-    numbers = _numbers(cells, True)
+    numbers = _numbers(cells)
     if np.isfinite(numbers).all():
         return numbers
     for form in (None, *_STAMPS):

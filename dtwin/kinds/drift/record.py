@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import plotly.graph_objects as go
 
     from dtwin.config import Home
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 class _Drift(Kind):
     name = "drift"
     columns = ("t_s", "displacement_um")
+    stated = ()
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
     always_fitted = "Where the zero of the log lies."
@@ -44,12 +47,15 @@ class _Drift(Kind):
 
         return MACHINES
 
-    @property
-    def readers(self) -> Mapping[str, FileReader]:
-        from dtwin.acquire.spreadsheet import SUFFIXES
-        from dtwin.kinds.drift._read import read_drift
+    def reader_of(self, path: Path) -> FileReader | None:
+        from dtwin.kinds.drift._read import SUFFIXES, read_drift
 
-        return dict.fromkeys((".csv", *SUFFIXES), read_drift)
+        return read_drift if path.suffix.lower() in SUFFIXES else None
+
+    def takes_alone(self, path: Path) -> bool:
+        from dtwin.kinds.drift._read import is_drift_log
+
+        return is_drift_log(path)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.drift._check import judge_drift

@@ -13,6 +13,7 @@ from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._model import Series, Term, fitted, missing, series_of, steady
+from dtwin.kinds.drift._read import is_drift_log
 from dtwin.schema import Run
 
 HEAD = """[campaign]
@@ -158,3 +159,48 @@ def test_a_model_fits_as_least_squares_do() -> None:
     terms = [Term("steady", "temperature_frame_c"), Term("steady", "temperature_bed_c")]
     x = np.column_stack([np.ones(len(made.t_s)), *made.temperatures_c.values()])
     assert fitted(made, terms).value == pytest.approx(np.linalg.lstsq(x, made.moved_um, rcond=None)[0], rel=1e-6)
+
+
+def test_a_lag_of_any_time_leaves_no_other_name() -> None:
+    # Where the time constant is a little off, the rest looks like a curve of the sensor.
+    right = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        t_s = 60.0 * np.arange(480.0)
+        warm = 6.0 * (1.0 - np.exp(-t_s / 5400.0))
+        tau_s = 60.0 * float(rng.uniform(5.0, 90.0))
+        late = np.zeros_like(t_s)
+        for i in range(1, t_s.size):
+            late[i] = late[i - 1] + (warm[i] - late[i - 1]) * -np.expm1(-60.0 / tau_s)
+        moved = 1.4 * late + rng.normal(0.0, 0.1, t_s.size)
+        made = Series(t_s, moved, {"temperature_spindle_c": 20.0 + warm + rng.normal(0.0, 0.02, t_s.size)}, None)
+        right += [step.said for step in missing(made, steady(made))] == ["the lag of spindle"]
+    assert right >= 38
+
+
+def test_foreign_heads_say_by_their_units_what_they_are(tmp_path: Path) -> None:
+    t_s, _, moved, skin, bed = machine(0)
+    rows = np.column_stack([t_s / 60.0, 0.5 * moved / 1e3, moved, skin, bed])
+    lines = [";".join(f"{v:.7f}".replace(".", ",") for v in row) for row in rows]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Zeit [min];X [mm];Z [µm];Rahmen [°C];bed_c", *lines]), encoding="utf-8")
+    x, z = [run for runs, _ in open_source(path, {"machine": "mill-1"})[1] for run in runs]
+    assert [(run.meta.run_id, run.meta.condition) for run in (x, z)] == [
+        ("log-x", {"axis": "X"}),
+        ("log-z", {"axis": "Z"}),
+    ]
+    assert z.samples["t_s"] == pytest.approx(t_s - t_s[0], abs=1e-4)
+    assert z.samples["displacement_um"] == pytest.approx(moved - moved[0], abs=1e-4)
+    assert x.samples["displacement_um"] == pytest.approx(0.5 * (moved - moved[0]), abs=1e-3)
+    assert {"temperature_rahmen_c", "temperature_bed_c"} <= set(z.samples)
+    # Two axes of one machine differ; that is no wrong unit.
+    assert judge_campaign_drift([x, z]) == []
+
+
+@pytest.mark.parametrize(
+    "heads", ["t_s,angle_deg,deviation_um,air_c", "t_s,error_x_um,error_y_um,air_c", "position_mm,x_um,air_c"]
+)
+def test_tables_of_others_with_temperatures_are_left_to_them(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{heads}\n1,2,3,4\n", encoding="utf-8")
+    assert not is_drift_log(path)
