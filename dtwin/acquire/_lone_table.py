@@ -32,7 +32,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             where=str(path),
             got=", ".join(sorted(k for k, v in told.items() if v is not None)) or "the file alone",
             allowed="" if needed is None else "with " + ", ".join(needed),
-            hint="name it in a campaign.toml: docs/how-to/ingest-your-own.md"
+            hint=f'name it in a campaign.toml with kind = "{kind}": docs/how-to/ingest-your-own.md'
             if needed is None
             else f"dtwin ingest {path.name} "
             + " ".join(f"--{name.split('_')[0]} {_EXAMPLE[name]}" for name in needed)

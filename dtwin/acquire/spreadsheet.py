@@ -10,6 +10,7 @@ from datetime import date, datetime
 from functools import lru_cache
 from pathlib import Path
 
+from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
@@ -17,6 +18,7 @@ SUFFIXES = (".xlsx", ".xlsm")
 _MAX_BYTES = 32 * 1024**2
 # Unpacked: a small archive may be a bomb.
 _MAX_UNPACKED = 256 * 1024**2
+_SNIFFED = 65_536
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
 
 
@@ -44,6 +46,14 @@ def table_bytes(path: Path, max_bytes: int) -> bytes:
         return read_bounded(path, max_bytes)
     require_bounded(path, _MAX_BYTES)
     return _converted(path, path.stat().st_mtime_ns)
+
+
+def first_text(path: Path, max_bytes: int) -> str:
+    """Return the beginning of a table as text, by which its form is known; ``max_bytes``: limit of a spreadsheet."""
+    if is_spreadsheet(path):
+        return decoded(table_bytes(path, max_bytes)[:_SNIFFED])
+    with path.open("rb") as file:
+        return decoded(file.read(_SNIFFED))
 
 
 @lru_cache(maxsize=4)

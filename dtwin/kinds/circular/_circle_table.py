@@ -23,7 +23,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
@@ -31,7 +31,6 @@ from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
 _MAX_BYTES = 64 * 1024**2
-_SNIFFED = 65_536
 _FEWEST = 36
 """Rows of a circle."""
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
@@ -60,13 +59,8 @@ def is_circle_table(path: Path) -> bool:
     """Return whether the heads of a file are those of one of the forms; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    if is_spreadsheet(path):
-        begin = table_bytes(path, _MAX_BYTES)[:_SNIFFED]
-    else:
-        with path.open("rb") as file:
-            begin = file.read(_SNIFFED)
     try:
-        return _form_of(_table(decoded(begin), path)[0]) is not None
+        return _form_of(_table(first_text(path, _MAX_BYTES), path)[0]) is not None
     except InputError:
         return False
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import all_units, columns_of
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -26,7 +26,6 @@ from dtwin.units import is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
-_SNIFFED = 65_536
 _MOVED = re.compile(r"(displacement|deviation|verlagerung|[xyz])(_\w+)?_um", re.I)
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _STAMP = re.compile(r"(time ?_?stamp|date ?_?time|date|datum|zeitstempel|time|zeit)", re.I)
@@ -100,12 +99,7 @@ def is_drift_log(path: Path) -> bool:
     """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    if is_spreadsheet(path):
-        begin = table_bytes(path, _MOST_BYTES)[:_SNIFFED]
-    else:
-        with path.open("rb") as file:
-            begin = file.read(_SNIFFED)
-    rows = rows_of(decoded(begin))
+    rows = rows_of(first_text(path, _MOST_BYTES))
     if len(rows) < 2:
         return False
     heads, _ = _named(rows[0], rows[1] if all_units(rows[1]) else None, {})

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
@@ -53,7 +53,6 @@ _MOST_TITLES = 20
 # Of the travel: no linear axis errs by so much.
 _LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
-_SNIFFED = 65_536
 _PERIOD_S = 1.0
 _ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
 _UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
@@ -78,17 +77,10 @@ def is_position_table(path: Path) -> bool:
     """Return whether a file looks like one of the forms; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    text = decoded(_beginning(path))
+    text = first_text(path, _MAX_BYTES)
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
     return bool(report_tables(text)) or _below_titles(rows_of(text)) is not None
-
-
-def _beginning(path: Path) -> bytes:
-    if is_spreadsheet(path):
-        return table_bytes(path, _MAX_BYTES)[:_SNIFFED]
-    with path.open("rb") as file:
-        return file.read(_SNIFFED)
 
 
 def read_position_runs(

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.table_dialect import rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -53,6 +55,16 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         findings.append(Finding("poses.gaps", "warning", said))
     meta = RunMeta(run_id="poses", kind="poses", sample_rate_hz=float("nan"))
     return [Run(meta, samples, source=str(path), findings=tuple(findings))], [*in_motion, *rejects]
+
+
+def is_pose_table(path: Path) -> bool:
+    """Return whether a table has joints and measured places, or errors, under the house's names; its conditions are told elsewhere."""
+    if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
+        return False
+    heads = next(iter(rows_of(first_text(path, _MOST_BYTES))), [])
+    return any(h.startswith("joint_1_") for h in heads) and any(
+        h.startswith(("measured_x_", "error_x_")) for h in heads
+    )
 
 
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str]]:

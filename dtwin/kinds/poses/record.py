@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import plotly.graph_objects as go
 
     from dtwin.config import Home
@@ -42,6 +44,11 @@ class _Poses(Kind):
         from dtwin.kinds.poses._read import read_poses
 
         return dict.fromkeys((".csv", *SUFFIXES), read_poses)
+
+    def takes_alone(self, path: Path) -> bool:
+        from dtwin.kinds.poses._read import is_pose_table
+
+        return is_pose_table(path)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.poses._data import with_chain
