@@ -133,8 +133,12 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     moving = [v * _by_time(series, t) for t, v in zip(terms, value[1:], strict=True) if t.tau_s]
     each = _without_each(series, np.column_stack([x, *moving]))[0][:, : x.shape[1]]
     squares, blocks = _without_each(series, x)[1], len(each)
-    spread = (blocks - 1) / blocks * ((each - each.mean(axis=0)) ** 2).sum(axis=0)
-    k2 = t_quantile(0.975, blocks - 1) * np.sqrt(spread)
+    off = (each - each.mean(axis=0)) ** 2
+    spread = (blocks - 1) / blocks * off.sum(axis=0)
+    # Where a few blocks tell most, as the first hours of a warm-up do, the spread itself is less sure.
+    tails = blocks * (off**2).sum(axis=0) / np.maximum(off.sum(axis=0) ** 2, 1e-300)
+    dof = np.clip(2.0 * blocks / np.maximum(tails - 1.0, 1e-9), 1.0, blocks - 1)
+    k2 = np.array([t_quantile(0.975, float(d)) for d in dof]) * np.sqrt(spread)
     size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
     r2 = 1.0 - float((left**2).sum()) / float(((y - y.mean()) ** 2).sum())
     held = float(np.sqrt(squares.sum() / len(y)))
