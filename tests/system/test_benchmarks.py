@@ -188,6 +188,7 @@ def test_uncertainty_coverage() -> None:
         ("circular", "H"),
         ("poses", "AD"),
         ("drift", "d"),
+        ("rotation", "TIR"),
     }
     # 60 machines: three standard deviations below 95 of 100.
     assert min(rows.values()) > 0.86, rows

@@ -19,8 +19,11 @@ _ORDERS = 6
 _LARGE_DEG = 1.0
 
 
-def unwrapped(angle_deg: Floats, where: str) -> Floats:
-    """Return an angle that goes on over its zero; raises ``InputError`` when it is in radians."""
+def unwrapped(t_s: Floats, angle_deg: Floats, where: str) -> Floats:
+    """Return an angle that goes on over its zero, and over gaps of whole turns at the usual speed.
+
+    Raises ``InputError`` when it is in radians.
+    """
     steps = np.abs(np.diff(angle_deg))
     wraps = steps[steps > 0.5 * steps.max()] if steps.size else steps
     if np.ptp(angle_deg) < 6.4 and wraps.size > 1 and np.all(np.abs(wraps - 2.0 * np.pi) < 0.8):
@@ -31,7 +34,12 @@ def unwrapped(angle_deg: Floats, where: str) -> Floats:
             got=f"{angle_deg.min():.3g} to {angle_deg.max():.3g}",
             allowed='degrees, or a head that says radians: "angle [rad]"',
         )
-    return np.unwrap(angle_deg, period=_TURN)
+    turned = np.unwrap(angle_deg, period=_TURN)
+    step, gap_s = np.diff(turned), np.diff(t_s)
+    usual = float(np.median(step / np.maximum(gap_s, 1e-12)))
+    # Less than half a turn needs no help; a stop does not get it.
+    lost = np.where(np.abs(usual * gap_s) > 0.5 * _TURN, np.round((usual * gap_s - step) / _TURN), 0.0)
+    return turned + _TURN * np.concatenate([[0.0], np.cumsum(lost)])
 
 
 def smooth_angle(angle: Channel, where: str) -> tuple[Channel, list[Finding]]:
@@ -39,7 +47,7 @@ def smooth_angle(angle: Channel, where: str) -> tuple[Channel, list[Finding]]:
 
     A turning mass cannot follow it: the angle is a cubic spline with two knots a turn, stamps far off it count less.
     """
-    turned = unwrapped(angle.value, where)
+    turned = unwrapped(angle.t_s, angle.value, where)
     turns = abs(turned[-1] - turned[0]) / _TURN
     t = angle.t_s
     knots = np.linspace(t[0], t[-1], max(2, int(_KNOTS_PER_TURN * turns)) + 1)[1:-1]

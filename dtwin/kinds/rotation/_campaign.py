@@ -23,10 +23,7 @@ _APART = 0.2
 
 def over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
     """Return every probe of a campaign over its speeds."""
-    senses = {
-        str(run.meta.condition.get("probe", run.meta.run_id)): str(run.meta.condition.get("sense", "")) for run in runs
-    }
-    return [over_speed(key, senses.get(key[0], ""), points) for key, points in points_of(runs).items()]
+    return [over_speed(key, points) for key, points in points_of(runs).items()]
 
 
 def judge_speeds(runs: Sequence[Run]) -> list[Finding]:
@@ -202,11 +199,15 @@ def _near(one: float, other: float, a: Order, b: Order) -> bool:
     return abs(one - other) < min(share, 0.05) * max(one, other)
 
 
+def run_figures(run: Run) -> dict[str, Any]:
+    """Return the figures of a run of displacements, JSON-ready; nothing of one without a whole turn, or of a table of run-outs."""
+    points = [point for of_probe in points_of([run]).values() for point in of_probe]
+    return {"rotation": _figures(points[0])} if points else {}
+
+
 def rotation_figures(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return the figures of runs and of probes over speed, JSON-ready."""
-    every = over_speeds(runs)
+    """Return what probes follow over speed, JSON-ready."""
     return {
-        "runs": {p.run_id: {"probe": s.probe, "sense": s.sense, **_figures(p)} for s in every for p in s.points},
         "over_speed": [
             {
                 "probe": s.probe,
@@ -216,7 +217,7 @@ def rotation_figures(runs: Sequence[Run]) -> dict[str, Any]:
                 "vector": _law(s.vector),
                 "mean": _law(s.mean),
             }
-            for s in every
+            for s in over_speeds(runs)
             if len(s.points) > 1
         ],
         "run_out": [
@@ -259,6 +260,7 @@ def _figures(point: Point) -> dict[str, Any]:
         "asynchronous_rms_um": f.asynchronous_rms,
     }
     out: dict[str, Any] = {
+        "sense": point.sense,
         "speed_rpm": point.speed_rpm,
         "turns": f.turns,
         "mean_um": f.mean_um,
@@ -284,17 +286,21 @@ HEAD = ("run", "rpm", "turns", "once at, °", "noise of S, µm", "asynchronous R
 
 
 def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return what :func:`rotation_figures` gave as lines, beside the test sheet, and what is noticed.
+    """Return what stands beside the test sheet: figures of runs, and what is noticed.
 
-    ``runs``: of the check, with their findings.
+    ``result``: of :func:`rotation_figures`. ``runs``: of the check, with their findings.
     """
     rows = []
-    for run, f in result["runs"].items():
+    senses = set()
+    for run in runs:
+        if (f := run.get("rotation")) is None:
+            continue
+        senses.add(f["sense"])
         at = "-" if f["once_deg"] is None else f"{f['once_deg']:z.0f}"
         floor = "-" if f["floor_um"] is None else f"{f['floor_um']:z.3g}"
         drift = f"{f['drift_um']:z.3g}"
         rows.append(
-            [run, f"{f['speed_rpm']:z.5g}", str(f["turns"]), at, floor, _shown(f["asynchronous_rms_um"]), drift]
+            [run["run"], f"{f['speed_rpm']:z.5g}", str(f["turns"]), at, floor, _shown(f["asynchronous_rms_um"]), drift]
         )
     lines = table(HEAD, rows).splitlines() if rows else []
     if rows:
@@ -304,7 +310,6 @@ def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]])
         lines.append(
             "S holds the form of the target, too: only a reversal of target and probe, or a better target, tells them apart"
         )
-    senses = {f["sense"] for f in result["runs"].values()}
     if "radial" in senses:
         lines.append("radial: e is where the target sits, no error motion; S is about the least-squares centre")
     if "axial" in senses:

@@ -6,8 +6,8 @@ import numpy as np
 
 from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.rotation._features import Feature
+from dtwin.kinds.rotation._heads import OVER_SPEED
 from dtwin.kinds.rotation._orders import orders_of, said_order
-from dtwin.kinds.rotation._read import OVER_SPEED
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
 

@@ -13,6 +13,7 @@ _ORDERS = 8
 _TUKEY = 4.685
 _ROUNDS = 12
 _NEAREST = 0.4
+_SETTLED = 0.02
 _PEAK = 8.0
 _EDGE = 2.5
 _ERRORS = 5.0
@@ -112,23 +113,28 @@ def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:
     """Return the fit to the bins that lie nearest to it, then to all, those far off it counting less."""
     kept = min(len(mean), max(round(_NEAREST * len(mean)), 3 * design.shape[1]))
     fitted = mean
-    for n in range(2 * _ROUNDS):
-        root = np.sqrt(weight)
-        fitted = design @ np.linalg.lstsq(design * root[:, None], mean * root, rcond=None)[0]
-        off = np.abs(mean - fitted)
-        scale = _scale(off)
-        if scale <= 0.0:
-            break
-        if n < _ROUNDS:
-            weight = np.asarray(off <= np.partition(off, kept - 1)[kept - 1], dtype=np.float64)
-        else:
-            weight = np.clip(1.0 - (off / (_TUKEY * scale)) ** 2, 0.0, 1.0) ** 2
+    for nearest in (True, False):
+        for _ in range(_ROUNDS):
+            root = np.sqrt(weight)
+            fitted = design @ np.linalg.lstsq(design * root[:, None], mean * root, rcond=None)[0]
+            off = np.abs(mean - fitted)
+            scale = _scale(off)
+            if scale <= 0.0:
+                return np.asarray(fitted)
+            if nearest:
+                counted = np.asarray(off <= np.partition(off, kept - 1)[kept - 1], dtype=np.float64)
+            else:
+                counted = np.clip(1.0 - (off / (_TUKEY * scale)) ** 2, 0.0, 1.0) ** 2
+            change, weight = float(np.abs(counted - weight).max()), counted
+            if change < _SETTLED:
+                break
     return np.asarray(fitted)
 
 
 def _scale(left: Floats) -> float:
     """Return the deviation of the bins that lie near a curve, though most may lie far off."""
-    return float(np.quantile(np.abs(left), _QUANTILE)) / _OF_NORMAL
+    place = int(_QUANTILE * (len(left) - 1))
+    return float(np.partition(np.abs(left), place)[place]) / _OF_NORMAL
 
 
 def _regions(out: NDArray[np.bool_], near: int) -> list[NDArray[np.intp]]:

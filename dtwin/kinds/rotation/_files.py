@@ -134,6 +134,8 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         clock, started = _clock([_cell(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
     reading = Reading(by_speed=by_speed, timed=TIME in single, started=started)
     shared = np.isfinite(clock)
+    if not by_speed:
+        clock[shared] = _rising(clock[shared], path)
     for role, n in single.items():
         if role != TIME:
             shared &= np.isfinite(told[n])
@@ -245,6 +247,26 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             got=", ".join(twice),
             hint='[campaign.instrument.columns] with "HEAD" = "" leaves one out',
         )
+
+
+def _rising(t_s: Floats, path: Path) -> Floats:
+    """Return times of which readings with one stamp are spread evenly; raises ``InputError`` when they fall."""
+    falls = np.flatnonzero(np.diff(t_s) < 0.0)
+    if falls.size or (t_s.size > 1 and t_s[0] == t_s[-1]):
+        at = int(falls[0]) if falls.size else 0
+        raise InputError(
+            "the time does not rise",
+            code="rotation.clock",
+            where=f"{path} reading {at + 2}",
+            got=f"{t_s[at]:g}, then {t_s[at + 1]:g}",
+            hint="a file for each run",
+        )
+    first = np.flatnonzero(np.diff(t_s, prepend=-np.inf) > 0.0)
+    if len(first) in (len(t_s), 0):
+        return t_s
+    ends = np.append(first, len(t_s))
+    stamps = np.append(t_s[first], 2.0 * t_s[first[-1]] - t_s[first[-2]])
+    return np.interp(np.arange(len(t_s)), ends, stamps)
 
 
 def _require_rows(reading: Reading, rows: int, path: Path) -> None:

@@ -9,6 +9,8 @@ TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
 PROBE = "probe"
 RUNOUT = "runout"
 """How the house's name of a column of run-out begins."""
+OVER_SPEED = "run-out over speed"
+"""What the condition of a run states as its ``form`` when its samples are run-outs, not displacements."""
 AXIAL = "axial"
 RADIAL = "radial"
 

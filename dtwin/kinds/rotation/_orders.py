@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dtwin.kinds.rotation._turns import Turns
@@ -78,11 +79,12 @@ def _floor(power: Floats, usable: NDArray[np.bool_]) -> tuple[Floats, float]:
     """
     at = np.flatnonzero(usable)
     floor = np.full(len(power), np.inf)
-    for n, k in enumerate(at):
-        beside = at[max(0, n - _NEIGHBOURS - 2) : n + _NEIGHBOURS + 3]
-        beside = beside[np.abs(beside - k) > 2]
-        if len(beside) >= _NEIGHBOURS:
-            floor[k] = float(np.median(power[beside])) / _LN2
+    reach = _NEIGHBOURS + 2
+    if len(at) > 2 * reach:
+        # A line is wider than a bin: the nearest two on both sides are its own.
+        windows = sliding_window_view(np.pad(power[at], reach, mode="reflect"), 2 * reach + 1)
+        beside = np.delete(windows, np.arange(_NEIGHBOURS, _NEIGHBOURS + 5), axis=1)
+        floor[at] = np.median(beside, axis=1) / _LN2
     return floor, 2.0 * _NEIGHBOURS / _KNOWN
 
 

@@ -18,15 +18,13 @@ from dtwin.acquire.campaign_folder import inside
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._angles import angle_of_pulses, nominal_angle, smooth_angle, unwrapped
 from dtwin.kinds.rotation._files import Channel, Reading, read_file
-from dtwin.kinds.rotation._heads import ANGLE, PULSE, SPEED, direction_of
+from dtwin.kinds.rotation._heads import ANGLE, OVER_SPEED, PULSE, SPEED, direction_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 
 _TOLD_OFF = 0.05
 _UM_PER_MM = 1e3
 _MOST_RPM = 1e6
-OVER_SPEED = "run-out over speed"
-"""What the condition of a run states as its ``form`` when its samples are run-outs, not displacements."""
 
 
 def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -140,7 +138,7 @@ def _angle(reading: Reading, path: Path) -> tuple[Channel | None, str, list[Find
         if reading.apart:
             smooth, said = smooth_angle(angle, str(path))
             return smooth, "log", said
-        return Channel(angle.t_s, unwrapped(angle.value, str(path))), "encoder", []
+        return Channel(angle.t_s, unwrapped(angle.t_s, angle.value, str(path))), "encoder", []
     if pulse is not None and len(pulse.t_s) > 1:
         return angle_of_pulses(pulse, str(path)), "pulses", []
     return None, "speed", []

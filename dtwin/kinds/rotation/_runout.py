@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dtwin.kinds.rotation._heads import OVER_SPEED
 from dtwin.kinds.rotation._laws import CONSTANT, FEWEST_SPEEDS, Law, groups_of, law_of
-from dtwin.kinds.rotation._read import OVER_SPEED
 from dtwin.schema import Floats, Run
 from dtwin.statistics import f_tail
 

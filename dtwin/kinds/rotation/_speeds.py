@@ -10,10 +10,10 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.kinds.rotation._heads import OVER_SPEED
 from dtwin.kinds.rotation._laws import Law, groups_of, law_of
 from dtwin.kinds.rotation._orders import Order, orders_of
-from dtwin.kinds.rotation._read import OVER_SPEED
-from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, turns_of
+from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, one_way, turns_of
 from dtwin.schema import Floats, Run
 from dtwin.statistics import t_quantile, t_tail
 
@@ -23,6 +23,8 @@ _ALIKE = 0.9
 _CHANCE = 0.01
 _LEAST_DEG = 0.2
 _COVERED = 0.97725
+_ONE = "s1"
+"""The set-up that is not told."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Point:
     """One run of a probe; ``place``: among the runs of the campaign."""
 
     run_id: str
+    sense: str
     speed_rpm: float
     turns: Turns
     figures: Figures
@@ -71,7 +74,6 @@ class OverSpeed:
     mean: Law | None
     spread_um: float
     noise_um: float
-    by_clock: bool
 
 
 def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
@@ -88,6 +90,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
         found.setdefault(key, []).append(
             Point(
                 run.meta.run_id,
+                str(run.meta.condition.get("sense", "")),
                 speed_of(run),
                 turns,
                 figures_of(turns),
@@ -102,17 +105,18 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
 
 def speed_of(run: Run) -> float:
     """Return the speed of a run: as it turned, else as it is stated."""
-    a, t = run.samples["angle_deg"], run.samples["t_s"]
+    part = one_way(run.samples["angle_deg"])
+    a, t = run.samples["angle_deg"][part], run.samples["t_s"][part]
     span = float(t[-1] - t[0])
     turned = abs(float(a[-1] - a[0])) / 6.0 / span if span > 0.0 else math.nan
     told = run.meta.condition.get("speed_rpm")
     return turned if math.isfinite(turned) else float(told or math.nan)
 
 
-def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> OverSpeed:
+def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
     """Return what a probe follows over its speeds."""
     speed = np.array([p.speed_rpm for p in points])
-    times, by_clock = _times(points)
+    times = _times(points)
     phased = all(p.phased for p in points)
     known, shift = form_shift(points) if phased else (False, np.zeros(len(points)))
     delay = _delay(speed, shift) if known else None
@@ -125,8 +129,8 @@ def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> Ove
     mean = np.array([[p.figures.mean_um] for p in points])
     mean_noise = [(p.figures.mean_k2_um / 2.0) ** 2 for p in points if math.isfinite(p.figures.mean_k2_um)]
     return OverSpeed(
-        key[0],
-        sense,
+        key[0] if key[1] == _ONE else f"{key[0]} ({key[1]})",
+        points[0].sense,
         tuple(points),
         delay,
         known,
@@ -134,19 +138,18 @@ def over_speed(key: tuple[str, str], sense: str, points: Sequence[Point]) -> Ove
         law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
         2.0 * math.sqrt(max(noise, default=math.nan)),
-        by_clock,
     )
 
 
-def _times(points: Sequence[Point]) -> tuple[Floats, bool]:
-    """Return when runs began in hours, and whether clocks tell it; without, their places in the campaign."""
+def _times(points: Sequence[Point]) -> Floats:
+    """Return when runs began in hours; where clocks do not tell it, their places in the campaign."""
     try:
         at = [datetime.fromisoformat(p.started).timestamp() / 3600.0 for p in points]
     except ValueError:
         at = []
     if len(set(at)) == len(points):
-        return np.array(at) - min(at), True
-    return np.array([float(p.place) for p in points]), False
+        return np.array(at) - min(at)
+    return np.array([float(p.place) for p in points])
 
 
 def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:

@@ -25,7 +25,14 @@ class _Rotation(Kind):
     in_one_table = True
     campaign_columns = (*columns, "speed_rpm", "runout_um")
     sheet_columns = campaign_columns
-    instead: ClassVar[Mapping[str, str]] = {"twins": "dtwin check CAMPAIGN names what the run-out follows over speed"}
+    instead: ClassVar[Mapping[str, str]] = {
+        "twins": "dtwin check CAMPAIGN names what the run-out follows over speed",
+        "training": "a turning axis is mended by centring, balancing or bearings, and no equation moves those",
+        **dict.fromkeys(
+            ("plan", "usual_plan", "draft", "proposals"),
+            "20 turns or more at each of four speeds or more, the lowest again at the end: docs/how-to/rotation.md",
+        ),
+    }
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
@@ -69,6 +76,11 @@ class _Rotation(Kind):
         from dtwin.kinds.rotation._sheet import DRAWINGS
 
         return DRAWINGS
+
+    def run_figures(self, run: Run) -> Mapping[str, Any]:
+        from dtwin.kinds.rotation._campaign import run_figures
+
+        return run_figures(run)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.rotation._campaign import rotation_figures

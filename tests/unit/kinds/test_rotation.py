@@ -199,6 +199,24 @@ def test_turns_with_lost_readings_are_left_out() -> None:
     assert [f.code for f in judged(lost)] == ["rotation.lost"]
 
 
+def test_a_gap_of_more_than_a_turn_leaves_the_angle_right(tmp_path: Path) -> None:
+    keep = np.ones(ANGLE.size, bool)
+    keep[900:1170] = False
+    (run,) = read(tmp_path, table({"t_s": TIME[keep], "angle_deg": ANGLE[keep] % 360.0, "radial_um": UM[keep]}))
+    assert np.ptp(run.samples["angle_deg"]) == pytest.approx(np.ptp(ANGLE), abs=0.01)
+    turns = turns_of(run)
+    assert turns is not None
+    assert (turns.n, turns.whole) == (9, 11)
+    assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.05)
+
+
+def test_readings_with_one_stamp_are_spread(tmp_path: Path) -> None:
+    coarse = np.floor(TIME * 50.0) / 50.0
+    (run,) = read(tmp_path, table({"t_s": coarse, "angle_deg": ANGLE % 360.0, "radial_um": UM}))
+    assert (np.diff(run.samples["t_s"]) > 0.0).all()
+    assert not [f for f in judged(run) if f.severity == "error"]
+
+
 def test_turning_backwards_gives_the_same_figures() -> None:
     angle = turned(20.0)
     um = Target().read(angle, 4)
@@ -264,7 +282,7 @@ def test_a_speed_alone_is_made_exact_by_what_repeats_and_has_no_phase(tmp_path: 
         assert turns is not None
         assert abs(figures_of(turns).once) == pytest.approx(8.0, abs=0.1)
         assert figures_of(turns).asynchronous_rms.um < 0.2
-        figures = kind_named("rotation").campaign_figures([run])["rotation"]["runs"]["radial"]
+        figures = kind_named("rotation").run_figures(run)["rotation"]
         assert figures["once_deg"] is None
 
 
@@ -322,9 +340,11 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
         (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.pulses"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": UM}, form=lambda v: "x"), "rotation.time"),
-        ("t_s,angle_deg,radial_um\n" + "1,2,x\n" * 9, "table.no_rows"),
+        ("t_s,angle_deg,radial_um\n1,2,x\n2,3,x\n3,4,x\n", "table.no_rows"),
         ("t_s,angle_deg,angle_rad,radial_um\n" + "1,2,3,4\n" * 9, "rotation.twice"),
         ("speed_rpm,runout_um\n100,-4\n", "rotation.negative"),
+        (table({"t_s": TIME[::-1], "angle_deg": ANGLE, "radial_um": UM}), "rotation.clock"),
+        (table({"t_s": 0.0 * TIME, "angle_deg": ANGLE, "radial_um": UM}), "rotation.clock"),
         ("radial_um,axial_um\n1,2\n", "columns.missing"),
         ("", "file.empty"),
     ],

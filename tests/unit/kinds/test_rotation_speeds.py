@@ -198,6 +198,20 @@ def test_the_virtual_rotor_is_told_by_its_mechanism(tmp_path: Path, truth: str, 
     assert never not in found
 
 
+def test_the_virtual_rotor_moves_as_a_mass_on_springs_does(tmp_path: Path) -> None:
+    p = TRUTHS["unbalance"]
+    simulate_rotation(tmp_path / "rotor", lambda *a: None, truth="unbalance", seed=2, quick=True)
+    runs = {run["run"]: run["rotation"] for run in check_source(tmp_path / "rotor")["runs"]}
+    for probe, stiffer, at in (("radial_x", 1.0, 0.0), ("radial_y", 1.0 + 1.0 / 12.0, 90.0)):
+        for speed, name in ((600.0, "1-600rpm"), (6000.0, "4-6000rpm"), (4800.0, "2-4800rpm")):
+            r = speed / p.critical_rpm / stiffer
+            # The target off the axis by itself, and by what the unbalance bends the springs: of one phase far below resonance.
+            target = p.target_um * np.exp(-1j * np.radians(p.target_deg - at))
+            bent = p.unbalance_um * r**2 / (1.0 - r**2 + 2j * p.damping * r) * np.exp(1j * np.radians(at))
+            found = runs[f"{name}-{probe}"]
+            assert found["once_um"]["value"] == pytest.approx(abs(target + bent), abs=0.06)
+
+
 def test_a_rotor_that_there_is_not_and_a_folder_that_is_taken_are_refused(tmp_path: Path) -> None:
     assert TRUTHS
     with pytest.raises(InputError) as refused:
@@ -220,4 +234,4 @@ def test_a_table_of_run_outs_alone_is_checked(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["check", str(path)], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "radial_run-out, 1000 rpm" in done.output
-    assert "axial_tir, rpm" in done.output
+    assert "spindle-axial_tir: 3 speeds" in done.output
