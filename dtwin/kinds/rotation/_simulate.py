@@ -44,7 +44,7 @@ def simulate_rotation(
     rotor, runs = Rotor(TRUTHS[truth], seed), []
     for number, speed in enumerate(SPEEDS_RPM, start=1):
         log = rotor.run(speed, _QUICK_TURNS if quick else _TURNS, _READINGS, number)
-        name = f"{number}-{speed:.0f}rpm"
+        name = f"{number}-{speed:z.0f}rpm"
         write_text(folder / f"{name}.csv", _table(log), "the log")
         started = (EPOCH + timedelta(seconds=(number - 1) * _BETWEEN_S)).isoformat()
         runs.append({"id": name, "file": f"{name}.csv", "started": started, "condition": {"speed_rpm": speed}})
@@ -66,5 +66,5 @@ def _table(log: RotorLog) -> str:
     for t, a, x, y, z in zip(
         *(v.tolist() for v in (log.t_s, log.angle_deg, log.x_um, log.y_um, log.axial_um)), strict=True
     ):
-        lines.append(f"{t:.7f},{a:.1f},{x:.3f},{y:.3f},{z:.3f}")
+        lines.append(f"{t:z.7f},{a:z.1f},{x:z.3f},{y:z.3f},{z:z.3f}")
     return "\n".join(lines) + "\n"
