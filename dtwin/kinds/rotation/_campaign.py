@@ -63,6 +63,11 @@ def _few(found: OverSpeed, what: str, spread_um: float) -> list[Finding]:
     return [Finding("rotation.few_speeds", "info", said, {"spread_um": spread_um})]
 
 
+def _matters(noise_um: float, size_um: float) -> float:
+    """Return from which size on a change is told that no law explains; noise may not be known."""
+    return max(_LARGE * noise_um if math.isfinite(noise_um) else 0.0, _MATTERS * size_um)
+
+
 def _speeds(found: OverSpeed) -> Floats:
     return np.array([p.speed_rpm for p in found.points])
 
@@ -91,11 +96,12 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             if law.speeds >= 6
             else f"; whether a resonance makes it grow faster cannot be told with {law.speeds} speeds"
         )
+        where = "" if found.sense else ", where the probe is a radial one"
         if law.bent:
             least = (
                 f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too"
             )
-        said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{least}.{delay}"
+        said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{where}{least}.{delay}"
         return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
     if law.name == RESONANCE:
         said = (
@@ -107,7 +113,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
         ]
     if law.name == CONSTANT:
         size = max(abs(p.figures.once) for p in found.points)
-        if found.spread_um > max(_LARGE * found.noise_um, _MATTERS * size):
+        if found.spread_um > _matters(found.noise_um, size):
             near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too" if law.bent else ""
             said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
             return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
@@ -134,7 +140,9 @@ _WORDS: Mapping[str, str] = {
 
 
 def _open(law: Law) -> str:
-    return "these cannot be told apart with these speeds;" if not law.name else "no unbalance does so;"
+    if not law.name:
+        return "these cannot be told apart with these speeds;"
+    return "a face that tilts or yields, by unbalance or by heat;" if law.name == SQUARE else "no unbalance does so;"
 
 
 def _mounting(sense: str) -> str:
@@ -149,7 +157,7 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
     spread, noise = max(means) - min(means), max(p.figures.mean_k2_um for p in found.points)
     if law is None or law.name == CONSTANT:
         size = max(p.figures.total.um for p in found.points)
-        if not spread > max(_LARGE * noise, _MATTERS * size):
+        if not spread > _matters(noise, size):
             return []
         if law is None:
             return _few(found, f"the mean reading changes by {spread:z.3g} µm", spread)

@@ -16,7 +16,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.rotation._heads import ANGLE, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
+from dtwin.kinds.rotation._heads import ANGLE, PATH, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
 from dtwin.schema import Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
@@ -228,7 +228,7 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             allowed="time, angle or a pulse a turn or speed, and displacements in mm or µm; or speed and run-out",
             hint='other heads: [campaign.instrument.columns] with lines such as "CH3" = "radial_x_um"',
         )
-    without = [heads[n] for n, c in enumerate(columns) if c.role and not c.factor]
+    without = [heads[n] for n, c in enumerate(columns) if c.role not in ("", PATH) and not c.factor]
     if without:
         raise InputError(
             "a column does not say its unit, or one that its quantity cannot have",

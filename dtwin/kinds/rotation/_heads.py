@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
 PROBE = "probe"
+PATH = "path"
 RUNOUT = "runout"
 """How the house's name of a column of run-out begins."""
 OVER_SPEED = "run-out over speed"
@@ -33,7 +34,10 @@ _RUNOUT = re.compile(r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b")
 _PROBE = re.compile(r"displ|\bdisp\b|probe|radial|axial|face|gap|taster|weg\b|^[xyz]\d?$|cap\d|sensor")
 _AXIAL = re.compile(r"axial|face|planlauf|^z\d?$")
 _RADIAL = re.compile(r"radial|rundlauf|^[xy]\d?$")
-_OTHER = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|temp|direction|cmd|act\b")
+_OTHER = re.compile(r"temp|cmd|act\b")
+_PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
+"""What a test of a path or a position tells, and one of a turning axis does not."""
+_LETTER = re.compile(r"[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
 
@@ -45,7 +49,7 @@ class Column:
     Attributes
     ----------
     role : str
-        ``t_s``, ``angle_deg``, ``pulse_1``, ``speed_rpm``; ``runout`` or ``probe``; empty when it is none.
+        ``t_s``, ``angle_deg``, ``pulse_1``, ``speed_rpm``; ``runout`` or ``probe``; ``path``; empty when it is none.
     name : str
         Of a probe: its name, without the unit.
     factor : float
@@ -80,6 +84,8 @@ def column_of(head: str, unit_below: str = "") -> Column:
     scale = _LENGTH_UM.get(told, 0.0)
     if _RUNOUT.search(words):
         return Column(RUNOUT, name, scale, likely=True)
+    if _PATH.search(words):
+        return Column(PATH)
     if _OTHER.search(words):
         return Column("")
     likely = bool(_PROBE.search(words))
@@ -95,7 +101,12 @@ def direction_of(name: str) -> str:
 def is_turning(columns: list[Column]) -> bool:
     """Return whether columns are surely those of a turning axis: nothing but their words says so."""
     roles = {c.role for c in columns}
+    if PATH in roles:
+        return False
     if SPEED in roles and RUNOUT in roles:
         return True
-    probe = any(c.role == PROBE and c.likely and c.factor for c in columns)
-    return TIME in roles and probe and bool(roles & {ANGLE, PULSE, SPEED})
+    probes = [c for c in columns if c.role == PROBE and c.likely and c.factor]
+    if TIME not in roles or not probes:
+        return False
+    # x, y and z beside a speed may be positions of axes.
+    return bool(roles & {ANGLE, PULSE}) or (SPEED in roles and not all(_LETTER.fullmatch(c.name) for c in probes))

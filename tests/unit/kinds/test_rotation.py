@@ -384,7 +384,7 @@ def test_no_file_ends_in_anything_but_a_refusal(
             judged(run)
 
 
-def test_no_table_of_another_kind_is_taken_for_a_turning_axis() -> None:
+def test_no_table_of_another_kind_is_taken_for_a_turning_axis(tmp_path: Path) -> None:
     files = [
         p
         for folder in ("data", "tests")
@@ -393,6 +393,15 @@ def test_no_table_of_another_kind_is_taken_for_a_turning_axis() -> None:
     ]
     assert files
     assert [p.name for p in files if is_rotation_file(p)] == []
+    for heads in (
+        "t_s,angle_deg,deviation_um,probe_x_um",
+        "time [s],x [mm],y [mm],speed [rpm]",
+        "angle [deg],target [mm],radial [mm],time",
+        "t_s,displacement_um,temperature_a_c",
+    ):
+        path = tmp_path / "a.csv"
+        path.write_text(f"{heads}\n1,2,3,4\n", encoding="utf-8")
+        assert not is_rotation_file(path)
     for kind in kinds():
         if kind.name != "rotation":
             assert {"angle_deg", "displacement_um"} - set(kind.columns)
