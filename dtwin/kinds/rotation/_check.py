@@ -7,7 +7,7 @@ import numpy as np
 from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.rotation._features import Feature
 from dtwin.kinds.rotation._heads import OVER_SPEED
-from dtwin.kinds.rotation._orders import orders_of, said_order
+from dtwin.kinds.rotation._orders import orders_of, said_orders
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
 
@@ -32,6 +32,8 @@ def judge_rotation(run: Run) -> list[Finding]:
         return findings
     x, a = run.samples["displacement_um"], run.samples["angle_deg"]
     findings += _judge_probe(x)
+    if any(f.code == "rotation.stuck" for f in findings):
+        return findings
     stretch = one_way(a)
     turned = abs(float(a[stretch.stop - 1] - a[stretch.start])) / _TURN
     share = (stretch.stop - stretch.start) / max(len(a), 1)
@@ -53,7 +55,7 @@ def judge_rotation(run: Run) -> list[Finding]:
     findings += _features(turns)
     lines = orders_of(turns)
     if lines:
-        said = "; ".join(said_order(line) for line in lines)
+        said = said_orders(lines)
         numbers = {"order_1": [line.order for line in lines], "amplitude_um": [line.amplitude_um for line in lines]}
         findings.append(Finding("rotation.orders", "info", said, numbers))
     return findings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,9 @@ _FALSE = 1e-3
 _BESIDE = 2.0
 _NEIGHBOURS = 12
 _MOST = 5
+_SLOW = 0.5
+_LEAST = 2e-4
+"""Part of a turn's range that the grid of angles may leave of a wave."""
 _KNOWN = 4.0
 """Of so many neighbours one counts: their median is scattered, and a window makes neighbours alike."""
 _LN2 = float(np.log(2.0))
@@ -50,7 +54,8 @@ def orders_of(turns: Turns) -> tuple[Order, ...]:
     usable = (near > _BESIDE) & (order * turns.n > _BESIDE)
     usable[-1] = False
     floor, known = _floor(power, usable)
-    ratio = power / floor
+    least = _LEAST * float(np.ptp(turns.read_um, axis=1).mean())
+    ratio = np.divide(power, floor, out=np.zeros(len(power)), where=floor > 0.0)
     tests = int(usable.sum())
     found: list[Order] = []
     for k in np.argsort(-ratio):
@@ -66,9 +71,9 @@ def orders_of(turns: Turns) -> tuple[Order, ...]:
         at = (k + shift) / turns.n
         if any(abs(at - other.order) * turns.n < 2.0 * _BESIDE for other in found):
             continue
-        # A whole number beside which a line stands is that number, modulated.
         amplitude = 2.0 * float(np.sqrt(power[k])) / float(window.sum())
-        found.append(Order(float(at), amplitude, chance, 1.0 / turns.n))
+        if amplitude > least:
+            found.append(Order(float(at), amplitude, chance, 1.0 / turns.n))
     return tuple(sorted(found, key=lambda line: -line.amplitude_um))
 
 
@@ -94,9 +99,18 @@ def _vertex(before: float, at: float, after: float) -> float:
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend else 0.0
 
 
-def said_order(line: Order) -> str:
-    """Return a line in words, with what can turn so."""
-    what = f"order {line.order:z.2f} ± {line.resolution / 2:z.2f}, {line.amplitude_um:z.3g} µm"
-    if line.order < 0.5:
-        return f"{what}: slower than half a turn, as the cage of a rolling bearing or a belt is"
-    return f"{what}: no whole number, so it does not turn with the axis: rolling elements, a belt, a motor or its gear, or vibration"
+def said_orders(lines: Sequence[Order]) -> str:
+    """Return lines in words, with what can turn so."""
+    told = []
+    for slow, cause in (
+        (True, "slower than half a turn, as the cage of a rolling bearing or a belt is"),
+        (
+            False,
+            "no whole number, so not of the axis itself: rolling elements, a belt, a motor or its gear, or vibration",
+        ),
+    ):
+        own = [line for line in lines if (line.order < _SLOW) == slow]
+        if own:
+            named = ", ".join(f"order {o.order:z.2f} ± {o.resolution / 2:z.2f} ({o.amplitude_um:z.3g} µm)" for o in own)
+            told.append(f"{named}: {cause}")
+    return "; ".join(told)

@@ -150,17 +150,19 @@ def turns_of(run: Run) -> Turns | None:
     whole = int((a[-1] - begin + 1e-9) // _TURN)
     if whole < 1:
         return None
-    place = np.floor((a - begin) / width).astype(int)
-    inside = (place >= 0) & (place < whole * bins)
-    count = np.bincount(place[inside], minlength=whole * bins)
+    # A bin more at both ends, for those between which the first and the last one lie.
+    cells = whole * bins + 2
+    place = np.floor((a - begin) / width).astype(int) + 1
+    inside = (place >= 0) & (place < cells)
+    count = np.bincount(place[inside], minlength=cells)
     full = count > 0
     grid = begin + width * (np.arange(whole * bins) + 0.5)
-    at, of, when = (np.bincount(place[inside], v[inside], whole * bins)[full] / count[full] for v in (a, x, t))
+    at, of, when = (np.bincount(place[inside], v[inside], cells)[full] / count[full] for v in (a, x, t))
     # Backlash of an encoder and jitter leave an order that is not quite that of the angle.
     order = np.argsort(at, kind="stable")
     read = np.interp(grid, at[order], of[order]).reshape(whole, bins)
     middle = np.interp(grid, at[order], when[order]).reshape(whole, bins).mean(axis=1)
-    sound = np.array([_largest_gap(row) <= max(_GAP_BINS, _GAP_DEG / width) for row in full.reshape(whole, bins)])
+    sound = np.array([_largest_gap(row) <= max(_GAP_BINS, _GAP_DEG / width) for row in full[1:-1].reshape(whole, bins)])
     if not sound.any():
         return None
     angle = np.mod(grid[:bins], _TURN)

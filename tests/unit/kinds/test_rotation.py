@@ -153,6 +153,11 @@ def test_an_order_that_is_no_whole_number_is_named(order: float) -> None:
     assert named >= 38
 
 
+def test_what_the_grid_of_angles_leaves_of_a_wave_is_no_order() -> None:
+    angle = 17.0 + 1.08 * np.arange(9700)
+    assert not judged(run_of(angle, np.round(Target(lobes={}, noise_um=0.0).read(angle, 0), 5)))
+
+
 def test_a_feature_of_one_turn_alone_is_no_form() -> None:
     angle = turned(20.0, readings=360)
     um = Target().read(angle, 5)
