@@ -14,6 +14,8 @@ from dtwin.statistics import f_tail
 CONSTANT, SPEED, SQUARE, TIME, RESONANCE = "constant", "speed", "square", "time", "resonance"
 FEWEST_SPEEDS = 4
 _FEWEST_RESONANCE = 6
+_WIDE = 1.5
+"""Times the lowest speed that the highest must be: between nearer ones nothing grows enough to be seen, or not seen."""
 _BETTER = 0.5
 """A law must leave no more of the squares on speeds held out than this part of what the simpler one leaves."""
 _AS_GOOD = 1.5
@@ -71,13 +73,13 @@ def groups_of(speed_rpm: Floats) -> Floats:
 
 
 def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law | None:
-    """Return what values (n, parts) follow; None with fewer than four distinct speeds.
+    """Return what values (n, parts) follow; None with fewer than four distinct speeds, or near ones.
 
     ``noise``: variance of one part of a value, by its repeats within a run; what is left is taken to be no less.
     """
     group = groups_of(speed_rpm)
     count = len(np.unique(group))
-    if count < FEWEST_SPEEDS:
+    if count < FEWEST_SPEEDS or speed_rpm.max() < _WIDE * speed_rpm.min():
         return None
     n = speed_rpm / speed_rpm.max()
     ones = np.ones(len(n))

@@ -132,6 +132,12 @@ def test_three_speeds_tell_no_law_and_a_fourth_is_asked_for() -> None:
         assert "cannot be told with these speeds: measure 6.32e+03 rpm" in told[0].message
 
 
+def test_speeds_that_lie_near_each_other_tell_of_no_unbalance_that_it_is_not_there() -> None:
+    near = (5000.0, 5200.0, 5400.0, 5600.0, 5800.0, 5000.0)
+    for seed in range(10):
+        assert codes(KIND.judge_campaign(measured(Story(), seed, near))) <= {"rotation.few_speeds"}
+
+
 def test_an_axial_fundamental_is_not_called_unbalance() -> None:
     told = KIND.judge_campaign(measured(Story(once=unbalance), 0, sense="axial"))
     assert codes(told) == {"rotation.once_moves"}
