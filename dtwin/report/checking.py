@@ -257,7 +257,7 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         return [f"{run['run']}: {run['samples']} readings", *told]
     condition = run["condition"]
     lines = [
-        f"{run['run']}: {condition['plane']} R{condition['radius_mm']} F{condition['feed_mm_min']} "
+        f"{run['run']}: {condition['plane']} R{_told(condition['radius_mm'])} F{_told(condition['feed_mm_min'])} "
         f"{condition['direction']}, {run['samples']} samples at {run['sample_rate_hz']:g} Hz"
     ]
     by_file, aligned = run.get("by_file_indices"), run.get("aligned_by_stops")
@@ -272,7 +272,12 @@ def _render_run(run: dict[str, Any]) -> list[str]:
             for title, key, vendor in _ROWS
         ]
         head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
-        lines += ["  " + line for line in table(head, rows).splitlines()]
+        # What a vendor's file and stops tell is a ball bar's alone.
+        told = [i for i in range(len(head)) if i == 0 or any(row[i] != "-" for row in rows)]
+        lines += [
+            "  " + line
+            for line in table([head[i] for i in told], [[row[i] for i in told] for row in rows]).splitlines()
+        ]
         strongest = ", ".join(
             f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} µm" for line in run["spectrum"]["lines"]
         )
@@ -300,6 +305,10 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
             if f["severity"] == "error":
                 told.setdefault(f["code"], []).append(f"error, {run['run']}: {f['message']}")
     return [*lines, *(said[0] + (f" (and {len(said) - 1} more)" if len(said) > 1 else "") for said in told.values())]
+
+
+def _told(value: float | None) -> str:
+    return "?" if value is None else f"{value:g}"
 
 
 def _fixed(value: float | None) -> str:
