@@ -273,10 +273,10 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         ]
         head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
         # What a vendor's file and stops tell is a ball bar's alone.
-        told = [i for i in range(len(head)) if i == 0 or any(row[i] != "-" for row in rows)]
+        there = [i for i in range(len(head)) if i == 0 or any(row[i] != "-" for row in rows)]
         lines += [
             "  " + line
-            for line in table([head[i] for i in told], [[row[i] for i in told] for row in rows]).splitlines()
+            for line in table([head[i] for i in there], [[row[i] for i in there] for row in rows]).splitlines()
         ]
         strongest = ", ".join(
             f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} µm" for line in run["spectrum"]["lines"]
