@@ -129,3 +129,24 @@ def test_bands_add_up_and_a_line_is_found() -> None:
     assert sum(rms**2 for *_, rms in bands) == pytest.approx(np.var(signal), rel=1e-6)
     inside = {(low, high): rms for low, high, rms in band_rms_um(signal, 200.0)}
     assert inside[(8.0, 12.0)] == pytest.approx(15 / np.sqrt(2), rel=0.05)
+
+
+@pytest.mark.parametrize("turns", [0.3, 1.0, 2.5])
+def test_the_minimum_zone_of_many_samples_is_that_of_all_of_them(turns: float) -> None:
+    rng = np.random.default_rng(0)
+    angle = np.linspace(-90.0, 360.0 * turns, 20_000)
+    deviation = (
+        30.0 * np.cos(np.radians(angle) - 0.3)
+        + 5.0 * np.cos(np.radians(2.0 * angle))
+        + rng.normal(0.0, 1.0, angle.size)
+    )
+    width, a, b = minimum_zone_um(angle, deviation)
+    rest = deviation - a * np.cos(np.radians(angle)) - b * np.sin(np.radians(angle))
+    assert np.ptp(rest) == pytest.approx(width, abs=1e-4)
+    # No centre near it does better; the width is convex in the centre.
+    for step in (0.01, 0.1):
+        for turn in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
+            moved = (
+                rest - step * np.cos(turn) * np.cos(np.radians(angle)) - step * np.sin(turn) * np.sin(np.radians(angle))
+            )
+            assert np.ptp(moved) >= width - 1e-4
