@@ -20,6 +20,9 @@ def write_tests(
     every_days: int = 30,
     serial: Callable[[int], str] = lambda test: "B1",
     seed: int = 0,
+    machine: str = "mill-7",
+    first: int = 0,
+    named: str = "t",
 ) -> list[Path]:
     """Write campaign folders, one for each test, each of two circles either way.
 
@@ -29,14 +32,16 @@ def write_tests(
         Of the number of the test: steps of X after its reversals, and amplitude of the ellipse at 45 degrees.
     serial : callable
         Serial number of the ball bar.
+    first : int
+        Number of the first test; ``named``: what stands before the number.
     """
     rng = np.random.default_rng(seed)
     made = []
-    for test in range(tests):
+    for test in range(first, first + tests):
         day = FIRST_DAY + timedelta(days=every_days * test)
-        lines = ["[campaign]", f'name = "t{test:02d}"', 'machine = "mill-7"', 'kind = "circular"']
+        lines = ["[campaign]", f'name = "{named}{test:02d}"', f'machine = "{machine}"', 'kind = "circular"']
         lines += ["[campaign.instrument]", 'model = "bar"', f'serial = "{serial(test)}"']
-        place = folder / f"t{test:02d}"
+        place = folder / f"{named}{test:02d}"
         place.mkdir(parents=True)
         set_up = rng.normal(0.0, 0.15, 2)  # Set-up and temperature differ from test to test.
         for repeat in (1, 2):

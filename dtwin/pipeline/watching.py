@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.locks import locked
+from dtwin.machine_record import recorded
 from dtwin.pipeline.catalogue import catalogue
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
@@ -134,7 +135,7 @@ class FolderWatch:
             if campaign.machine not in self._machines():
                 said = (
                     f"nothing is known of a machine {campaign.machine!r}: left where it is; to take "
-                    f"it in: dtwin watch {self._arrivals.folder} --machine {campaign.machine}"
+                    f"it in: dtwin machine add {campaign.machine}, or dtwin watch {self._arrivals.folder} --machine {campaign.machine}"
                 )
                 return WatchEvent(name, "unknown machine", said), campaign.machine
             report = ingest(arrival.path, Lake(self._home.lake))
@@ -153,7 +154,8 @@ class FolderWatch:
         return before["outcome"] == "unknown machine" and before["machine"] in self._machines()
 
     def _machines(self) -> frozenset[str]:
-        return self._named | {one.machine for one in catalogue(self._home) if one.used}
+        # Those with a record, too: somebody who may has added them.
+        return self._named | {one.machine for one in catalogue(self._home) if one.used} | set(recorded(self._home))
 
 
 def watch(

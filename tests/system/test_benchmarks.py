@@ -62,6 +62,7 @@ def test_none_is_left_out() -> None:
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
+        "plant_year.py",
         "sister_machines.py",
         "two_instruments.py",
         "uncertainty_coverage.py",
@@ -71,6 +72,16 @@ def test_none_is_left_out() -> None:
     listed = (FOLDER / "README.md").read_text(encoding="utf-8")
     for name in [*there, "freezes/run.py", "hidden_effect/run.py"]:
         assert f"`{name}`" in listed, f"{name} is not described"
+
+
+def test_a_plant_over_months_tells_what_happened_and_nothing_else() -> None:
+    found = short("plant_year.py")
+    assert found["told"] == {"spoilt.b5r failed": 3, "mill-002 overdue": 6, "mill-000 changed": 7}
+    assert found["false"] == []
+    # Nothing is taken, or diagnosed, twice or not at all.
+    taken = [night["taken_in"] for night in found["nights"]]
+    assert taken == [night["diagnosed"] for night in found["nights"]] == 4 * [4] + 5 * [3]
+    assert (found["campaigns"], found["runs"]) == (sum(taken), 4 * sum(taken))
 
 
 @pytest.mark.long
