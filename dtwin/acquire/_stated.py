@@ -88,6 +88,15 @@ def table(value: object, name: str, where: str) -> dict[str, Any]:
     return dict(value)
 
 
+def instrument(value: object, where: str) -> dict[str, Any]:
+    """Return the table of an instrument; its ``columns`` name the house's column for heads of the file."""
+    told = table(value, "campaign.instrument", where)
+    columns = told.get("columns", {})
+    if not isinstance(columns, Mapping) or not all(isinstance(name, str) for name in columns.values()):
+        raise _refused("campaign.instrument.columns", where, columns, "a table of names by head")
+    return told
+
+
 def _plain(value: object, name: str, where: str, deepest: int) -> None:
     if isinstance(value, float | int) and not isinstance(value, bool):
         _number(value, name, where)

@@ -32,6 +32,7 @@ from dtwin.schema import (
     standard_plane,
 )
 
+_NUMBERS = ("radius_mm", "feed_mm_min")
 MAX_TOML_BYTES = 16 * 1024 * 1024
 RUN_KEYS = frozenset(
     {
@@ -171,7 +172,7 @@ def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
         kind=kind,
         started=stated.iso_time(head.get("started", ""), "campaign.started", str(path)),
         machine_geometry=stated.table(head.get("machine_geometry", {}), "campaign.machine_geometry", str(path)),
-        instrument=stated.table(head.get("instrument", {}), "campaign.instrument", str(path)),
+        instrument=stated.instrument(head.get("instrument", {}), str(path)),
     )
 
 
@@ -217,11 +218,24 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     kind = kind_named(campaign.kind)
     reader = kind.reader_of(entry.file)
     if reader is not None:
-        runs, rows = reader(entry.file, campaign, entry.stated)
+        runs, rows = reader(entry.file, campaign, _checked(entry))
         done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", count=True) for r in runs]
         kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
         return [kind.completed(run, campaign) for run in done], kept
     return _read_table(entry, campaign)
+
+
+def _checked(entry: FolderEntry) -> dict[str, Any]:
+    """Return what is stated of a run with what readers compute with checked."""
+    told, where = dict(entry.stated), str(entry.file)
+    for name in _NUMBERS:
+        if name in told:
+            told[name] = stated.positive(told[name], name, where)
+    if "repeat" in told:
+        told["repeat"] = stated.count(told["repeat"], "repeat", where)
+    if "condition" in told:
+        told["condition"] = stated.condition(told["condition"], where)
+    return told
 
 
 def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list[RejectedRows]]:
@@ -249,7 +263,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
     if kind_named(meta.kind).goes_round and direction is not None:
         plane, direction = _plane(told, meta, direction, entry)
         changes |= {"plane": plane, "direction": direction}
-    for name in ("radius_mm", "feed_mm_min"):
+    for name in _NUMBERS:
         read = getattr(meta, name)
         value = stated.positive(told[name], name, where) if name in told else None
         if value is not None and read is not None and abs(value - read) > 1e-6 * read:

@@ -146,3 +146,13 @@ def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPat
     if is_circle_table(path):
         with suppress(InputError):
             list(open_source(path, TOLD)[1])
+
+
+@pytest.mark.parametrize("radius", ['"abc"', "[1]", "true", "-5", "1e400", "nan"])
+def test_a_radius_that_is_no_number_is_refused(tmp_path: Path, radius: str) -> None:
+    (tmp_path / "a.csv").write_text(table("angle [deg],ccw [µm]", ANGLE, ANGLE), encoding="utf-8")
+    head = '[campaign]\nname = "c"\nmachine = "m"\nkind = "circular"\n[[run]]\nid = "r"\nfile = "a.csv"\nplane = "XY"\nfeed_mm_min = 1000\n'
+    (tmp_path / "campaign.toml").write_text(f"{head}radius_mm = {radius}\n", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        list(open_source(tmp_path)[1])
+    assert refused.value.code == "campaign.value"
