@@ -27,8 +27,10 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     Raises
     ------
     StoreError
-        When the folder is read-only or full; nothing is left behind.
+        When it is the name of no file, or the folder is read-only or full; nothing is left behind.
     """
+    if not path.name:
+        raise StoreError(f"{what} has no name to be written under", code="store.write", where=repr(str(path)))
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         make_folder(path.parent)

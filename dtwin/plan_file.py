@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _Plan = TypeVar("_Plan", bound="DataclassInstance")
 
+_MAX_BYTES = 4 * 1024**2
+
 
 def read_plan_file(path: Path) -> dict[str, Any]:
     """Return the content of a plan file.
@@ -34,10 +36,14 @@ def read_plan_file(path: Path) -> dict[str, Any]:
         When it cannot be read, or is no TOML.
     """
     try:
+        # A device has no end.
+        if not path.is_file() or path.stat().st_size > _MAX_BYTES:
+            said = "more than a plan holds" if path.is_file() else "no such file"
+            raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=said)
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=error.strerror) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)) from error
 
 

@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 def run(
     cell: Cell = "demo",
     parts: Annotated[int, typer.Option(help="Parts to make.")] = 1,
-    seed: Annotated[int, typer.Option(help="Of both virtual machines.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of both virtual machines.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Begin a job: load, hold, mill four quarters, unload, for every part."""

@@ -24,7 +24,7 @@ def demo(
         bool,
         typer.Option("--quick", help="A small campaign, for a first look; tracking and position-map have one size."),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the virtual machine.")] = 0,
     as_json: Json = False,
 ) -> None:
     """The main job: from a real recording and 81 tests to an equation served to a robot.

@@ -40,7 +40,7 @@ def split(
     fitness: Annotated[str, typer.Option(help="weighted_sum, or eq15 as printed.")] = "weighted_sum",
     particles: Annotated[int, typer.Option(help="Of the swarm.")] = 50,
     iterations: Annotated[int, typer.Option(help="Of the swarm.")] = 150,
-    seed: Annotated[int, typer.Option(help="Of the swarm.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the swarm.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Page to write (HTML).")] = None,
     as_json: Json = False,
 ) -> None:
@@ -88,7 +88,7 @@ def split(
 @app_dynamics.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer machines, feeds and particles.")] = False,
-    seed: Annotated[int, typer.Option(help="Of vibration, swarm and virtual hexapod.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of vibration, swarm and virtual hexapod.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published filter again: theirs, ours, whether they follow."""

@@ -22,7 +22,7 @@ On = Annotated[
 Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")
 ]
-Seed = Annotated[int, typer.Option(help="Seed of what is drawn.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")]
 
 app_fleet = typer.Typer(
     cls=FleetCommands, no_args_is_help=True, help="The same for many machines, on one computer or many."

@@ -33,7 +33,7 @@ def fit(
         str, typer.Option(help="flanks: remembers the play; pair: two networks; printed: theirs.")
     ] = "flanks",
     out: Annotated[Path, typer.Option(help="Bundle to write.")] = Path("lathe.json"),
-    seed: Annotated[int, typer.Option(help="Of the first weights.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first weights.")] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Write it though a gate says no, or the file is there.")
     ] = False,
@@ -75,7 +75,7 @@ def fit(
 def compensate(
     model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
     truth: Annotated[str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")] = "published",
-    seed: Annotated[int, typer.Option(help="Of the day: drift and noise.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the day: drift and noise.")] = 1,
     plan: Annotated[Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")] = None,
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     wall_clock: Annotated[
@@ -99,7 +99,7 @@ def compensate(
 @app_lathe.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")] = False,
-    seed: Annotated[int, typer.Option(help="First seed of the simulated campaigns.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="First seed of the simulated campaigns.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published lathe again: theirs, ours, whether they follow."""

@@ -51,7 +51,7 @@ def measure(
         Path | None, typer.Argument(help="Plan file (TOML); without it the plans that wait are listed.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Of a virtual machine; a fresh one where that is of noise alone.")
+        int | None, typer.Option(min=0, help="Of a virtual machine; a fresh one where that is of noise alone.")
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -45,7 +45,7 @@ def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.
 
 def train(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
     engine: Annotated[str, typer.Option(help="Free symbolic search: operon, or pysr (needs Julia).")] = "operon",
     as_json: Json = False,
 ) -> None:
@@ -157,7 +157,7 @@ def promote(
     despite: Annotated[
         list[str] | None, typer.Option(help="Evidence on record that speaks against it, by name; kept in the history.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the virtual machine.")] = 0,
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
     valid_days: Annotated[
         float, typer.Option(min=0.0, max=36_500.0, help="How long the evidence holds; 0: for ever.")

@@ -16,7 +16,7 @@ def register(app: typer.Typer) -> None:
 
 def papers(
     quick: Annotated[bool, typer.Option("--quick", help="Less of everything, for a first look.")] = False,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute what four published systems report again: how many figures follow, and which do not."""

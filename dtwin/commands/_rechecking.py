@@ -22,7 +22,7 @@ def recheck(
     without: Annotated[list[str] | None, typer.Option(help="Campaign in the lake measured without it.")] = None,
     with_: Annotated[list[str] | None, typer.Option("--with", help="Campaign measured with it.")] = None,
     blocks: Annotated[int, typer.Option(help="Passes over all circles of the cobot.", min=2, max=1000)] = 3,
-    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the virtual machine.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Measure with and without the champion again; when it harms, release and roll back (exit 3)."""

@@ -48,7 +48,7 @@ def simulate(
         Path | None, typer.Option(help=f"Plan file; the machine's own campaign without. Of {_with(PLAN)}.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign; not with --plan.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the machine.")] = 0,
     hidden: Annotated[str | None, typer.Option(help=f"Fault that nobody is told of. {_values('hidden')}.")] = None,
     truth: Annotated[str | None, typer.Option(help=f"What the machine is like. {_values('truth')}.")] = None,
     schedule: Annotated[str | None, typer.Option(help=f"What heats the machine. {_values('schedule')}.")] = None,

@@ -37,7 +37,7 @@ def fit(
         ),
     ] = "inverse",
     out: Annotated[Path, typer.Option(help="Bundle to write.")] = Path("turning.json"),
-    seed: Annotated[int, typer.Option(help="Of the free search.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the free search.")] = 1,
     force: Annotated[
         bool, typer.Option("--force", help="Write it though a gate says no, or the file is there.")
     ] = False,
@@ -89,7 +89,7 @@ def compensate(
     truth: Truth = "linear",
     frequency: Annotated[list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")] = None,
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
-    seed: Annotated[int, typer.Option(help="Of noise.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise.")] = 1,
     html: Annotated[Path | None, typer.Option("--html", help="Write surfaces and errors, one offline page.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -123,7 +123,7 @@ def compensate(
 @app_turning.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")] = False,
-    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published slide again: theirs, ours, whether they follow."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
 Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
-Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of permutations.")]
 
 twin_app = typer.Typer(
     cls=TwinCommands,

@@ -88,7 +88,7 @@ def fit(
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Every third cycle, for a first look.")] = False,
     truth: Annotated[str, typer.Option(help="Where the thermocouples sit: surface, or pockets.")] = "surface",
-    seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the machine.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published mill again: theirs, ours, whether they follow."""

@@ -12,6 +12,7 @@ from dtwin.links.state import APPLIED_SEQUENCE
 
 TICK_HZ = 500
 _LARGEST_UM = 2000.0
+_LONGEST_S = 10.0
 
 _FUNCTIONS = """\
 def dtwin_within(value, limit):
@@ -96,12 +97,16 @@ def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -
     ``watchdog_s``: time without a new sequence number after which the offset is led back to zero. From then on no
     vector counts before one of zeros has come: whoever was away begins at zero.
     """
-    if not (0.0 < limit_um <= _LARGEST_UM and slew_um_s > 0.0 and watchdog_s >= 2.0 / TICK_HZ):
+    if not (
+        0.0 < limit_um <= _LARGEST_UM
+        and 0.0 < slew_um_s < _LARGEST_UM * TICK_HZ
+        and 2.0 / TICK_HZ <= watchdog_s <= _LONGEST_S
+    ):
         raise InputError(
             "these are no limits for a correction",
             code="ur.limits",
             got=f"{limit_um:g} um, {slew_um_s:g} um/s, watchdog {watchdog_s:g} s",
-            allowed=f"up to {_LARGEST_UM:g} um, a positive rate, a watchdog of 2 ticks or more",
+            allowed=f"up to {_LARGEST_UM:g} um, a positive rate, a watchdog of 2 ticks to {_LONGEST_S:g} s",
         )
     return _FUNCTIONS.format(
         limit=float(limit_um), step=float(slew_um_s / TICK_HZ), watchdog=round(watchdog_s * TICK_HZ)

@@ -63,6 +63,14 @@ def machine_next(
     measured = [Made(load(home, name).obs, left) for name, left in zip(chosen, unclear(groups), strict=True)]
     plans = _proposed(record, allowed, [test.obs for test in measured])
     within = [(p, document) for p, document in plans if minutes is None or _minutes(p) <= minutes]
+    if not plans:
+        raise InputError(
+            "no kind of test proposes anything for these axes",
+            code="machine.proposals",
+            where=machine,
+            got=", ".join(record.axes) or "no axis",
+            hint=f"dtwin machine add {machine} --axis X:travel_mm=500 --axis Y:travel_mm=400",
+        )
     if not within:
         raise InputError(
             "no proposed test is that short",

@@ -4,12 +4,17 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 from dtwin import __version__, cli
+from dtwin.cli import app, main
 from dtwin.config import home
+from dtwin.machine_record import MachineRecord, write_record
 
 
 def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
@@ -184,3 +189,40 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["plan", "/dev/zero"], "plan.file"),
+        (["machine", "measure", "m", "/dev/zero"], "plan.file"),
+        (["check", "a" * 300], "store.permission"),
+        (["effects", "template", "a" * 300], "store.permission"),
+        (["robot-program", "--watchdog-s", "1e309"], "ur.limits"),
+        (["robot-program", "--slew-um-s", "1e309"], "ur.limits"),
+        (["machine", "next", "m"], "machine.proposals"),
+        (["machine", "plan", "m", "--out", ""], "store.write"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_nothing_hangs(
+    words: list[str], code: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_record(home(), MachineRecord("m", axes={"Q": {}}))
+    monkeypatch.setattr(sys, "argv", ["dtwin", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code not in (0, None)
+    assert f"error[{code}]" in capsys.readouterr().err
+
+
+def _leaves(command: Any) -> Iterator[Any]:
+    for inner in getattr(command, "commands", {}).values():
+        yield from _leaves(inner)
+    if not hasattr(command, "commands"):
+        yield command
+
+
+def test_a_seed_below_zero_is_refused_by_every_command() -> None:
+    seeds = [p for command in _leaves(typer.main.get_command(app)) for p in command.params if p.name == "seed"]
+    assert len(seeds) > 15
+    assert {p.min for p in seeds} == {0}
