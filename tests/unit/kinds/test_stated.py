@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import DtwinError
+from dtwin.kinds.registry import kind_named
 
 N = np.arange(400)
 WAVE = 3.0 * np.cos(np.radians(7.2 * N))
@@ -65,3 +69,22 @@ def test_what_is_stated_is_read_or_refused(tmp_path: Path, kind: str) -> None:
             outcomes.add(error.code)
     assert True in outcomes
     assert "campaign.value" in outcomes
+
+
+@pytest.mark.parametrize("kind", HEADS)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    content=st.one_of(st.binary(max_size=400), st.text('0123456789.,;-+eE \n\t"nai#µ', max_size=400).map(str.encode))
+)
+def test_no_table_ends_in_anything_but_a_refusal(tmp_path: Path, kind: str, content: bytes) -> None:
+    text = [f'[campaign]\nname = "c"\nmachine = "m"\nkind = "{kind}"']
+    text += ['[campaign.machine_geometry]\nchain = "ur5"'] if kind == "poses" else []
+    text += [f'[[run]]\nid = "r"\nfile = "a.csv"\n{USUAL.get(kind, "")}']
+    (tmp_path / "campaign.toml").write_text("\n".join(text), encoding="utf-8")
+    heads, columns = HEADS[kind]
+    rows = [",".join(f"{v:.4f}" for v in row) for row in list(zip(*columns, strict=True))[:40]]
+    (tmp_path / "a.csv").write_bytes("\n".join([heads, *rows, ""]).encode() + content)
+    with suppress(DtwinError):
+        for runs, _ in open_source(tmp_path)[1]:
+            for run in runs:
+                kind_named(kind).judge_run(run)
