@@ -261,6 +261,11 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
         found.addresses["mlflow"] = home.mlflow_uri.rstrip("/")
         return
     port = _port(wanted, "--mlflow-port")
+    if not home.mlflow_uri.startswith("sqlite"):
+        from dtwin.train.registry import Registry
+
+        # Makes the tables of an empty database, while no other process of this home does.
+        Registry(home)
     artifacts = home.mlflow_artifacts
     if isinstance(artifacts, Path):
         artifacts.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.locks import locked
 from dtwin.processes import is_gone, process
 from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
@@ -83,7 +84,10 @@ class Registry:
             os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
         if self.uri.startswith("postgresql"):
             _require_answer(self.uri)
-        self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
+        # The first client of an empty database makes its tables; two at once would both make them.
+        alone = self.uri.startswith(("sqlite", "postgresql"))
+        with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
+            self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
