@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._heads import ANGLE, PATH, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
@@ -21,7 +21,6 @@ from dtwin.schema import Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
-_SNIFFED = 65_536
 _MOST_TITLES = 20
 _MOST_PROBES = 64
 _LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
@@ -65,17 +64,13 @@ def is_rotation_file(path: Path) -> bool:
     """Return whether a file alone is surely of a turning axis; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    if is_spreadsheet(path):
-        text = decoded(table_bytes(path, _MOST_BYTES)[:_SNIFFED])
-    else:
-        with path.open("rb") as file:
-            text = decoded(file.read(_SNIFFED))
+    text = first_text(path, _MOST_BYTES)
     return is_log(text) or _headed(rows_of(text), {}) is not None
 
 
 def is_log(text: str) -> bool:
     """Return whether most of the first lines are ``NAME DATE TIME VALUE``."""
-    first = [line for line in text[:_SNIFFED].splitlines()[:50] if line.strip() and not line.startswith("#")]
+    first = [line for line in text[:65_536].splitlines()[:50] if line.strip() and not line.startswith("#")]
     return bool(first) and 2 * sum(_LINE.match(line) is not None for line in first) > len(first)
 
 
