@@ -41,6 +41,16 @@ UNITS: dict[str, str] = {
 }
 
 UM_PER_MM = 1000.0
+LENGTHS_MM = {"m": 1000.0, "in": 25.4, "inch": 25.4, "mm": 1.0, "mil": 0.0254, "nm": 1e-6} | dict.fromkeys(
+    ("um", "µm", "μm", "micron"), 1e-3
+)
+"""How many millimetres a unit of length of a foreign file is, as people spell it."""
+TIMES_S = (
+    {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "min": 60.0}
+    | dict.fromkeys(("s", "sec", "sek"), 1.0)
+    | dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std"), 3600.0)
+)
+"""The same of times, in seconds."""
 G_MM_S2 = 9806.65
 _LARGEST = sys.float_info.max
 

@@ -219,7 +219,7 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     reader = kind.reader_of(entry.file)
     if reader is not None:
         runs, rows = reader(entry.file, campaign, _checked(entry))
-        done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", count=True) for r in runs]
+        done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", by_reader=True) for r in runs]
         kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
         return [kind.completed(run, campaign) for run in done], kept
     return _read_table(entry, campaign)
@@ -254,12 +254,15 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     return [kind_named(campaign.kind).completed(run, campaign)], rejected
 
 
-def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False) -> Run:
-    """Return the run with what the campaign file states; a contradiction is a finding."""
+def _completed(run: Run, entry: FolderEntry, run_id: str, *, by_reader: bool = False) -> Run:
+    """Return the run with what the campaign file states; a contradiction is a finding.
+
+    ``by_reader``: a reader of the kind made it, and has told directions and counted repeats.
+    """
     told, meta, where = entry.stated, run.meta, str(entry.file)
     findings = list(run.findings)
     changes: dict[str, Any] = {"run_id": run_id}
-    direction = _direction(told, meta, entry)
+    direction = _direction(told, meta, entry, by_reader=by_reader)
     if kind_named(meta.kind).goes_round and direction is not None:
         plane, direction = _plane(told, meta, direction, entry)
         changes |= {"plane": plane, "direction": direction}
@@ -277,7 +280,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
             )
         elif read is None:
             changes[name] = value
-    if "repeat" in told and not count:
+    if "repeat" in told and not by_reader:
         changes["repeat"] = stated.count(told["repeat"], "repeat", where)
     if "correction" in told:
         changes["correction"] = stated.correction(told["correction"], "correction", where)
@@ -292,7 +295,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
     return replace(run, meta=replace(meta, **changes), findings=tuple(findings))
 
 
-def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> Direction | None:
+def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry, *, by_reader: bool) -> Direction | None:
     told = of_run.get("direction", meta.direction)
     if told is None and not kind_named(meta.kind).goes_round:
         return None
@@ -305,9 +308,7 @@ def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> 
             allowed="CCW or CW",
             hint='add direction = "CCW" to the run in campaign.toml',
         )
-    if meta.direction is not None and (
-        entry.file.suffix.lower() == ".b5r" or kind_named(meta.kind).reader_of(entry.file)
-    ):
+    if meta.direction is not None and (by_reader or entry.file.suffix.lower() == ".b5r"):
         return meta.direction
     return cast(Direction, told)
 

@@ -9,21 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dtwin.errors import InputError
-from dtwin.units import UNITS
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
+# Lengths of smaller units become µm.
+_LEAST_MM = 0.01
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {
-    **dict.fromkeys(("um", "µm", "μm", "micron"), ("um", 1.0)),
-    "nm": ("um", 1e-3),
-    "mm": ("mm", 1.0),
-    "m": ("mm", 1000.0),
-    **dict.fromkeys(("in", "inch"), ("mm", 25.4)),
-    **dict.fromkeys(("s", "sec", "sek"), ("s", 1.0)),
-    "ms": ("s", 1e-3),
-    "min": ("s", 60.0),
-    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std"), ("s", 3600.0)),
+    **{name: ("um", UM_PER_MM * mm) if mm < _LEAST_MM else ("mm", mm) for name, mm in LENGTHS_MM.items()},
+    **{name: ("s", seconds) for name, seconds in TIMES_S.items()},
     **dict.fromkeys(("°", "deg", "grad"), ("deg", 1.0)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),

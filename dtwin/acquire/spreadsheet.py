@@ -10,7 +10,7 @@ from datetime import date, datetime
 from functools import lru_cache
 from pathlib import Path
 
-from dtwin.acquire.table_dialect import decoded
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
@@ -18,7 +18,7 @@ SUFFIXES = (".xlsx", ".xlsm")
 _MAX_BYTES = 32 * 1024**2
 # Unpacked: a small archive may be a bomb.
 _MAX_UNPACKED = 256 * 1024**2
-_SNIFFED = 65_536
+_SNIFFED, _FIRST_LINES = 65_536, 100
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
 
 
@@ -54,6 +54,11 @@ def first_text(path: Path, max_bytes: int) -> str:
         return decoded(table_bytes(path, max_bytes)[:_SNIFFED])
     with path.open("rb") as file:
         return decoded(file.read(_SNIFFED))
+
+
+def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
+    """Return the first rows of a table, by whose heads its form is known; arguments as :func:`first_text`."""
+    return rows_of("\n".join(first_text(path, max_bytes).splitlines()[:_FIRST_LINES]))
 
 
 @lru_cache(maxsize=4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -79,7 +80,7 @@ class EvidenceRequest:
     progress: Progress | None
 
 
-class VirtualMachine:
+class VirtualMachine(ABC):
     """A machine that exists only as equations; what it lacks is refused by name.
 
     Attributes
@@ -106,9 +107,9 @@ class VirtualMachine:
     seeds_measuring: ClassVar[bool] = False
     robot: ClassVar[bool] = False
 
+    @abstractmethod
     def simulate(self, request: Request, progress: Progress) -> Simulated:
         """Measure a campaign and write its folder."""
-        raise NotImplementedError
 
     def served(self, request: Request) -> ServedMachine:
         """Return the machine under its program, for corrections that come while it runs."""

@@ -75,7 +75,8 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
         "operator": stated.get("operator", ""),
         "temperature": temperature,
         "measured": f"{stamps[0]} - {stamps[-1][11 if same_day else 0 :]}" if stamps else "",
-        "test": f"{known.name}, {sum(row['left_out'] is None for row in rows)} runs",
+        "test": known.name,
+        "runs": str(sum(row["left_out"] is None for row in rows)),
         "evaluated by": f"dtwin {__version__}",
     }
 

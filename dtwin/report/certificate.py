@@ -42,14 +42,14 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <h1>{{ say("Test certificate") }}: {{ facts.machine }}</h1>
 <p class="decision">{{ say("Decision") }}{% if sheet.verdict %} {{ say("after ISO 14253-1") }}{% endif %}: <strong>{{ say(sheet.verdict or "no tolerance is stated") }}</strong><br>
 <small>{{ tell(sheet.standard) }}</small></p>
-<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ tell(value) or say("not stated") }}</dd>{% endfor %}</dl>
+<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ value or say("not stated") }}{% if name == "test" and runs %}, {{ runs }} {{ say("runs") }}{% endif %}</dd>{% endfor %}</dl>
 {% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
 <table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, µm</th><th>U (95 %), µm</th><th>{{ say("limit") }}, µm</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, µm</th><th>{{ say("change") }}, µm</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ c.shown.value }}</td><td>{{ c.shown.expanded }}</td><td>{{ c.shown.limit }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ c.before }}</td><td>{{ c.change }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
-{% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0].removeprefix("Budget of ")) }}</h2>
+{% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0]) }}</h2>
 <table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), µm</th><th>{{ say("from") }}</th></tr></thead>
 <tbody>{% for row in budget[1] %}<tr><td>{{ say(row[0]) }}</td><td>{{ row[1] }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
@@ -87,12 +87,14 @@ def certificate_page(
         One of ``LANGUAGES``.
     """
     words = LANGUAGES[language]
-    longest_first = "|".join(map(re.escape, sorted(words, key=len, reverse=True)))
-    phrase = re.compile(rf"(?<!\w)(?:{longest_first})(?!\w)") if words else None
+    # What people named stays as they named it.
+    phrases = {**words, **{name: name for part in sheet["parts"] for name in part["runs"]}}
+    longest_first = "|".join(map(re.escape, sorted(phrases, key=len, reverse=True)))
+    phrase = re.compile(rf"(?<![\w-])(?:{longest_first})(?![\w-])") if words else None
 
     def tell(text: object) -> str:
         """Translate the phrases that are known in a longer text."""
-        return str(text) if phrase is None else phrase.sub(lambda found: words[found[0]], str(text))
+        return str(text) if phrase is None else phrase.sub(lambda found: phrases[found[0]], str(text))
 
     old = {} if earlier is None else _values(earlier["sheet"])
     # A round picture leaves room beside it: three conditions fit on a page.
@@ -116,6 +118,7 @@ def certificate_page(
             language=language,
             facts=facts,
             head=[(name, facts.get(name, "")) for name in HEAD],
+            runs=facts.get("runs", ""),
             sheet=sheet,
             budget=headline_budget(sheet),
             parts=parts,

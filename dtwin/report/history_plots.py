@@ -83,7 +83,8 @@ def chart_figure(series: Mapping[str, Any]) -> go.Figure:
 
 def _over_days(figure: go.Figure, days: Sequence[str]) -> go.Figure:
     """Show a day before and after tests of one day, which would else stand over fractions of a second."""
-    first, last = (datetime.fromisoformat(day) for day in (min(days), max(days)))
+    # Some tests state a time zone, others none.
+    first, last = (datetime.fromisoformat(day).replace(tzinfo=None) for day in (min(days), max(days)))
     if last - first < timedelta(days=2):
         figure.update_xaxes(range=[(first - timedelta(days=1)).isoformat(), (last + timedelta(days=1)).isoformat()])
     return figure

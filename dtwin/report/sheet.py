@@ -245,7 +245,7 @@ def headline_budget(sheet: Mapping[str, Any]) -> tuple[str, list[list[str]]] | N
     if not known:
         return None
     _, title, c = max(known, key=lambda found: found[0])
-    return f"Budget of {c['symbol']}, {title}", budget_rows(c)
+    return f"{c['symbol']}, {title}", budget_rows(c)
 
 
 def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
@@ -282,5 +282,5 @@ def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
     lines.append(sheet["basis"])
     told = headline_budget(sheet)
     if told is not None:
-        lines += ["", *table((told[0], *BUDGET_HEAD[1:]), told[1]).splitlines(), ""]
+        lines += ["", *table((f"Budget of {told[0]}", *BUDGET_HEAD[1:]), told[1]).splitlines(), ""]
     return [*lines, *sheet["notes"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
@@ -51,7 +52,7 @@ class TermTwin(Generic[T]):
         return dict(self.document)
 
 
-class TermTwins(TwinShelf, Generic[T, L, W, D]):
+class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
     """The twins of a home that are of one kind; a kind says what its terms are, and how they are fitted.
 
     ``named``: the kind; ``form``: of its documents; ``no_robust``: what helps against spoilt readings instead.
@@ -64,17 +65,17 @@ class TermTwins(TwinShelf, Generic[T, L, W, D]):
     def __init__(self, home: Home) -> None:
         super().__init__(home, self.named)
 
+    @abstractmethod
     def loaded(self, campaign: str) -> L:
         """Return a campaign as it is fitted, with its ``machine``, ``campaign`` and ``data``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def asked(self, loaded: L, effects: Sequence[str], axis: str) -> Sequence[T]:
         """Return the terms that a user names."""
-        raise NotImplementedError
 
+    @abstractmethod
     def label(self, term: T) -> str:
         """Return a term as a user writes it."""
-        raise NotImplementedError
 
     def joined(self, loaded: L, terms: Sequence[T], more: Sequence[T]) -> Sequence[T]:
         """Return terms with others."""
@@ -84,17 +85,17 @@ class TermTwins(TwinShelf, Generic[T, L, W, D]):
         """Return whether two terms are one effect."""
         return one == other
 
+    @abstractmethod
     def diagnosed(self, loaded: L, terms: Sequence[T]) -> D:
         """Return what a twin of these terms lacks."""
-        raise NotImplementedError
 
+    @abstractmethod
     def fitted(self, loaded: L, terms: Sequence[T]) -> Mapping[str, Any]:
         """Return what is stored of a fit: ``effects``, ``parameters``, ``figures`` and what else the kind needs."""
-        raise NotImplementedError
 
+    @abstractmethod
     def stored(self, document: Mapping[str, Any]) -> W:
         """Return the twin of a document."""
-        raise NotImplementedError
 
     def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> W:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.

@@ -23,7 +23,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
@@ -60,7 +60,7 @@ def is_circle_table(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     try:
-        return _form_of(_table(first_text(path, _MAX_BYTES), path)[0]) is not None
+        return _form_of(_table(first_rows(path, _MAX_BYTES), path)[0]) is not None
     except InputError:
         return False
 
@@ -70,14 +70,14 @@ def read_circle_runs(
 ) -> tuple[list[Run], list[dict[str, Any]]]:
     """Read a table of one of the forms as runs, one a direction and repeat, and its rows without a number.
 
-    ``stated``: the ``[[run]]`` entry with ``radius_mm`` and ``feed_mm_min``.
+    ``stated``: the ``[[run]]`` entry with ``radius_mm`` and ``feed_mm_min``; repeats count on from the one that it states.
 
     Raises
     ------
     InputError
         When a unit or condition is missing, or the rows do not go round.
     """
-    columns, body = _table(decoded(table_bytes(path, _MAX_BYTES)), path)
+    columns, body = _table(rows_of(decoded(table_bytes(path, _MAX_BYTES))), path)
     form = _form_of(columns)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
@@ -121,11 +121,10 @@ def read_circle_runs(
         raise _wrong(
             "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
         )
-    return _counted(runs), rejects
+    return _counted(runs, int(stated.get("repeat", 1))), rejects
 
 
-def _table(text: str, path: Path) -> tuple[tuple[Column, ...], list[list[str]]]:
-    rows = rows_of(text)
+def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[list[str]]]:
     if rows and all(len(row) == 1 for row in rows):
         # Parted by blanks, which may stand before a unit, too.
         rows = [re.sub(r"\s+(?=[\[(])", "", row[0]).split() for row in rows]
@@ -271,15 +270,15 @@ def _stretches(angle: Floats) -> list[slice]:
     return [slice(a, b) for a, b in zip(begins, [*begins[1:], angle.size], strict=True)]
 
 
-def _counted(runs: Sequence[Run]) -> list[Run]:
-    """Give each run its name and its repeat of its direction."""
+def _counted(runs: Sequence[Run], first: int) -> list[Run]:
+    """Give each run its name and its repeat of its direction, the first one ``first``."""
     seen: dict[Any, int] = {}
     out = []
     for run in runs:
         way = run.meta.direction
         seen[way] = seen.get(way, 0) + 1
         name = f"{str(way).lower()}{seen[way]}"
-        out.append(replace(run, meta=replace(run.meta, run_id=name, repeat=seen[way])))
+        out.append(replace(run, meta=replace(run.meta, run_id=name, repeat=first - 1 + seen[way])))
     return out
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import all_units, columns_of
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -26,10 +26,12 @@ from dtwin.units import is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
-_MOVED = re.compile(r"(displacement|deviation|verlagerung|[xyz])(_\w+)?_um", re.I)
+_MOVED = re.compile(r"(displacement|deviation|verlagerung|([xyz])\d?)(_\w+)?_um", re.I)
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _STAMP = re.compile(r"(time ?_?stamp|date ?_?time|date|datum|zeitstempel|time|zeit)", re.I)
 _STEPS = "displacement_step"
+_STAMPED = "t_stamp"
+"""A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
@@ -38,7 +40,7 @@ _COLDEST_C = -60.0
 
 
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
-    """Return one log as a run, and the rows that hold no usable number.
+    """Return each displacement of a log as a run, and the rows that hold no usable number.
 
     Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
     """
@@ -52,7 +54,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     scales = dict(zip(heads, factors, strict=True))
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]
     moved = [name for name in heads if name == _STEPS or _MOVED.fullmatch(name)]
-    if not moved or not temperatures or "t_s" not in column or not body:
+    clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
+    if not moved or not temperatures or not clock or not body:
         raise InputError(
             "a log of drift lacks columns",
             code="columns.missing",
@@ -61,7 +64,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             allowed=f"a time, a displacement in µm, mm or as {_STEPS}, and a temperature in °C: t_s, displacement_um, temperature_NAME_c",
             hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
-    shared: dict[str, Floats] = {"t_s": _seconds(column["t_s"], path) * scales["t_s"]}
+    t_s = _seconds(column[clock], path, stamps=clock == _STAMPED) * scales[clock]
+    shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: _numbers(column[name]) for name in temperatures}
     if "sample" in column:
         shared["sample_1"] = _numbers(column["sample"])
@@ -87,9 +91,10 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         kept["t_s"] = kept["t_s"] - kept["t_s"][0]
         kept["displacement_um"] = kept["displacement_um"] - kept["displacement_um"][0]
         # The axis that moved may stand in the header, where there are several.
-        told = name.split("_")[0]
-        condition = {"axis": told.upper()} if len(moved) > 1 and told in ("x", "y", "z") else {}
-        run_id = "log" if len(moved) == 1 else told
+        letter = _MOVED.fullmatch(name)
+        several = len(moved) > 1
+        condition = {"axis": letter[2].upper()} if several and letter and letter[2] else {}
+        run_id = name.removesuffix("_um") if several else "log"
         meta = RunMeta(run_id=run_id, kind="drift", condition=condition, sample_rate_hz=float("nan"))
         runs.append(Run(meta, kept, source=str(path), findings=tuple(findings)))
     return runs, rejects
@@ -99,14 +104,16 @@ def is_drift_log(path: Path) -> bool:
     """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    rows = rows_of(first_text(path, _MOST_BYTES))
+    rows = first_rows(path, _MOST_BYTES)
     if len(rows) < 2:
         return False
     heads, _ = _named(rows[0], rows[1] if all_units(rows[1]) else None, {})
     told = {name for name in heads if name == _STEPS or _MOVED.fullmatch(name)}
     # A log of something else may hold temperatures, too.
     others = any(_OF_OTHERS.match(name) for name in heads)
-    return "t_s" in heads and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
+    return (
+        bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
+    )
 
 
 def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> tuple[list[str], list[float]]:
@@ -120,7 +127,7 @@ def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str,
         if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
             name = f"temperature_{name}"
         elif _STAMP.fullmatch(name):
-            name = "t_s"
+            name = _STAMPED
         elif name.endswith("_mm"):
             name, factor = f"{name.removesuffix('_mm')}_um", factor * 1e3
         names.append(name)
@@ -166,21 +173,22 @@ def _numbers(cells: Sequence[str]) -> Floats:
     return out
 
 
-def _seconds(cells: Sequence[str], path: Path) -> Floats:
-    """Return times in seconds: numbers, ISO 8601, or a stamp of a known form."""
+def _seconds(cells: Sequence[str], path: Path, *, stamps: bool) -> Floats:
+    """Return times in seconds: numbers, ISO 8601, or a stamp of a known form; ``stamps``: numbers have no unit."""
     numbers = _numbers(cells)
-    if np.isfinite(numbers).all():
+    if np.isfinite(numbers).all() and not stamps:
         return numbers
     for form in (None, *_STAMPS):
         try:
             made = [datetime.fromisoformat(c) if form is None else datetime.strptime(c, form) for c in cells]
-        except ValueError:
+            return np.array([(stamp - made[0]).total_seconds() for stamp in made])
+        # Of no such form; or some with a time zone and some without.
+        except (ValueError, TypeError):
             continue
-        return np.array([(stamp - made[0]).total_seconds() for stamp in made])
     raise InputError(
-        "times are of no known form",
+        "times tell no unit, or are of no known form",
         code="drift.time",
         where=str(path),
         got=cells[0][:40],
-        allowed="seconds, or ISO 8601",
+        allowed="a head with a unit, such as time [s] or time [min]; or ISO 8601",
     )

@@ -33,7 +33,6 @@ from dtwin.kinds.linear._report_tables import one_instrument, report_tables, sta
 from dtwin.kinds.linear._table_heads import (
     ANGLE,
     MISSING,
-    MM,
     SUMMARY,
     Long,
     Wide,
@@ -46,7 +45,7 @@ from dtwin.kinds.linear._table_heads import (
     wide_of,
 )
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
-from dtwin.units import UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
 _MOST_TITLES = 20
@@ -247,7 +246,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
 def _assigned(text: str, path: Path) -> list[Reading]:
     stated = _UNIT_ASSIGNED.search(text)
     unit = stated[1].lower() if stated else "mm"
-    if unit not in MM:
+    if unit not in LENGTHS_MM:
         raise _wrong("a unit that is not known", path, unit[:20])
     targets: dict[int, float] = {}
     read: list[tuple[str, int, int, float]] = []
@@ -255,7 +254,7 @@ def _assigned(text: str, path: Path) -> list[Reading]:
         match = _ASSIGNED.match(line)
         if match is None:
             continue
-        value = _number(match[4], f"{path} line {number}") * MM[unit]
+        value = _number(match[4], f"{path} line {number}") * LENGTHS_MM[unit]
         if match[1] == "TGT_DATA":
             targets[int(match[2])] = value
         elif match[3] is None:

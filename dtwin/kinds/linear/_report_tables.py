@@ -12,10 +12,10 @@ import numpy as np
 from dtwin.acquire.table_dialect import rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._matrix import other_formulas_um
-from dtwin.kinds.linear._table_heads import MM, is_deviation, is_index, long_of, names_target, unit_of, way_of, wide_of
+from dtwin.kinds.linear._table_heads import is_deviation, is_index, long_of, names_target, unit_of, way_of, wide_of
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
-from dtwin.units import UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 _RULE = re.compile(r"^\s*\|?\s*:?-{2,}:?\s*(\|\s*:?-{2,}:?\s*)*\|?\s*$")
 _HEADING = re.compile(r"^(#{1,6})\s+(.*)$")
@@ -124,7 +124,7 @@ def stated_figures(text: str, forward_um: Floats, reverse_um: Floats) -> list[Fi
     others = other_formulas_um(forward_um, reverse_um)
     same, formula, apart = [], [], []
     for symbol, (number, unit) in stated.items():
-        scale = MM[unit] * UM_PER_MM
+        scale = LENGTHS_MM[unit] * UM_PER_MM
         theirs, value = float(number.replace(",", ".")) * scale, float(getattr(ours, _FIGURES[symbol]))
         digits = len(re.split(r"[.,]", number)[1]) if re.search(r"[.,]", number) else 0
         near = 2.0 * scale * 10.0**-digits + _ROUNDED * abs(value)

@@ -6,14 +6,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dtwin.units import UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
 SUMMARY = re.compile(r"(avg|average|mean|std|stdev|sigma|range|min|max|mittel\w*|spannweite|streuung)\b", re.I)
 """First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _UNIT_INSIDE = re.compile(r"\s*[\[(](mm|um|µm|μm|nm|inch|in)[\])]", re.I)
-MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4, "m": 1000.0, "nm": 1e-6}
 _UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
@@ -137,10 +136,10 @@ def unit_of(head: str) -> str:
 
 def is_unit(cell: str) -> bool:
     """Return whether a cell holds a unit of length and nothing else."""
-    return cell.strip().strip("[]()").lower() in MM
+    return cell.strip().strip("[]()").lower() in LENGTHS_MM
 
 
 def scale_of(head: str, unit: str) -> float:
     """Return how many millimetres one of a column is."""
     told = unit.strip().strip("[]()").lower()
-    return MM[told] if told in MM else MM.get(unit_of(head).lower(), 1.0)
+    return LENGTHS_MM.get(told, LENGTHS_MM.get(unit_of(head).lower(), 1.0))

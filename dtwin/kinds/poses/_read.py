@@ -15,8 +15,7 @@ import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_text, table_bytes
-from dtwin.acquire.table_dialect import rows_of
+from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.errors import InputError
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -61,7 +60,7 @@ def is_pose_table(path: Path) -> bool:
     """Return whether a table has joints and measured places, or errors, under the house's names; its conditions are told elsewhere."""
     if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
         return False
-    heads = next(iter(rows_of(first_text(path, _MOST_BYTES))), [])
+    heads = next(iter(first_rows(path, _MOST_BYTES)), [])
     return any(h.startswith("joint_1_") for h in heads) and any(
         h.startswith(("measured_x_", "error_x_")) for h in heads
     )

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
 PROBE = "probe"
@@ -15,9 +18,10 @@ OVER_SPEED = "run-out over speed"
 AXIAL = "axial"
 RADIAL = "radial"
 
-_LENGTH_UM = {"mm": 1e3, "um": 1.0, "µm": 1.0, "μm": 1.0, "nm": 1e-3, "in": 25.4e3, "inch": 25.4e3, "mil": 25.4}
-_FACTORS = {
-    TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0},
+# Metres are no probe's.
+_LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
+_FACTORS: Mapping[str, Mapping[str, float]] = {
+    TIME: TIMES_S,
     ANGLE: {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232, "rev": 360.0, "turns": 360.0},
     SPEED: {"rpm": 1.0, "1/min": 1.0, "min-1": 1.0, "min^-1": 1.0, "u/min": 1.0, "rev/min": 1.0, "r/min": 1.0}
     | {"1_min": 1.0, "hz": 60.0, "rps": 60.0, "rev/s": 60.0, "1/s": 60.0, "deg/s": 1.0 / 6.0, "deg_s": 1.0 / 6.0},

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -33,16 +34,15 @@ def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
     Raises ``InputError`` when there is no probe, and neither angle nor pulse nor speed.
     """
     recipe = campaign.instrument.get("columns", {})
-    reading = read_file(path, recipe if isinstance(recipe, Mapping) else {})
+    reading = read_file(path, recipe)
     if reading.by_speed:
         return _over_speed(reading, path), reading.rejects
     condition = stated.get("condition", {})
-    log = condition.get("angle_log") if isinstance(condition, Mapping) else None
+    log = condition.get("angle_log")
     if log is not None:
         other = read_file(inside(path.parent, log, "condition.angle_log"), recipe, ANGLE)
         reading = _with_angle_of(reading, other)
-    told = condition.get(SPEED) if isinstance(condition, Mapping) else None
-    return _turning(reading, told, path), reading.rejects
+    return _turning(reading, condition.get(SPEED), path), reading.rejects
 
 
 def _over_speed(reading: Reading, path: Path) -> list[Run]:
@@ -84,8 +84,6 @@ def _no_clock() -> Finding:
 
 def _with_angle_of(reading: Reading, other: Reading) -> Reading:
     """Return a reading with the channels of another file, whose stamps are of the same clock."""
-    from datetime import datetime
-
     if not reading.started or not other.started:
         return replace(reading, channels={**other.channels, **reading.channels})
     later = (datetime.fromisoformat(other.started) - datetime.fromisoformat(reading.started)).total_seconds()

@@ -65,6 +65,8 @@ def test_a_radius_is_told_from_the_programmed_one(tmp_path: Path) -> None:
     assert run.meta.sample_rate_hz == pytest.approx(2.0)
     assert run.samples["deviation_um"] == pytest.approx(error_um(down, -1.0), abs=2e-3)
     assert run.findings == ()
+    (later,) = read(tmp_path / "b.csv", (tmp_path / "a.csv").read_text("utf-8"), repeat=3)
+    assert later.meta.repeat == 3
 
 
 @pytest.mark.parametrize(("heads", "name", "by"), [("X [mm] Y [mm]", "a.txt", " "), ("x_mm,y_mm", "a.csv", ",")])

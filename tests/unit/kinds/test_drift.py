@@ -204,3 +204,21 @@ def test_tables_of_others_with_temperatures_are_left_to_them(tmp_path: Path, hea
     path = tmp_path / "a.csv"
     path.write_text(f"{heads}\n1,2,3,4\n", encoding="utf-8")
     assert not is_drift_log(path)
+
+
+def test_probes_of_one_axis_are_runs_of_their_own_and_a_time_without_a_unit_is_refused(tmp_path: Path) -> None:
+    t_s, _, moved, skin, _ = machine(0)
+    rows = np.column_stack([t_s, moved, 2.0 * moved, skin])
+    lines = [",".join(f"{v:.6f}" for v in row) for row in rows]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["t_s,z1_um,z_end_um,frame_c", *lines]), encoding="utf-8")
+    runs = [run for made, _ in open_source(path, {"machine": "m"})[1] for run in made]
+    assert [(run.meta.run_id, run.meta.condition) for run in runs] == [
+        ("log-z1", {"axis": "Z"}),
+        ("log-z_end", {"axis": "Z"}),
+    ]
+    path.write_text(
+        "\n".join(["time,z_um,frame_c", *(",".join([*line.split(",")[::2], "20"]) for line in lines)]), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="tell no unit"):
+        list(open_source(path, {"machine": "m"})[1])
