@@ -15,7 +15,7 @@ from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.circular._recheck import checked_circles
-from dtwin.kinds.machine import EvidenceRequest, VirtualMachine
+from dtwin.kinds.machine import EvidenceRequest, Request, Simulated, VirtualMachine
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import check_drift, trained_rows
 from dtwin.lifecycle.evidence import make_champion, measure
@@ -25,6 +25,7 @@ from dtwin.lifecycle.train import put_on_trial, train
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.measuring import ingest
 from dtwin.plan import EvidencePlan, training_plan
+from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
 from dtwin.train.promotion import check_version, history
 from dtwin.train.recheck import CheckedRun
@@ -153,6 +154,9 @@ class TurnedGears(VirtualMachine):
     """The machine after its gears were put back half a turn of the error round: its sign flipped."""
 
     name = "cobot"
+
+    def simulate(self, request: Request, progress: Progress) -> Simulated:
+        raise self.lacks("a campaign", "only its check by pairs is asked for here")
 
     def checked(self, request: EvidenceRequest, blocks: int) -> list[CheckedRun]:
         sound = VirtualCobot(seed=0).parameters
