@@ -18,6 +18,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ FOLDERS = ("bundles", "formulas", "machines", "plans", "recipes", "twins")
 LISTS, CONTENT = "documents", "content"
 _INDEX, _ASIDE = "shared.json", "set-aside"
 _EVERY_S, _TRIES, _MAX_LIST = 5.0, 12, 8_000_000
+_UNNAMED_FOR = timedelta(days=7)
 _NOT_SHARED = (".lock", ".partial")
 Files = dict[str, str]
 """Hash of the content of each file of a unit."""
@@ -275,6 +277,21 @@ def shared_units(bucket: Bucket) -> dict[str, Files]:
     objects = Objects(bucket)
     units = [s.name.removeprefix(f"{LISTS}/").removesuffix(".json") for s in objects.list(f"{LISTS}/")]
     return {unit: _listed(objects, unit)[0] for unit in units}
+
+
+def drop_unnamed_content(bucket: Bucket) -> int:
+    """Remove the content that no list has named for a week, and return how many objects that were.
+
+    Versions that were replaced or removed leave it behind. A list that names it again in the same second would miss
+    it; then the computer that wrote the list still has the file.
+    """
+    objects = Objects(bucket)
+    before = datetime.now(UTC) - _UNNAMED_FOR
+    old = {stored.name for stored in objects.list(f"{CONTENT}/") if stored.changed < before}
+    # The lists are read last: what was named meanwhile stays.
+    named = {f"{CONTENT}/{digest}" for files in shared_units(bucket).values() for digest in files.values()}
+    objects.delete(sorted(old - named))
+    return len(old - named)
 
 
 def shared_content(bucket: Bucket, digest: str) -> bytes:

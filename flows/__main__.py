@@ -30,11 +30,11 @@ def main(arguments: list[str] | None = None) -> None:
     cron = parser.parse_args(arguments).cron
     try:
         made = deployments(require_cron(cron) if cron else None)
+        with following(home()):
+            serve(*made, limit=_AT_ONCE, print_starting_message=False)
     except DtwinError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(error.exit_code)
-    with following(home()):
-        serve(*made, limit=_AT_ONCE, print_starting_message=False)
 
 
 if __name__ == "__main__":

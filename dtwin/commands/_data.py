@@ -174,10 +174,13 @@ def repair(
     """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
     from dtwin.config import home
     from dtwin.lake.store import Lake
+    from dtwin.shared_documents import drop_unnamed_content
     from dtwin.twins.registration import log_waiting, waiting_text
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
+    if (bucket := home().file.bucket) is not None:
+        dropped["content"] = drop_unnamed_content(bucket)
     set_aside = dropped.pop("log")
     left = log_waiting(home())
     closed = 0

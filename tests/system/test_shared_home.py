@@ -26,7 +26,7 @@ from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError, StoreError
 from dtwin.home_file import HOME_FILE
 from dtwin.lake.store import Lake
-from dtwin.shared_documents import follow_shared, followed_beside
+from dtwin.shared_documents import drop_unnamed_content, follow_shared, followed_beside
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -254,6 +254,24 @@ def test_repair_leaves_what_another_computer_may_be_about_to_commit(
     assert lake.repair()["samples"] == 1
     assert not samples.has("killed/r0.0123456789abcdef01234567.parquet")
     assert len(list(lake.iterate("kept"))) == 2
+
+
+def test_repair_drops_content_that_no_list_names_any_more(
+    store: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a = shared(tmp_path / "a", store, "unnamed")
+    bucket = a.file.bucket or pytest.fail("no store")
+    for said in ("before", "now"):
+        write_document(a.root / "twins" / "t" / "v001.json", {"by": said}, "a twin")
+        follow_shared(a)
+    assert len(Objects(bucket).list("content/")) == 2
+    assert drop_unnamed_content(bucket) == 0, "another computer may be about to name it"
+    # The same a week later.
+    monkeypatch.setattr("dtwin.shared_documents._UNNAMED_FOR", timedelta(seconds=-1))
+    assert drop_unnamed_content(bucket) == 1
+    b = shared(tmp_path / "b", store, "unnamed")
+    follow_shared(b)
+    assert read_document(b.root / "twins" / "t" / "v001.json") == {"by": "now"}
 
 
 def test_a_damaged_object_is_told_and_not_taken_over(store: int, tmp_path: Path) -> None:
