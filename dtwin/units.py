@@ -41,8 +41,12 @@ UNITS: dict[str, str] = {
 }
 
 UM_PER_MM = 1000.0
-LENGTHS_MM = {"m": 1000.0, "in": 25.4, "inch": 25.4, "mm": 1.0, "mil": 0.0254, "nm": 1e-6} | dict.fromkeys(
-    ("um", "µm", "μm", "micron"), 1e-3
+LENGTHS_MM = (
+    {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
+    | dict.fromkeys(("um", "µm", "μm", "micron", "microns"), 1e-3)
+    | dict.fromkeys(("in", "inch", "inches"), 25.4)
+    | dict.fromkeys(("mil", "mils", "thou"), 0.0254)
+    | dict.fromkeys(("uin", "µin", "μin", "microinch"), 25.4e-6)
 )
 """How many millimetres a unit of length of a foreign file is, as people spell it."""
 TIMES_S = (

@@ -9,8 +9,9 @@ Four forms are known by what stands in them:
 
 In a report in Markdown the tables of these forms are read; what their heads leave out, direction or target, the heading above says.
 
-A column is in the unit that its head or a row of units states (mm, um, µm, in), millimetres without. It holds deviations when its
-head says so (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away.
+A column is in the unit that its head or a row of units states (mm, um, µm, in). It holds deviations when its head says so
+(deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away. Targets and positions without
+a unit are millimetres; deviations must state theirs.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ from dtwin.kinds.linear._table_heads import (
     Long,
     Wide,
     deviation_um,
+    is_deviation,
     is_unit,
     long_of,
     scale_of,
+    told_unit,
     unit_last,
     way_of,
     wide_of,
@@ -271,7 +274,8 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
     heads, body = rows[0], rows[1:]
     units = body[0] if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
     body = body[1:] if units is not None else body
-    scale = [scale_of(heads[i], units[i] if units is not None and i < len(units) else "") for i in range(len(heads))]
+    read = {wide.target, *(i for i, _, _ in wide.cells)}
+    scale = {i: _scale(heads[i], units[i] if units is not None and i < len(units) else "", path) for i in read}
     out = []
     seen: Counter[float] = Counter()
     for number, row in enumerate(body, start=2 if units is None else 3):
@@ -290,7 +294,7 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
 
 def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Reading]:
     heads = rows[0]
-    scales = scale_of(heads[long.target], ""), scale_of(heads[long.value], "")
+    scales = _scale(heads[long.target], "", path), _scale(heads[long.value], "", path)
     out: list[Reading] = []
     seen: dict[tuple[float, str], int] = {}
     for number, row in enumerate(rows[1:], start=2):
@@ -307,6 +311,22 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         if not lost:
             out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
+
+
+def _scale(head: str, below: str, path: Path) -> float:
+    """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
+    unit = told_unit(head, below)
+    scale = scale_of(unit)
+    if not scale > 0.0 or (not unit and is_deviation(head)):
+        raise InputError(
+            "a column is in a unit that is not known" if unit else "deviations do not say their unit",
+            code="position_table.unit",
+            where=str(path),
+            got=f"{head.strip()} {below.strip()}".strip()[:60],
+            allowed="mm, µm, nm, m, cm, in, mil, µin",
+            hint="write the unit into the head, such as: deviation forward 1 [µm]",
+        )
+    return scale
 
 
 def _cycle(row: Sequence[str], i: int, where: str) -> int:

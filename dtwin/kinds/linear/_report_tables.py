@@ -91,7 +91,7 @@ def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[st
 def _numbered(head: str, way: str) -> str:
     """Return ``forward 1 [mm]`` for a column of readings of one cycle, such as ``ref_pos(i,1) [mm]``."""
     number = re.findall(r"\d+", head)[-1]
-    return f"{'deviation ' if is_deviation(head) else ''}{way} {number} [{unit_of(head) or 'mm'}]"
+    return f"{'deviation ' if is_deviation(head) else ''}{way} {number} [{unit_of(head)}]"
 
 
 def _name(head: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,11 @@ MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", 
 SUMMARY = re.compile(r"(avg|average|mean|std|stdev|sigma|range|min|max|mittel\w*|spannweite|streuung)\b", re.I)
 """First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
-_UNIT_INSIDE = re.compile(r"\s*[\[(](mm|um|µm|μm|nm|inch|in)[\])]", re.I)
-_UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
+_LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
+_UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
+_UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
+_COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
@@ -129,17 +133,29 @@ def is_deviation(head: str) -> bool:
 
 
 def unit_of(head: str) -> str:
-    """Return the unit that ends a head, without its brackets; empty when none does."""
-    match = _UNIT.search(head)
+    """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
+    match = _UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
 
 def is_unit(cell: str) -> bool:
     """Return whether a cell holds a unit of length and nothing else."""
-    return cell.strip().strip("[]()").lower() in LENGTHS_MM
+    return _plain_unit(cell) in LENGTHS_MM
 
 
-def scale_of(head: str, unit: str) -> float:
-    """Return how many millimetres one of a column is."""
-    told = unit.strip().strip("[]()").lower()
-    return LENGTHS_MM.get(told, LENGTHS_MM.get(unit_of(head).lower(), 1.0))
+def told_unit(head: str, unit: str) -> str:
+    """Return the unit of a column as ``unit``, the row below, or the head tells it, known here or not; empty without one."""
+    told = unit.strip() or unit_of(unicodedata.normalize("NFKC", head))
+    inside = (text for text in _IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
+    words = (_TARGET, _ACTUAL, _DEVIATION, _CYCLE)
+    return told or next((text for text in inside if not any(word.search(text) for word in words)), "")
+
+
+def scale_of(unit: str) -> float:
+    """Return how many millimetres a unit is: 1 where it is empty, NaN where it is not known."""
+    told = _plain_unit(unit)
+    return LENGTHS_MM.get(told, float("nan")) if told else 1.0
+
+
+def _plain_unit(cell: str) -> str:
+    return unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower()

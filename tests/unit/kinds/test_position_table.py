@@ -134,6 +134,9 @@ def by_cycle() -> str:
         wide("deviation {way} {c} (mm)", 1000.0, False),
         wide("cycle {c} {way} [µm]", 1e6, False),
         wide("run{c} {way} um", 1e6, False, "\t", ","),
+        wide("error {way} {c} [microns]", 1e6, False),
+        wide("dev [㎛] {way} {c}", 1e6, False),
+        wide("Abw. {way} {c} (µin)", 1e9 / 25.4, False),
         long(),
         assigned(),
     ],
@@ -157,6 +160,12 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
         ("target,direction,actual\n0,sideways,2\n", "sideways"),
         ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
         ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+        # What is a unit, and not one that is known, is not millimetres; deviations may be in any.
+        ("target [mm],error forward 1 [1/10 µm],error reverse 1 [1/10 µm]\n0,1,2\n10,3,4\n", "[1/10 µm]"),
+        ('target ("),forward 1 ("),reverse 1 (")\n0,1,2\n10,11,12\n', 'target (")'),
+        ("target [Grad],forward 1 [mrad],reverse 1 [mrad]\n0,1,2\n10,11,12\n", "[Grad]"),
+        ("all in µm\ntarget,deviation forward 1,deviation reverse 1\n0,1,2\n10,3,4\n", "deviation forward 1"),
+        ("target,direction,cycle,deviation\n0,+,1,2\n10,+,1,3\n", "deviation"),
         # Deviations in µm, of which nothing says so.
         ("target,F1,R1\n0,0.1,4\n100,1,5\n200,2,6.2\n300,3,7\n", "5 mm at a target of 300 mm"),
     ],
