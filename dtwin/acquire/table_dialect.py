@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from itertools import zip_longest
 
 _SNIFFED_LINES = 100
 DECIMALS = ("comma", "point")
@@ -12,6 +13,10 @@ DECIMALS = ("comma", "point")
 _NUMBER = re.compile(r"[+-]?\d[\d.,]*(e[+-]?\d+)?", re.I)
 # Both signs in one number leave no doubt.
 _GROUPS = {"comma": re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+"), "point": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d+")}
+# A whole number in groups, by the decimal sign of its table; and one that needs none.
+_WHOLE = {"comma": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+"), "point": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")}
+_WHOLE_EITHER = re.compile("|".join(form.pattern for form in _WHOLE.values()))
+_HUNDREDS = re.compile(r"[+-]?[1-9]\d\d")
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -64,10 +69,25 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
 
 
 def _grouped(rows: list[list[str]]) -> str:
-    """Return the decimal sign that digits in groups tell, ``1.234,5`` or ``1,234.5``; nothing where none are, or both."""
+    """Return the decimal sign that digits in groups tell; nothing where none are, or both.
+
+    ``1.234,5`` and ``1,234.5`` tell it alone. So does ``1.200`` in a column with ``800``, where the table writes decimals by the
+    other sign and no point stands elsewhere.
+    """
     cells = [cell.strip() for row in rows for cell in row]
     told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
-    return told.pop() if len(told) == 1 else ""
+    if told:
+        return told.pop() if len(told) == 1 else ""
+    numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
+    for sign, form in _WHOLE.items():
+        mark, other = (",", ".") if sign == "comma" else (".", ",")
+        parted = [number for number in numbers if other in number]
+        decimals = any(mark in number and not _WHOLE_EITHER.fullmatch(number) for number in numbers)
+        if parted and decimals and all(map(form.fullmatch, parted)):
+            columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
+            if any(any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns):
+                return sign
+    return ""
 
 
 def _plain(cell: str, decimal: str) -> str:

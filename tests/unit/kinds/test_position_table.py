@@ -152,6 +152,27 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "largest", "first"),
+    [
+        ("Soll [mm];F1 [µm];R1 [µm]\n800;0,5;3,1\n1.000;1,5;3\n1.200;2;4,5\n", 1200.0, 0.5),
+        ("Soll [mm];F1;R1\n800;800,0005;800,003\n1.000;1000,0015;1000,003\n1.200;1200,002;1200,005\n", 1200.0, 0.5),
+        ("Target [mm]\tF1 [µm]\tR1 [µm]\n800\t0.5\t3.1\n1,000\t1.5\t3\n1,200\t2\t4.5\n", 1200.0, 0.5),
+        # Three decimals are no group where whole numbers have none beside them.
+        ("Target [mm]\tF1 [µm]\tR1 [µm]\n0.5\t0.5\t3.1\n1.125\t1.5\t3\n1.200\t2\t4.5\n", 1.2, 0.5),
+        ("Soll [mm];F1 [µm];R1 [µm]\n1.125;0,5;3,1\n1.200;2;4,5\n", 1.2, 0.5),
+    ],
+)
+def test_whole_numbers_in_groups_are_told_from_decimals(
+    tmp_path: Path, text: str, largest: float, first: float
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    found = read_position_table(path)
+    assert found.target_mm[-1] == pytest.approx(largest)
+    assert found.forward_um[0, 0] == pytest.approx(first)
+
+
+@pytest.mark.parametrize(
     ("text", "got"),
     [
         ("target,forward 1,reverse 1\n0,1,2\n10,x,3\n", "x"),
