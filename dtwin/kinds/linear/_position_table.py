@@ -271,9 +271,7 @@ def _assigned(text: str, path: Path) -> list[Reading]:
 
 
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
-    heads, body = rows[0], rows[1:]
-    units = body[0] if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
-    body = body[1:] if units is not None else body
+    heads, units, body = _parted(rows, wide.target, path)
     read = {wide.target, *(i for i, _, _ in wide.cells)}
     scale = {i: _scale(heads[i], units[i] if units is not None and i < len(units) else "", path) for i in read}
     out = []
@@ -293,11 +291,12 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
 
 
 def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Reading]:
-    heads = rows[0]
-    scales = _scale(heads[long.target], "", path), _scale(heads[long.value], "", path)
+    heads, units, body = _parted(rows, long.target, path)
+    below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
+    scales = _scale(heads[long.target], below[0], path), _scale(heads[long.value], below[1], path)
     out: list[Reading] = []
     seen: dict[tuple[float, str], int] = {}
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in enumerate(body, start=2 if units is None else 3):
         where = f"{path} row {number}"
         told = row[long.value].strip().lower() if long.value < len(row) else ""
         lost = told in MISSING
@@ -311,6 +310,17 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         if not lost:
             out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
+
+
+def _parted(
+    rows: Sequence[Sequence[str]], target: int, path: Path
+) -> tuple[Sequence[str], Sequence[str] | None, Sequence[Sequence[str]]]:
+    """Return heads, the row of units below them, and the rows of one axis, without what is written below the last target."""
+    heads, body = rows[0], list(rows[1:])
+    units = body.pop(0) if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
+    while body and target < len(body[-1]) and body[-1][target].strip()[:1].isalpha():
+        del body[-1]
+    return heads, units, body
 
 
 def _scale(head: str, below: str, path: Path) -> float:

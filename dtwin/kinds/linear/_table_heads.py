@@ -14,6 +14,10 @@ SUMMARY = re.compile(r"(avg|average|mean|std|stdev|sigma|range|min|max|mittel\w*
 """First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
+_SUMS_UP = re.compile(
+    r"\b(avg|average|mean|median|std|stdev|sigma|range|spread|mittel\w*|spannweite|streuung|\d?s)\b|x̄|\u03c3", re.I
+)
+"""Words of a column that sums up the readings beside it."""
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
@@ -51,7 +55,7 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     targets = [i for i in targets if not is_index(names[i])] or targets
     told = [(i, way_of(name), re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
-    cells = [(i, way, number) for i, way, number in told if way]
+    cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
     if not targets:
         return None
