@@ -33,6 +33,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
     ANGLE,
+    AXIS,
     MISSING,
     SUMMARY,
     Long,
@@ -320,6 +321,17 @@ def _parted(
     units = body.pop(0) if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
     while body and target < len(body[-1]) and body[-1][target].strip()[:1].isalpha():
         del body[-1]
+    for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
+        axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
+        if len(axes) > 1:
+            raise InputError(
+                "the table holds several axes",
+                code="position_table.axes",
+                where=f"{path} {heads[i].strip()}",
+                got=", ".join(axes)[:60],
+                allowed="one",
+                hint="a file for each axis",
+            )
     return heads, units, body
 
 

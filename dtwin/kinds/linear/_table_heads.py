@@ -18,6 +18,7 @@ _SUMS_UP = re.compile(
     r"\b(avg|average|mean|median|std|stdev|sigma|range|spread|mittel\w*|spannweite|streuung|\d?s)\b|x̄|\u03c3", re.I
 )
 """Words of a column that sums up the readings beside it."""
+AXIS = re.compile(r"^(axis|achse|axe|asse|eje)$", re.I)
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")

@@ -184,6 +184,7 @@ def test_whole_numbers_in_groups_are_told_from_decimals(
         ("target,direction,actual\n0,sideways,2\n", "sideways"),
         ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
         ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+        ("axis,target,direction,actual\nX,0,+,0\nX,1,+,1\nY,0,+,0\nY,1,+,1\n", "X, Y"),
         # What is a unit, and not one that is known, is not millimetres; deviations may be in any.
         ("target [mm],error forward 1 [1/10 µm],error reverse 1 [1/10 µm]\n0,1,2\n10,3,4\n", "[1/10 µm]"),
         ('target ("),forward 1 ("),reverse 1 (")\n0,1,2\n10,11,12\n', 'target (")'),
