@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from datetime import date, datetime
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -19,6 +20,7 @@ _MAX_BYTES = 32 * 1024**2
 # Unpacked: a small archive may be a bomb.
 _MAX_UNPACKED = 256 * 1024**2
 _SNIFFED, _FIRST_LINES = 65_536, 100
+_LOOKED_AT = 200
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
 
 
@@ -33,8 +35,10 @@ def ending_as_table(path: Path) -> str:
 
 
 def table_bytes(path: Path, max_bytes: int) -> bytes:
-    """Return a table of text; of a spreadsheet its first sheet that holds more than one cell, as CSV.
+    """Return a table of text; of a spreadsheet its first sheet that holds a table, as CSV.
 
+    A sheet without numbers below names, such as a cover, is none where another one has them. Two sheets with the same heads are refused:
+    one axis would be read for the other.
     Formulas count as what the spreadsheet program last saved of them. Empty rows and columns are left out.
 
     Raises
@@ -72,7 +76,16 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
-            for sheet in book.worksheets:
+            heads = {
+                sheet.title: _heads(_rows(path, islice(sheet.iter_rows(values_only=True), _LOOKED_AT)))
+                for sheet in book.worksheets
+            }
+            tables = [title for title, found in heads.items() if found]
+            alike = [title for title in tables if heads[title] == heads[tables[0]]]
+            if len(alike) > 1:
+                raise _refused(path, f"sheets with the same heads: {', '.join(alike)}"[:160], "one of them")
+            sheets = [sheet for sheet in book.worksheets if sheet.title in tables[:1]] or book.worksheets
+            for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
                     return _as_csv(rows)
@@ -84,6 +97,20 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
     except Exception as error:
         raise _refused(path, f"{type(error).__name__}: {error}"[:160], "a workbook of Excel 2007 or later") from error
     raise _refused(path, "no sheet holds a table", "a sheet with a row of names and rows of values")
+
+
+def _heads(rows: list[list[str]]) -> list[str]:
+    """Return the row of names above the first of two rows with numbers; empty where a sheet, such as a cover, has no such table."""
+    numbers = [n for n, row in enumerate(rows) if sum(map(_is_number, row)) > 1]
+    return rows[numbers[0] - 1] if len(numbers) > 1 and numbers[0] > 0 else []
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
@@ -122,5 +149,5 @@ def _refused(path: Path, got: str, allowed: str) -> InputError:
         where=str(path),
         got=got,
         allowed=allowed,
-        hint="save the table as CSV and bring that",
+        hint="save the table that is meant as CSV and bring that",
     )

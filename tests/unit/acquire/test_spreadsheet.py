@@ -73,6 +73,26 @@ def test_a_positioning_table_in_a_spreadsheet_is_recognised(tmp_path: Path) -> N
     require_alike(lake, "sheet", "text", 2)
 
 
+def test_the_table_behind_a_cover_is_read_and_two_tables_alike_are_refused(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    cover = book.active
+    assert cover is not None
+    for told in (("Customer", "A. Smith"), ("Temperature", 20.3), ("Day", "3 May")):
+        cover.append(told)
+    rows = [["target_mm", "forward 1 um"], [0.0, 1.0], [10.0, 2.0]]
+    for name in ("X", "Y"):
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+        if name == "X":
+            book.save(tmp_path / "x.xlsx")
+            assert table_bytes(tmp_path / "x.xlsx", 1).startswith(b"target_mm,forward 1 um")
+    book.save(tmp_path / "xy.xlsx")
+    with pytest.raises(InputError) as refused:
+        table_bytes(tmp_path / "xy.xlsx", 1)
+    assert "X, Y" in str(refused.value.got)
+
+
 def test_an_archive_that_is_a_bomb_is_refused(tmp_path: Path) -> None:
     bomb = tmp_path / "bomb.xlsx"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
