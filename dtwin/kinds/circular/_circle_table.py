@@ -258,14 +258,17 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
 def _stretches(angle: Floats) -> list[slice]:
     """Return stretches between turning points; shaking by less than ``_BACK_DEG`` is none."""
     begins, end, sign = [0], 0, 0.0
+    # Readings at one place, where the machine turns or waits, differ by their last digits.
+    least = 0.1 * float(np.median(np.abs(np.diff(angle)))) if angle.size > 1 else 0.0
     for n in range(1, angle.size):
         moved = angle[n] - angle[end]
         if sign == 0.0 and abs(moved) > _BACK_DEG:
             sign = float(np.sign(moved))
-        if moved * sign > 0.0:
+        if moved * sign > least:
             end = n
         elif sign and -moved * sign > _BACK_DEG:
-            begins.append(end)
+            # The reading at the turn was reached on the way there.
+            begins.append(end + 1)
             sign, end = -sign, n
     return [slice(a, b) for a, b in zip(begins, [*begins[1:], angle.size], strict=True)]
 

@@ -86,6 +86,7 @@ def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
         # The play is odd in direction: about their common centre it stays.
         assert run.samples["deviation_um"] == pytest.approx(error_um(run.samples["angle_deg"], sign), abs=0.05)
         assert np.ptp(run.samples["angle_deg"]) == pytest.approx(359.5, abs=0.1)
+        assert run.n_samples == ANGLE.size
 
 
 @pytest.mark.parametrize(
