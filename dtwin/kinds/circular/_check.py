@@ -15,6 +15,8 @@ from dtwin.schema import Finding, Floats, Run, SignalGroup
 _MAX_DEVIATION_UM = 2_500.0
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
+# Of run-in and run-out beside the turn that is evaluated.
+_LONG_DEG = 380.0
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
 _MOST_LOST = 0.05
 
@@ -112,6 +114,10 @@ def _angles(run: Run) -> list[Finding]:
         findings.append(
             Finding("angle.direction", "error", f"the angle runs against the stated direction {run.meta.direction}")
         )
+    arc_deg = float(np.ptp(run.samples["angle_deg"]))
+    if run.window is None and arc_deg > _LONG_DEG:
+        text = f"the angle runs over {arc_deg:z.0f} deg, and all of it is evaluated: leave rows of run-in and run-out out of the table"
+        findings.append(Finding("arc.long", "warning", text, {"arc_deg": arc_deg}))
     typical = float(np.median(np.abs(steps)))
     jumps = np.flatnonzero(np.abs(steps) > max(20.0 * typical, 5.0))
     if jumps.size:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dtwin.acquire.ingest import open_source
+from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table
 from dtwin.schema import Floats, Run
@@ -113,6 +114,14 @@ def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, 
         read(tmp_path / "a.csv", text, **told)
     assert refused.value.code == "circle_table.form"
     assert got in str(refused.value.got)
+
+
+def test_run_in_and_run_out_within_the_figures_are_told(tmp_path: Path) -> None:
+    angle = np.arange(-45.0, 405.5, 0.5)
+    (run,) = read(tmp_path / "a.csv", table("angle [deg],ccw [µm]", angle, error_um(angle, 1.0)))
+    assert [f.severity for f in judge_run(run) if f.code == "arc.long"] == ["warning"]
+    (run,) = read(tmp_path / "a.csv", table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)))
+    assert not any(f.code == "arc.long" for f in judge_run(run))
 
 
 def test_rows_without_a_number_are_told_and_left_out(tmp_path: Path) -> None:
