@@ -27,6 +27,7 @@ _VENDOR_FIGURES = {
     "AF_CALCULATED_FEEDRATE": ("feed_mm_min", 1.0),
 }
 _HOTTEST = 1000.0
+_WHOLE_DEG = 359.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class BallbarTest:
 def read_b5r(path: Path) -> BallbarTest:
     """Read a ball-bar result file.
 
-    Angles are assigned as the file's indices say: START to END is the marked arc, evenly
+    Angles are assigned as the file's indices say: START to END is the marked arc, or CW from END to START, evenly
     divided. Whether that is true is for the quality gates to judge, not for the reader.
 
     Parameters
@@ -136,9 +137,9 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
             hint="the file may be cut short",
         )
     plane_element = bar.find("PLANE")
-    direction: Direction = "CCW" if stated == "CCW" else "CW"
+    own_way: Direction = "CCW" if stated == "CCW" else "CW"
     plane, direction = standard_plane(
-        plane_element.get("TEST_PLANE", "XY") if plane_element is not None else "XY", direction
+        plane_element.get("TEST_PLANE", "XY") if plane_element is not None else "XY", own_way
     )
     rate_hz = _number(element, "SAMPLE_RATE", where, low=0.1, high=1e6)
     arc_start_deg = _number(bar, "START_ANGLE", where, low=-3600.0, high=3600.0)
@@ -154,7 +155,10 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         covariates=_temperature(element),
         vendor=_vendor_figures(element),
     )
-    angle_deg = marked_angle_deg(readings_mm.size, (start, end), direction, arc_start_deg, abs(arc_deg) or 360.0)
+    angle_deg = marked_angle_deg(readings_mm.size, (start, end), own_way, arc_start_deg, abs(arc_deg) or 360.0)
+    if direction != own_way:
+        # Told from the other axis.
+        angle_deg = 90.0 - angle_deg
     samples = {
         "t_s": np.arange(readings_mm.size) / rate_hz,
         "angle_deg": angle_deg,
@@ -186,7 +190,9 @@ def marked_angle_deg(
     """
     start, end = window
     turned = (np.arange(n_samples) - start) * (arc_deg / (end - start))
-    return np.asarray(arc_start_deg + (turned if direction == "CCW" else -turned), dtype=float)
+    # Part of a circle is run to its end, and back from there; a whole one begins at the same place both ways.
+    back_deg = arc_start_deg + (arc_deg if arc_deg < _WHOLE_DEG else 0.0)
+    return np.asarray(arc_start_deg + turned if direction == "CCW" else back_deg - turned, dtype=float)
 
 
 def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str, operator: str = "dtwin") -> None:

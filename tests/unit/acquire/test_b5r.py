@@ -78,6 +78,21 @@ def test_angles_follow_the_indices_and_the_direction(real_recording: Path) -> No
         assert turned == pytest.approx(expected if run.meta.direction == "CCW" else -expected)
 
 
+def test_part_of_a_circle_is_run_back_over_the_same_part(real_recording: Path, tmp_path: Path) -> None:
+    data = real_recording.read_bytes()
+    path = _with(tmp_path / "half.b5r", real_recording, b"<END_ANGLE>360<", b"<END_ANGLE>180<")
+    for run in read_b5r(path).runs:
+        assert run.window is not None
+        angle = run.samples["angle_deg"]
+        begin, last = angle[run.window[0]], angle[run.window[1] - 1]
+        assert (begin, round(last)) == ((0.0, 180) if run.meta.direction == "CCW" else (180.0, 0))
+    # From X towards Z is from Z towards X the other way round, told from the other axis.
+    path.write_bytes(data.replace(b'TEST_PLANE="XY"', b'TEST_PLANE="XZ"'))
+    for before, run in zip(read_b5r(real_recording).runs, read_b5r(path).runs, strict=True):
+        assert (run.meta.plane, run.meta.direction) == ("ZX", "CW" if before.meta.direction == "CCW" else "CCW")
+        assert np.array_equal(run.samples["angle_deg"], 90.0 - before.samples["angle_deg"])
+
+
 def test_written_file_is_read_back_the_same(real_recording: Path, tmp_path: Path) -> None:
     runs = read_b5r(real_recording).runs
     copy = tmp_path / "copy.b5r"
