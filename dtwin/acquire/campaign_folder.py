@@ -264,8 +264,11 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, by_reader: bool = F
     changes: dict[str, Any] = {"run_id": run_id}
     direction = _direction(told, meta, entry, by_reader=by_reader)
     if kind_named(meta.kind).goes_round and direction is not None:
-        plane, direction = _plane(told, meta, direction, entry)
-        changes |= {"plane": plane, "direction": direction}
+        plane, way = _plane(told, meta, direction, entry)
+        changes |= {"plane": plane, "direction": way}
+        if way != direction and "angle_deg" in run.samples:
+            # Told from the other axis.
+            run = replace(run, samples=dict(run.samples) | {"angle_deg": 90.0 - run.samples["angle_deg"]})
     for name in _NUMBERS:
         read = getattr(meta, name)
         value = stated.positive(told[name], name, where) if name in told else None

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dtwin.acquire._lone_table import open_table
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
@@ -168,3 +169,17 @@ def test_a_radius_that_is_no_number_is_refused(tmp_path: Path, radius: str) -> N
     with pytest.raises(InputError) as refused:
         list(open_source(tmp_path)[1])
     assert refused.value.code == "campaign.value"
+
+
+def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    x, z = (150.0 * shape(np.radians(ANGLE)) for shape in (np.cos, np.sin))
+    found = []
+    for heads, columns in (("X [mm],Z [mm]", (x, z)), ("angle [deg],ccw [µm]", (ANGLE, 0.1 * ANGLE))):
+        path.write_text(table(heads, *columns), encoding="utf-8")
+        folder = open_table(path, {"plane": "XZ", "radius_mm": 150.0, "feed_mm_min": 1000.0})
+        (run,) = folder.read(folder.entries[0])[0]
+        assert (run.meta.plane, run.meta.direction) == ("ZX", "CW")
+        assert not any(f.code == "angle.direction" for f in judge_run(run))
+        found.append(run.samples["angle_deg"])
+    assert found[0] % 360.0 == pytest.approx(found[1] % 360.0, abs=1e-6)
