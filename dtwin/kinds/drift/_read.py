@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from dtwin.acquire.foreign_columns import all_units, columns_of
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -35,8 +37,10 @@ _STAMPED = "t_stamp"
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
-_STAMPS = ("%Y/%m/%d-%H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S")
+_STAMPS = ("%Y/%m/%d-%H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%m/%d/%Y %I:%M:%S %p")
 _COLDEST_C = -60.0
+# Of a sensor that drops out: how many readings tell where it would be, how far off it is, and how seldom.
+_AROUND, _OFF_C, _TIMES_USUAL, _MOST_LOST = 9, 10.0, 20.0, 0.1
 
 
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -64,17 +68,33 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             allowed=f"a time, a displacement in µm, mm or as {_STEPS}, and a temperature in °C: t_s, displacement_um, temperature_NAME_c",
             hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
-    t_s = _seconds(column[clock], path, stamps=clock == _STAMPED) * scales[clock]
+    cells = column[clock]
+    if clock == _STAMPED:
+        # Day and time may stand apart.
+        stamped = [i for i, name in enumerate(heads) if name == clock]
+        cells = [" ".join(row[i].strip() for i in stamped) for row in body]
+    t_s = _seconds(cells, path, stamps=clock == _STAMPED) * scales[clock]
+    if len(t_s) > 1 and t_s[0] > t_s[-1]:
+        # The newest reading first.
+        t_s, column = t_s[::-1], {name: values[::-1] for name, values in column.items()}
+    _require_rising(t_s, path)
     shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: _numbers(column[name]) for name in temperatures}
     if "sample" in column:
         shared["sample_1"] = _numbers(column["sample"])
-    cold: list[Finding] = []
+    cold = [
+        Finding("drift.left_out", "warning", f"{head} is left out: its unit is not known here")
+        for head in _unknown(rows[0], units, recipe)
+    ]
     for name in temperatures:
         if np.nanmax(shared[name], initial=-np.inf) < _COLDEST_C:
             said = f"{name} reads below {_COLDEST_C:g} °C throughout: no sensor is connected, and it is left out"
             cold.append(Finding("drift.no_sensor", "warning", said))
             del shared[name]
+        elif (lost := _lost(shared[name])).any():
+            said = f"{lost.sum()} readings of {name} leave their neighbours and come back ({shared[name][lost][0]:g} °C): the sensor dropped out, and the rows are left out"
+            cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
+            shared[name] = np.where(lost, np.nan, shared[name])
     runs, rejects = [], []
     for name in moved:
         scale, findings = scales[name], list(cold)
@@ -135,6 +155,38 @@ def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str,
     return names, factors
 
 
+def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[str]:
+    """Return heads that tell a unit which is not known."""
+    plain = [cell.strip() for cell in row]
+    return [c.head for c in columns_of(plain, units, {}) if c.unit and c.why_not and c.head not in recipe]
+
+
+def _require_rising(t_s: Floats, path: Path) -> None:
+    falls = np.flatnonzero(np.diff(t_s) < 0.0)
+    if falls.size:
+        at = int(falls[0])
+        raise InputError(
+            "the time does not rise",
+            code="drift.clock",
+            where=f"{path} reading {at + 2}",
+            got=f"{t_s[at + 1] - t_s[at]:g} s after the reading before",
+            allowed="readings in the order of their times",
+            hint="a clock that was set back, by summer time or by hand: correct it, or part the log there",
+        )
+
+
+def _lost(temperature_c: Floats) -> NDArray[np.bool_]:
+    """Return which readings a sensor that dropped out gave, such as -127, 85 or 999.9: few, and far off those around them."""
+    there = np.flatnonzero(np.isfinite(temperature_c))
+    lost = np.zeros(len(temperature_c), dtype=bool)
+    if there.size > _AROUND:
+        read = temperature_c[there]
+        usual = float(np.median(np.abs(np.diff(read))))
+        off = np.abs(read - ndimage.median_filter(read, size=_AROUND, mode="nearest"))
+        lost[there] = off > max(_OFF_C, _TIMES_USUAL * usual)
+    return lost if lost.mean() < _MOST_LOST else np.zeros_like(lost)
+
+
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:
     """Return the size of a step, and that the file itself says another one."""
     said = _STEP_SAID.search(text)
@@ -190,5 +242,5 @@ def _seconds(cells: Sequence[str], path: Path, *, stamps: bool) -> Floats:
         code="drift.time",
         where=str(path),
         got=cells[0][:40],
-        allowed="a head with a unit, such as time [s] or time [min]; or ISO 8601",
+        allowed="a head with a unit, such as time [s] or time [min]; or ISO 8601, or a stamp such as 31.12.2026 08:00",
     )

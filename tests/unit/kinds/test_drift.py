@@ -222,3 +222,46 @@ def test_probes_of_one_axis_are_runs_of_their_own_and_a_time_without_a_unit_is_r
     )
     with pytest.raises(InputError, match="tell no unit"):
         list(open_source(path, {"machine": "m"})[1])
+
+
+def log(path: Path, stamps: list[str], *, head: str = "timestamp", spindle: list[float] | None = None) -> Path:
+    warm = [20.0 + 0.1 * n for n in range(len(stamps))] if spindle is None else spindle
+    rows = [f"{s},{0.5 * n},{c},{20 + n % 3}" for n, (s, c) in enumerate(zip(stamps, warm, strict=True))]
+    path.write_text("\n".join([f"{head},Z [µm],spindle [°C],air [°F]", *rows]), encoding="utf-8")
+    return path
+
+
+def read(path: Path) -> Run:
+    (run,) = next(iter(open_source(path, {"machine": "mill-7"})[1]))[0]
+    return run
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [("Date,Time", "2026-03-02,08:{:02d}:00"), ("Datum", "02.03.2026 08:{:02d}"), ("Time", "3/2/2026 8:{:02d}:00 PM")],
+)
+def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
+    tmp_path: Path, head: str, form: str
+) -> None:
+    stamps = [form.format(n) for n in range(60)]
+    run = read(log(tmp_path / "a.csv", stamps, head=head))
+    assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
+    turned = read(log(tmp_path / "b.csv", stamps[::-1], head=head))
+    assert turned.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
+    assert turned.samples["displacement_um"][-1] == pytest.approx(-29.5)
+    # A clock that was set back.
+    with pytest.raises(InputError) as refused:
+        read(log(tmp_path / "c.csv", stamps[20:40] + stamps[:40] + stamps[40:], head=head))
+    assert (refused.value.code, refused.value.got) == ("drift.clock", "-2340 s after the reading before")
+
+
+@pytest.mark.parametrize("lost", [-127.0, 85.0, 999.9])
+def test_a_sensor_that_drops_out_and_one_in_an_unknown_unit_are_told(tmp_path: Path, lost: float) -> None:
+    warm = [20.0 + 0.1 * n for n in range(60)]
+    warm[10] = warm[11] = warm[40] = lost
+    run = read(log(tmp_path / "a.csv", [f"2026-03-02T08:{n:02d}" for n in range(60)], spindle=warm))
+    assert run.n_samples == 57
+    assert np.abs(run.samples["temperature_spindle_c"] - 23.0).max() < 4.0
+    told = {f.code: f.message for f in run.findings}
+    assert told["drift.dropout"].startswith("3 readings of temperature_spindle_c")
+    assert told["drift.left_out"].startswith("air [°F]")
