@@ -16,6 +16,7 @@ import numpy as np
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
+from dtwin.acquire.table_dialect import decoded, mark_of
 from dtwin.errors import InputError
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -68,10 +69,8 @@ def is_pose_table(path: Path) -> bool:
 
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str]]:
     """Return the columns of a table by the house's names, in mm and degrees, and its heads."""
-    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
-    lines = text.splitlines()
-    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
-    rows = [row for row in csv.reader(lines, delimiter=";" if semicolon else ",") if any(row)]
+    lines = decoded(table_bytes(path, _MOST_BYTES)).splitlines()
+    rows = [row for row in csv.reader(lines, delimiter=mark_of(lines)) if any(row)]
     recipe = campaign.instrument.get("columns", {})
     named = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
     body = [row if len(row) == len(named) else [""] * len(named) for row in rows[1:]]
@@ -80,6 +79,11 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         for i, n in enumerate(named)
         if n in ("t_s", "t_ns") or n.startswith(("joint_", "measured_", "error_", "target_", "ambient_"))
     }
+    twice = sorted(name for name in wanted if named.count(name) > 1)
+    if twice:
+        raise InputError(
+            "two columns are the same quantity", code="poses.twice", where=str(path), got=", ".join(twice)[:80]
+        )
     columns: dict[str, Floats] = {}
     for name, place in wanted.items():
         column = _numbers([row[place] for row in body])
@@ -106,14 +110,16 @@ def _numbers(cells: list[str]) -> Floats:
 def _require(columns: Mapping[str, Floats], path: Path, heads: list[str]) -> None:
     measured = {f"measured_{a}_mm" for a in "xyz"}
     by_error = {f"{what}_{a}_mm" for what in ("target", "error") for a in "xyz"}
-    if "joint_1_deg" in columns and (measured <= set(columns) or by_error <= set(columns)):
+    joints = {name for name in columns if name.startswith("joint_")}
+    counted = joints == {f"joint_{j}_deg" for j in range(1, len(joints) + 1)}
+    if joints and counted and (measured <= set(columns) or by_error <= set(columns)):
         return
     raise InputError(
         "a table of poses lacks columns",
         code="columns.missing",
         where=str(path),
         got=", ".join(heads)[:200],
-        allowed="joint_1_deg …, and measured_x_mm … or target_x_mm … with error_x_mm …",
+        allowed="joint_1_deg, joint_2_deg …, without a gap, and measured_x_mm … or target_x_mm … with error_x_mm …",
         hint='other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"',
     )
 

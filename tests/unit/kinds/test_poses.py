@@ -234,3 +234,24 @@ def test_logs_of_two_clocks_are_refused(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(text.replace('= "t_s"', '= "when"'), encoding="utf-8")
     with pytest.raises(InputError, match="cannot be brought together"):
         next(iter(open_source(tmp_path)[1]))
+
+
+@pytest.mark.parametrize(("encoding", "mark"), [("utf-16", ";"), ("cp1252", ";"), ("utf-8", "\t")])
+def test_a_pose_table_of_another_encoding_or_mark_is_read(tmp_path: Path, encoding: str, mark: str) -> None:
+    folder = _campaign(tmp_path / "c")
+    table = folder / "poses.csv"
+    recipe = (folder / "campaign.toml").read_text("utf-8").replace("J1 =", '"Gelenk 1 [°]" =')
+    (folder / "campaign.toml").write_text(recipe, encoding="utf-8")
+    text = table.read_text("utf-8").replace("J1", "Gelenk 1 [°]").replace(";", mark)
+    table.write_bytes(text.encode(encoding))
+    assert _codes(folder) == {"poses.times", "poses.repeats"}
+
+
+@pytest.mark.parametrize(("name", "code"), [("joint_1_rad", "poses.twice"), ("joint_9_rad", "columns.missing")])
+def test_joints_that_are_told_twice_or_with_a_gap_are_refused(tmp_path: Path, name: str, code: str) -> None:
+    folder = _campaign(tmp_path / "c")
+    told = (folder / "campaign.toml").read_text("utf-8")
+    (folder / "campaign.toml").write_text(told.replace('"joint_2_rad"', f'"{name}"'), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        _codes(folder)
+    assert refused.value.code == code
