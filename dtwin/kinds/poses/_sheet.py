@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.poses._check import problem_of
-from dtwin.kinds.poses._iso9283 import distances_off
+from dtwin.kinds.poses._iso9283 import axes, distances_off
 from dtwin.kinds.poses._series import Series
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _AGAIN = 200
 _FEWEST_REPEATS = 3
+_FRAME_AND_TOOL, _FEW_POSES = 9, 20
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
@@ -33,6 +34,7 @@ def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         notes += sound_runs([run])[1]
         series = problem_of(run)
         sound = not any(f.severity == "error" for f in run.findings)
+        notes.append(_taken_away(run, series))
         title = f"{run.meta.run_id}, {int(series.poses.place.max()) + 1} poses"
         parts.append(Part(title, (run.meta.run_id,), _figures(series, under), sound))
     basis = "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)"
@@ -76,6 +78,20 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         )
         for symbol, value in told.items()
     )
+
+
+def _taken_away(run: Run, series: Series) -> str:
+    """Return what frame and tool took away before the figures: of few poses it is much of the error."""
+    poses = int(series.poses.place.max()) + 1
+    said = f"{run.meta.run_id}: AP and AD are of what the best frame and tool leave"
+    if "error_x_mm" in run.samples:
+        largest_um = 1000.0 * np.linalg.norm(_means(axes(run, "error"), series.poses.place), axis=1).max()
+        said += f"; as the file has its errors, AP is {largest_um:z.4g} µm"
+    if poses < _FEW_POSES:
+        said += (
+            f"; {poses} poses are few for the {_FRAME_AND_TOOL} numbers of frame and tool, and the figures too small"
+        )
+    return f"{said}."
 
 
 def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, ...]:
