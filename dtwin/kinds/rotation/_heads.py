@@ -44,6 +44,7 @@ _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direc
 _LETTER = re.compile(r"[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,10 @@ def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
     text = " ".join(head.replace("_", " ").split()).lower()
     found = _UNIT.search(head.strip().lower())
+    inside = _IN_BRACKETS.search(head.strip().lower())
+    if found is not None and inside is not None and inside[1] not in _UNITS:
+        # Of 1000 rpm it is the last word only.
+        found = None
     told = unit_below.strip().strip("[]()").lower() or (found[1] if found else "")
     words = (
         text if found is None else text[: len(text) - len(found[0].strip().replace("_", " ").strip())].strip(" [(/,")
@@ -81,7 +86,9 @@ def column_of(head: str, unit_below: str = "") -> Column:
     if told not in _LENGTH_UM:
         for role, word in _WORDS.items():
             if word.search(words) or word.search(text):
-                return Column(role, factor=_FACTORS[role].get(told or _USUAL[role], 0.0), likely=True)
+                return Column(
+                    role, factor=_FACTORS[role].get(told or (inside[1] if inside else _USUAL[role]), 0.0), likely=True
+                )
         if told and told not in _LENGTH_UM:
             return Column("")
     name = re.sub(r"[^A-Za-z0-9.+-]+", "_", words).strip("_.-+") or "probe"
