@@ -71,8 +71,8 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
 def _grouped(rows: list[list[str]]) -> str:
     """Return the decimal sign that digits in groups tell; nothing where none are, or both.
 
-    ``1.234,5`` and ``1,234.5`` tell it alone. So does ``1.200`` in a column with ``800``, where the table writes decimals by the
-    other sign and no point stands elsewhere.
+    ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800``, and ``2.000`` and ``4.500``, where the table
+    writes decimals by the other sign and no point stands elsewhere.
     """
     cells = [cell.strip() for row in rows for cell in row]
     told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
@@ -85,7 +85,10 @@ def _grouped(rows: list[list[str]]) -> str:
         decimals = any(mark in number and not _WHOLE_EITHER.fullmatch(number) for number in numbers)
         if parted and decimals and all(map(form.fullmatch, parted)):
             columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
-            if any(any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns):
+            among = any(
+                any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns
+            )
+            if among or all(number.endswith("00") for number in parted):
                 return sign
     return ""
 

@@ -160,6 +160,7 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
         ("Soll [mm];F1 [µm];R1 [µm]\n800;0,5;3,1\n1.000;1,5;3\n1.200;2;4,5\n", 1200.0, 0.5),
         ("Soll [mm];F1;R1\n800;800,0005;800,003\n1.000;1000,0015;1000,003\n1.200;1200,002;1200,005\n", 1200.0, 0.5),
         ("Target [mm]\tF1 [µm]\tR1 [µm]\n800\t0.5\t3.1\n1,000\t1.5\t3\n1,200\t2\t4.5\n", 1200.0, 0.5),
+        ("Soll [mm];F1 [µm];R1 [µm]\n1.000;0,5;3,1\n2.500;1,5;3\n3.000;2;4,5\n", 3000.0, 0.5),
         # Three decimals are no group where whole numbers have none beside them.
         ("Target [mm]\tF1 [µm]\tR1 [µm]\n0.5\t0.5\t3.1\n1.125\t1.5\t3\n1.200\t2\t4.5\n", 1.2, 0.5),
         ("Soll [mm];F1 [µm];R1 [µm]\n1.125;0,5;3,1\n1.200;2;4,5\n", 1.2, 0.5),
