@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from difflib import get_close_matches
 
 EXIT_DONE = 0
@@ -11,6 +12,13 @@ EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
 # Of more names than these a terminal shows those that are most like what was given; JSON has all.
 _MOST_NAMES, _NEAREST = 60, 12
+# What would steer a terminal: escape sequences out of a file that somebody sent.
+_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+def printable(text: str) -> str:
+    """Return a text for a terminal, in which a character that steers it is a question mark."""
+    return _STEERING.sub("\ufffd", text)
 
 
 class DtwinError(Exception):
@@ -80,7 +88,7 @@ class DtwinError(Exception):
             nearest = get_close_matches(self.got or "", names, n=_NEAREST, cutoff=0.0)
             fields["allowed"] = f"{', '.join(nearest)} and {len(names) - len(nearest)} more"
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
-        return "\n".join(lines)
+        return printable("\n".join(lines))
 
 
 class InputError(DtwinError):

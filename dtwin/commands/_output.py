@@ -12,6 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
+from dtwin.errors import printable
+
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 """Option of every command that has figures to tell."""
 Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
@@ -25,7 +27,7 @@ def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) 
     if as_json:
         print(json.dumps(clean(payload), indent=2, default=str))
     else:
-        print(text())
+        print(printable(text()))
 
 
 def clean(value: Any) -> Any:
