@@ -18,6 +18,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
 from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
+from dtwin.serve.sealed import CHAMPION, MACHINE
 from dtwin.shared_documents import shared_content, shared_units
 
 
@@ -115,7 +116,8 @@ def _databases(home: Home) -> Iterator[tuple[str, str]]:
 
 
 def _served(home: Home) -> Iterator[tuple[str, str]]:
-    for folder in sorted(path.parent for path in home.bundles.glob("*/machine.json")):
+    # A machine that has told nothing of itself, as a virtual one, may have a champion all the same.
+    for folder in sorted({path.parent for name in (MACHINE, CHAMPION) for path in home.bundles.glob(f"*/{name}")}):
         try:
             resolve("latest", folder.name, home)
         except DtwinError as error:
