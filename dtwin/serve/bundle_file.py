@@ -196,6 +196,9 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         When it is missing, unreadable or too large.
     """
     try:
+        if path.exists() and not path.is_file():
+            # A pipe would be waited for, and a device has no end.
+            raise OSError("no regular file")
         with path.open("rb") as file:
             raw = file.read(max_bytes + 1)
     except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from bundles import path_bundle
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
+from dtwin.pipeline.home_check import check_home
 from dtwin.serve.barred import BarredWatch, bar, barred_why
 from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
 from dtwin.serve.pointer import (
@@ -289,8 +291,17 @@ def test_many_writers_at_once_lose_nothing(home: Home) -> None:
             assert barred_why("cobot-a", home, 100 * n + k) == "x"
 
 
+def test_a_champion_of_a_machine_without_a_file_of_its_own_is_checked_with_the_home(home: Home) -> None:
+    promoted(home)
+    sound = check_home(home)
+    assert (sound.looked_at["served"], sound.wrong) == (1, {})
+    path = machine_folder("cobot-a", home) / "v3.json"
+    path.write_text(path.read_text() + " ")
+    assert list(check_home(home).wrong) == ["bundles/cobot-a"]
+
+
 @pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", BARRED, SEAL])
-@pytest.mark.parametrize("how", ["gone", "cut", "empty", "folder"])
+@pytest.mark.parametrize("how", ["gone", "cut", "empty", "folder", "pipe"])
 def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -> None:
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
     bar("cobot-a", home, 1, "worse")
@@ -301,6 +312,8 @@ def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -
     path.unlink()
     if how == "folder":
         path.mkdir()
+    elif how == "pipe":
+        os.mkfifo(path)
     elif how != "gone":
         path.write_bytes(raw[: len(raw) // 2] if how == "cut" else b"")
 
