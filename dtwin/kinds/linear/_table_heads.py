@@ -110,6 +110,24 @@ def long_of(heads: Sequence[str]) -> Long | None:
     return Long(target, way, cycle, value)
 
 
+def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
+    """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
+    names = [head.strip() for head in heads]
+    way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
+    places = [i for i, name in enumerate(names) if names_target(name)]
+    if way is None or not places:
+        return None
+    target = next((i for i in places if _SURELY_TARGET.match(names[i])), places[0])
+    cycles = tuple(
+        (i, int(number[1]))
+        for i, name in enumerate(names)
+        if i not in (way, *places) and not _SUMS_UP.search(name) and (number := re.search(r"(\d+)", name))
+    )
+    # Readings of several cycles are called alike.
+    alike = {re.sub(r"\d+", "", names[i], count=1) for i, _ in cycles}
+    return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
+
+
 def unit_last(head: str) -> str:
     """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
     unit = _UNIT_INSIDE.search(head)

@@ -73,6 +73,19 @@ def heads_in_two_rows() -> str:
     return "\n".join(lines)
 
 
+def on_its_side() -> str:
+    """As ISO 230-2 prints it: targets and directions above, a row for each cycle."""
+    lines = [["Test of 3 May"], ["Position i"], ["Target position [mm]"], ["Direction"], ["j=1 [µm]"], ["j=2 [µm]"]]
+    for i, target in enumerate(TARGETS):
+        for way, values in (("↑", FORWARD), ("↓", REVERSE)):
+            # Merged over both directions.
+            cells = [str(i + 1), f"{target:g}" if way == "↑" else "", way, *map(str, values[i])]
+            for line, cell in zip(lines[1:], cells, strict=True):
+                line.append(cell)
+    lines += [["Mean [µm]", *"123456"], ["2s [µm]", *"123456"]]
+    return "\n".join(";".join(line) for line in lines)
+
+
 def report_by_direction() -> str:
     """Two tables in Markdown; the heading says the direction, and other tables stand around them."""
     lines = ["# Test", "Setting | Value", "--- | --- |", "Cycles | 2", ""]
@@ -127,6 +140,13 @@ def by_cycle() -> str:
         wide("actual {way} {c} um", 1e6, True),
         wide("{way} {c} mm", 1000.0, False),
         heads_in_two_rows(),
+        on_its_side(),
+        "target;direction;dev 1 [µm];dev 2 [µm]\n"
+        + "\n".join(
+            f"{t:g};{way};{values[i, 0]};{values[i, 1]}"
+            for i, t in enumerate(TARGETS)
+            for way, values in (("+", FORWARD), ("-", REVERSE))
+        ),
         "Prüfer: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
         wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
