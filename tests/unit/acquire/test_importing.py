@@ -191,3 +191,15 @@ def test_hostile_files_are_refused_as_mistakes(tmp_path: Path, data: bytes) -> N
     path.write_bytes(data)
     with pytest.raises(InputError):
         understand(path, Home(tmp_path / "home"), CIRCLE, {})
+
+
+def test_a_table_on_its_side_is_imported_whole(tmp_path: Path) -> None:
+    path, home = tmp_path / "side.csv", Home(tmp_path / "home")
+    rows = [["Target position [mm]", "0", "", "5", ""], ["Direction", *"+-+-"]]
+    rows += [[f"j={j} [µm]", "1", "2", "1,5", "2,5"] for j in (1, 2)]
+    path.write_text("\n".join(map(";".join, rows)), encoding="utf-8")
+    found = understand(path, home, {"axis": "X", "machine": "mill-7"}, {})
+    assert (found.kind, [count for _, count in found.runs]) == ("linear", [4, 4])
+    write_folder(found, tmp_path / "c", home)
+    run = next(iter(open_source(tmp_path / "c")[1]))[0][0]
+    assert run.samples["error_um"].tolist() == [1.0, 1.5, 2.5, 2.0]
