@@ -22,6 +22,7 @@ AXIS = re.compile(r"^(axis|achse|axe|asse|eje)$", re.I)
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
+_VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
@@ -58,7 +59,8 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
-    if not targets:
+    # Targets that lie on their side: a minus of theirs is no way back.
+    if not targets or any(_VALUE.fullmatch(name) for name in names):
         return None
     # Of heads in two rows, as under merged cells, some are empty.
     whole = all(names[: cells[-1][0]]) if cells else False

@@ -224,6 +224,13 @@ def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, 
     assert got in str(refused.value.got)
 
 
+def test_targets_below_zero_on_their_side_are_no_way_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Ziel;-10;-5;0\nhin 1 [µm];1;2;3\nrück 1 [µm];4;5;6\n", encoding="utf-8")
+    found = read_position_table(path)
+    assert (found.target_mm.tolist(), found.reverse_um[:, 0].tolist()) == ([-10.0, -5.0, 0.0], [4.0, 5.0, 6.0])
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=300))
 def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
