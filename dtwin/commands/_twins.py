@@ -46,8 +46,10 @@ def fit_twin(
         list[str],
         typer.Argument(metavar="CAMPAIGN...", help="Campaigns of one machine, in the lake or as file or folder."),
     ],
-    wanted: Annotated[str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis.")],
     name: Annotated[str, typer.Option(help="Name of the twin.")],
+    wanted: Annotated[
+        str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis. None: the set-up alone.")
+    ] = "",
     robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
     effects_path: Paths = None,
     as_json: Json = False,
@@ -162,7 +164,8 @@ def restore_version(
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.report.twin_of_kind import diagnosis_text
-    from dtwin.report.twins import history_text
+    from dtwin.report.twins import discovery_text, history_text
+    from dtwin.twins.verbs import LEAST_SHARE
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
@@ -174,7 +177,18 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
         "history": twins.history(name),
         "final": last,
     }
-    emit(payload, lambda: f"{history_text(twins.history(name))}\n\n{diagnosis_text(name, last)}", as_json=as_json)
+
+    def text() -> str:
+        rungs = twins.history(name)
+        found = discovery_text(groups, rungs)
+        small = [f"{one['effect']} {one['axis']}".strip() for one, *_ in last.get("found", ())]
+        if found and small:
+            found += f"\nnot added: {', '.join(small)}: below {100.0 * LEAST_SHARE:z.0f} % of that, as laws may be off"
+        rest = diagnosis_text(name, last)
+        told = [history_text(rungs), found, f"what is left\n{rest}" if found else rest]
+        return "\n\n".join(part for part in told if part)
+
+    emit(payload, text, as_json=as_json)
 
 
 @twin_app.command("learn")
