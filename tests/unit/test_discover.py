@@ -1,0 +1,83 @@
+"""Discover ends where what it finds is no larger than laws may be off, and says what it did not add."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+from dtwin.config import Home
+from dtwin.physics.diagnosis import Diagnosis, Suspect
+from dtwin.physics.library import Library
+from dtwin.physics.twin import Twin
+from dtwin.report.twins import discovery_text
+from dtwin.twins.verbs import Twins
+
+START_UM = 7.2
+
+
+def _found(effect: str, axis: str, size_um: float | None) -> tuple[Suspect, ...]:
+    return (
+        Suspect(
+            effect=effect,
+            axis=axis,
+            rms_after_um=1.0,
+            cv_gain=0.5,
+            p_value=1e-6,
+            in_group=True,
+            grade=None,
+            confounded_with=(),
+            laws=(),
+            share=0.5,
+            remedy="",
+            size_um=size_um,
+        ),
+    )
+
+
+class _Told(Twins):
+    """Twins whose diagnoses are told."""
+
+    def __init__(self, home: Home, *rounds: tuple[tuple[Suspect, ...], ...]) -> None:
+        super().__init__(home, Library())
+        self._rounds = list(rounds)
+        self.added: list[str] = []
+
+    def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
+        found = self._rounds.pop(0)
+        said = Diagnosis(
+            verdict="missing_effect" if found else "nothing_missing",
+            headline="",
+            residual_rms_um=START_UM,
+            systematic_rms_um=START_UM if not self.added else 0.2,
+            noise_floor_um=0.3,
+            floor_kind="repeats",
+            lack_of_fit_p=0.001,
+            found=found,
+        )
+        return cast("Twin", None), said
+
+    def add(self, name: str, effect: str, axis: str = "", **_: Any) -> Twin:
+        self.added.append(f"{effect} {axis}".rstrip())
+        return cast("Twin", None)
+
+
+def test_what_a_later_round_finds_must_be_a_share_of_the_beginning(tmp_path: Path) -> None:
+    twins = _Told(
+        Home(tmp_path),
+        (_found("squareness", "XY", 4.7), _found("backlash", "X", 0.1)),
+        (_found("lateral_play", "Y", 0.2), _found("cyclic_error", "X", None), _found("reversal_ringing", "X", 0.1)),
+        (_found("lateral_play_taper", "X", 0.14), _found("reversal_ringing", "X", 0.1)),
+    )
+    made, groups, said = twins.discover("t")
+    # The first round is told whole, a size that is not known is no reason to leave an effect out.
+    assert twins.added == ["squareness XY", "backlash X", "lateral_play Y", "cyclic_error X"]
+    assert len(made) == len(groups) == 4
+    assert [group[0].label for group in said.found] == ["lateral_play_taper X", "reversal_ringing X"]
+
+
+def test_every_group_and_what_is_left_is_told() -> None:
+    rungs = [{"systematic_rms_um": um} for um in (4.0, 1.0, 0.02)]
+    text = discovery_text([("squareness XY",), ("servo_lag", "scale_mismatch XY")], rungs)
+    assert text.splitlines()[:2] == ["found: squareness XY", "servo_lag or scale_mismatch XY"]
+    assert text.splitlines()[2].endswith("µm are left (0 %)")
+    assert discovery_text([], rungs) == ""
