@@ -177,15 +177,26 @@ def _most_alike(dictionary: Dictionary, found: list[Entry], entry: Entry) -> flo
 def _stand_ins(dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float) -> list[Term]:
     rest = [e for e in chosen if e is not entry]
     have = {e.label for e in chosen}
-    own = dictionary.explained(chosen) - dictionary.explained(rest)
+    own = _beside(dictionary, rest, entry)
     enough = own - min(least, _STANDS_IN * own)
     gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
     near = [
-        (gain, other) for gain, other in gains if gain > enough and other.free < entry.free and other.label not in have
+        (gain, other)
+        for gain, other in gains
+        if gain > enough
+        and other.free < entry.free
+        and other.label not in have
+        # What explains as much of something else, as of the scatter between runs, is no stand-in.
+        and _beside(dictionary, [*rest, other], entry) < _MOSTLY * own
     ]
     # The best shape of each: the last one wins.
     best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
     return list(best.values())
+
+
+def _beside(dictionary: Dictionary, others: list[Entry], entry: Entry) -> float:
+    """Return what an effect explains beside others."""
+    return dictionary.explained([*others, entry]) - dictionary.explained(others)
 
 
 def _worthwhile(dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]) -> list[Entry]:

@@ -16,6 +16,8 @@ from dtwin.schema import Floats
 
 # An effect so many times larger than what moves like it and is not resolved is itself.
 _LARGER = 3.0
+# What warms up for a tenth of a test stands, in the mean, for so many times what it moves.
+_STILL = 5.0
 # Half of an effect, or of the mean square of what is left.
 _HALF = 0.5
 # An effect that is a smaller share of what is left hangs on it, whatever it follows.
@@ -41,9 +43,9 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
     # What moves with a channel, but not as the library says, may also stand still in part.
     moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
     if moving:
-        does = [localise.condition_means(obs, _does_um(f, obs)) for f in kept]
-        power = _harmonics(localise.condition_means(obs, sum_um(moving, obs)), obs)
-        kept = [f for f, own in zip(kept, does, strict=True) if _overlap(_harmonics(own, obs), power) < _APART]
+        still_um = _STILL * sum(f.size_um for f in moving)
+        shapes = _shapes(moving, obs)
+        kept = [f for f in kept if f.size_um > still_um or _share_in(f, shapes, obs) < _APART]
     while True:
         means = localise.condition_means(obs, unknown)
         doubtful = [
@@ -69,6 +71,19 @@ def sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
 
 def _does_um(effect: Found, obs: Observations) -> Floats:
     return np.asarray(from_harmonics(effect.fitted_um) * obs.mask)
+
+
+def _shapes(effects: Sequence[Found], obs: Observations) -> Floats:
+    """Return what effects look like along the path, whatever their size in a condition: orthonormal, shape (n, k)."""
+    does = [_does_um(f, obs) for f in effects]
+    _, sizes, shapes = np.linalg.svd(np.concatenate([d / max(float(np.linalg.norm(d)), 1e-300) for d in does]))
+    return np.asarray(shapes[: int((sizes > _TINY * sizes[0]).sum())].T)
+
+
+def _share_in(effect: Found, shapes: Floats, obs: Observations) -> float:
+    """Return the share of an effect, as a mean square, that looks like these shapes in any size."""
+    does = _does_um(effect, obs)
+    return float(((does @ shapes) ** 2).sum() / max(float((does**2).sum()), 1e-300))
 
 
 def _alike(effect: Found, means: Floats, obs: Observations) -> float:

@@ -151,6 +151,15 @@ def test_growth_that_lags_behind_its_channel_is_not_called_growth_with_it() -> N
     assert named & {"thermal_growth", "thermal_drift"}, verdicts["at once"].headline
 
 
+def test_growth_that_lags_takes_no_other_name_with_it() -> None:
+    hot = MillParameters(squareness_um_m={"XY": 45.0}).with_axis("X", play_um=4.0, growth_um_m_k=12.0)
+    mill = replace(hot.with_axis("Y", pitch_error_um=2.0, pitch_mm=8.0), heat=HeatParameters(rise_c=4.0, lag_share=1.0))
+    obs = observed(measured(VirtualMill(mill, 5, noise=NoiseParameters(rms_um=0.1))))
+    found = diagnose(obs, [], LIBRARY)
+    assert {group[0].label for group in found.found} == {"squareness XY", "backlash X", "cyclic_error Y"}
+    assert found.unresolved is not None
+
+
 def test_runs_that_all_bear_one_time_are_judged_without_it() -> None:
     mill = replace(SOUND.with_axis("X", growth_um_m_k=25.0), heat=HeatParameters(rise_c=4.0))
     runs = [
