@@ -41,7 +41,7 @@ def test_the_recording_is_the_controllers_motion_by_its_clock(robot: VirtualRobo
     stamps = group.columns["timestamp_s"]
     there = np.flatnonzero(~np.isnan(stamps))
     # A busy host skips states; the gaps are in it as such.
-    assert len(there) > 150
+    assert len(there) > 50
     # Every sample has its place on the clock, lost ones or not.
     np.testing.assert_allclose(stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3)
     path = np.array([group.columns[f"target_tcp_{axis}_mm"] for axis in "xyz"])
