@@ -62,6 +62,7 @@ def test_none_is_left_out() -> None:
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
+        "outside_machine.py",
         "plant_year.py",
         "sister_machines.py",
         "two_instruments.py",
@@ -219,6 +220,26 @@ def test_contradictions() -> None:
     assert len(quiet) == 5
     assert [row["a false contradiction"] for row in quiet] == [0] * 5
     assert [row["since the right day"] for row in quiet] == [1] * 5
+
+
+@pytest.mark.long
+def test_outside_machine() -> None:
+    everyday, null = short("outside_machine.py")
+    assert (everyday["row"], null["row"]) == ("everyday", "null")
+    assert set(everyday) == {
+        "row",
+        "machines",
+        "faults that show",
+        "named",
+        "false names per machine",
+        "something unresolved",
+        "median s",
+        "median s of simulation",
+    }
+    # Nothing is wrong, and nothing is said to be.
+    assert (null["faults that show"], null["named"]) == (0, 0)
+    assert (null["false names per machine"], null["something unresolved"]) == (0.0, 0)
+    assert 0 < everyday["named"] <= everyday["faults that show"] == 3
 
 
 @pytest.mark.long
