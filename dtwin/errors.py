@@ -17,7 +17,7 @@ _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def printable(text: str) -> str:
-    """Return a text for a terminal, in which a character that steers it is a question mark."""
+    """Return a text for a terminal, in which the sign of an unknown character stands for what would steer it."""
     return _STEERING.sub("\ufffd", text)
 
 

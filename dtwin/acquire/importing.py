@@ -225,12 +225,12 @@ def understand(
         lone = Path(scratch) / f"{safe_name(path.stem)}.csv"
         write_text(lone, plain, "a table")
         columns: tuple[Column, ...] = ()
-        as_it_lies = any(kind.takes_alone(path) for kind in kinds())
-        if not answers and as_it_lies and not any(kind.takes_alone(lone) for kind in kinds()):
+        known = not answers and any(kind.takes_alone(lone) for kind in kinds())
+        if not answers and not known and any(kind.takes_alone(path) for kind in kinds()):
             # What was taken for titles belongs to it, as in a table on its side.
-            plain = decoded(table_bytes(path, _MAX_BYTES))
+            known, plain = True, decoded(table_bytes(path, _MAX_BYTES))
             write_text(lone, plain, "a table")
-        if answers or not any(kind.takes_alone(lone) for kind in kinds()):
+        if not known:
             columns = columns_of(heads, found.units, answers)
             plain = _converted(columns, found.body)
             write_text(lone, plain, "a table")

@@ -11,6 +11,7 @@ from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
+from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
@@ -101,16 +102,8 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
 
 def _heads(rows: list[list[str]]) -> list[str]:
     """Return the row of names above the first of two rows with numbers; empty where a sheet, such as a cover, has no such table."""
-    numbers = [n for n, row in enumerate(rows) if sum(map(_is_number, row)) > 1]
+    numbers = [n for n, row in enumerate(rows) if sum(is_number(cell.replace(",", ".")) for cell in row) > 1]
     return rows[numbers[0] - 1] if len(numbers) > 1 and numbers[0] > 0 else []
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.b5r import marked_angle_deg
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.plan import PlannedTest
 from dtwin.schema import Direction, Plane, Run, RunMeta, SignalGroup
@@ -77,12 +78,11 @@ def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: dateti
     """
     condition = recording.condition
     direction: Direction = "CCW" if condition.direction == "CCW" else "CW"
-    start, end = recording.window
     arc_deg = 360.0 if plane == "XY" else 180.0
-    turned = (np.arange(len(recording.deviation_mm)) - start) * (arc_deg / (end - start))
+    n = len(recording.deviation_mm)
     samples = {
-        "t_s": np.arange(len(recording.deviation_mm)) / recording.sample_rate_hz,
-        "angle_deg": turned if direction == "CCW" else -turned,
+        "t_s": np.arange(n) / recording.sample_rate_hz,
+        "angle_deg": marked_angle_deg(n, recording.window, direction, 0.0, arc_deg),
         "deviation_um": recording.deviation_mm * 1000.0,
     }
     meta = RunMeta(

@@ -163,32 +163,19 @@ def restore_version(
 @twin_app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
-    from dtwin.report.twin_of_kind import diagnosis_text
-    from dtwin.report.twins import discovery_text, history_text
+    from dtwin.report.twin_of_kind import discovery_text
     from dtwin.twins.verbs import LEAST_SHARE
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
-    last = said.as_dict()
     payload = {
         "twin": name,
         "added": [twin.action.removeprefix("add ") for twin in made],
         "groups": [list(group) for group in groups],
         "history": twins.history(name),
-        "final": last,
+        "final": said.as_dict(),
     }
-
-    def text() -> str:
-        rungs = twins.history(name)
-        found = discovery_text(groups, rungs)
-        small = [f"{one['effect']} {one['axis']}".strip() for one, *_ in last.get("found", ())]
-        if found and small:
-            found += f"\nnot added: {', '.join(small)}: below {100.0 * LEAST_SHARE:z.0f} % of that, as laws may be off"
-        rest = diagnosis_text(name, last)
-        told = [history_text(rungs), found, f"what is left\n{rest}" if found else rest]
-        return "\n\n".join(part for part in told if part)
-
-    emit(payload, text, as_json=as_json)
+    emit(payload, lambda: discovery_text(payload, LEAST_SHARE), as_json=as_json)
 
 
 @twin_app.command("learn")

@@ -18,6 +18,8 @@ from dtwin.schema import Floats
 _LARGER = 3.0
 # What warms up for a tenth of a test stands, in the mean, for so many times what it moves.
 _STILL = 5.0
+# Of the shapes of several effects, by their singular values, what is less is none.
+_SHAPE = 0.25
 # Half of an effect, or of the mean square of what is left.
 _HALF = 0.5
 # An effect that is a smaller share of what is left hangs on it, whatever it follows.
@@ -76,8 +78,9 @@ def _does_um(effect: Found, obs: Observations) -> Floats:
 def _shapes(effects: Sequence[Found], obs: Observations) -> Floats:
     """Return what effects look like along the path, whatever their size in a condition: orthonormal, shape (n, k)."""
     does = [_does_um(f, obs) for f in effects]
-    _, sizes, shapes = np.linalg.svd(np.concatenate([d / max(float(np.linalg.norm(d)), 1e-300) for d in does]))
-    return np.asarray(shapes[: int((sizes > _TINY * sizes[0]).sum())].T)
+    alike = np.concatenate([d / max(float(np.linalg.norm(d)), 1e-300) for d in does])
+    _, sizes, shapes = np.linalg.svd(alike, full_matrices=False)
+    return np.asarray(shapes[sizes > _SHAPE * sizes[0]].T)
 
 
 def _share_in(effect: Found, shapes: Floats, obs: Observations) -> float:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.kinds.registry import kind_named
 from dtwin.report.html import Section
+from dtwin.report.text import micrometres
+from dtwin.report.twins import history_text
 from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
@@ -28,6 +30,29 @@ def comparison_text(result: Mapping[str, Any]) -> str:
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis, as its ``as_dict`` gives it, for the terminal."""
     return _of(result).diagnosis_text(name, result)
+
+
+def discovery_text(payload: Mapping[str, Any], least_share: float) -> str:
+    """Return what was found for the terminal: versions, every name with those that the runs cannot tell from it, what is left.
+
+    ``payload``: twin, groups of the effects added, the effect first, history, and the last diagnosis.
+    ``least_share``: of what repeats agreed on, below which nothing was added.
+    """
+    rungs, groups, last = payload["history"], payload["groups"], payload["final"]
+    rest = diagnosis_text(payload["twin"], last)
+    if not groups:
+        return f"{history_text(rungs)}\n\n{rest}"
+    lines = ["found", *(f"  {' or '.join(group)}" for group in groups)]
+    before, left = (rungs[n].get("systematic_rms_um") for n in (-1 - len(groups), -1))
+    if before and left is not None:
+        share = 100.0 * left / before
+        lines.append(
+            f"of {micrometres(before)} µm RMS that repeats agree on, {micrometres(left)} µm are left ({share:z.0f} %)"
+        )
+    small = [f"{one['effect']} {one['axis']}".strip() for one, *_ in last.get("found", ())]
+    if small:
+        lines.append(f"not added: {', '.join(small)}: below {100.0 * least_share:z.0f} % of that, as laws may be off")
+    return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
 
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:

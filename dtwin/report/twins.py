@@ -243,26 +243,6 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
     return table(head, rows)
 
 
-def discovery_text(groups: Sequence[Sequence[str]], rungs: Sequence[Mapping[str, Any]]) -> str:
-    """Return what was found for the terminal: every name with those that the runs cannot tell from it, and what is left.
-
-    ``groups``: of each effect that was added, the effect first.
-    ``rungs``: the versions of the twin.
-    """
-    if not groups:
-        return ""
-    lines = [" or ".join(group) for group in groups]
-    lines[0] = f"found: {lines[0]}"
-    before = rungs[-1 - len(groups)].get("systematic_rms_um") if len(rungs) > len(groups) else None
-    left = rungs[-1].get("systematic_rms_um")
-    if before and left is not None:
-        lines.append(
-            f"of {micrometres(before)} µm RMS that repeats agree on, {micrometres(left)} µm are left "
-            f"({100.0 * left / before:z.0f} %)"
-        )
-    return "\n".join(lines)
-
-
 def effect_text(effect: Effect) -> str:
     """Return what an effect is, for the terminal."""
     law = effect.law

@@ -9,7 +9,7 @@ from dtwin.config import Home
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.library import Library
 from dtwin.physics.twin import Twin
-from dtwin.report.twins import discovery_text
+from dtwin.report.twin_of_kind import discovery_text
 from dtwin.twins.verbs import Twins
 
 START_UM = 7.2
@@ -75,9 +75,28 @@ def test_what_a_later_round_finds_must_be_a_share_of_the_beginning(tmp_path: Pat
     assert [group[0].label for group in said.found] == ["lateral_play_taper X", "reversal_ringing X"]
 
 
-def test_every_group_and_what_is_left_is_told() -> None:
-    rungs = [{"systematic_rms_um": um} for um in (4.0, 1.0, 0.02)]
-    text = discovery_text([("squareness XY",), ("servo_lag", "scale_mismatch XY")], rungs)
-    assert text.splitlines()[:2] == ["found: squareness XY", "servo_lag or scale_mismatch XY"]
-    assert text.splitlines()[2].endswith("µm are left (0 %)")
-    assert discovery_text([], rungs) == ""
+def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
+    said = Diagnosis(
+        "missing_effect",
+        "",
+        0.3,
+        0.02,
+        0.3,
+        "repeats",
+        0.001,
+        (*_found("friction", "X", 0.05),),
+        (_found("friction", "X", 0.05),),
+    )
+    rungs = [
+        {"version": n, "action": "add", "rms_before_um": 4.0, "rms_after_um": um, "noise_floor_um": 0.3}
+        | {"systematic_rms_um": um, "verdict": None, "group": []}
+        for n, um in enumerate((4.0, 1.0, 0.02), start=1)
+    ]
+    groups = [["squareness XY"], ["servo_lag", "scale_mismatch XY"]]
+    payload = {"twin": "t", "groups": groups, "history": rungs, "final": said.as_dict()}
+    lines = [line.strip() for line in discovery_text(payload, 0.02).splitlines()]
+    at = lines.index("found")
+    assert lines[at + 1 : at + 3] == ["squareness XY", "servo_lag or scale_mismatch XY"]
+    assert lines[at + 3].endswith("µm are left (0 %)")
+    assert lines[at + 4].startswith("not added: friction X: below 2 % of that")
+    assert "found" not in discovery_text(payload | {"groups": []}, 0.02).split("\n")

@@ -87,11 +87,7 @@ def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, i
                 condition = CircleCondition(plane, radius, feed, direction)
                 recording, acted = run_circle(cobot, bundle, np.array(tcp), condition, setup, 101 + len(found), way)
                 run = run_of(recording, "e", plane, EPOCH)
-                samples = dict(run.samples)
-                if direction == "CW" and plane != "XY":
-                    # Half a turn back goes over the same half.
-                    samples["angle_deg"] = samples["angle_deg"] + 180.0
                 correction = bundle.model_sha256 if way == "compensated" else ""
                 meta = replace(run.meta, correction=correction)
-                found.append((way, replace(run, meta=meta, samples=samples, signals=()), acted))
+                found.append((way, replace(run, meta=meta, signals=()), acted))
     return found

@@ -21,7 +21,6 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +38,13 @@ from dtwin.kinds.linear._table_heads import (
     SUMMARY,
     Long,
     Wide,
-    by_way_of,
     deviation_um,
     is_deviation,
     is_unit,
     long_of,
     scale_of,
+    table_of,
     told_unit,
-    unit_last,
     way_of,
     wide_of,
 )
@@ -54,8 +52,6 @@ from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
-_MOST_TITLES = 20
-_MOST_ON_ITS_SIDE = 2000
 # Of the travel: no linear axis errs by so much.
 _LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
@@ -86,7 +82,7 @@ def is_position_table(path: Path) -> bool:
     text = first_text(path, _MAX_BYTES)
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
-    return bool(report_tables(text)) or _table_of(rows_of(text)) is not None
+    return bool(report_tables(text)) or table_of(rows_of(text)) is not None
 
 
 def read_position_runs(
@@ -145,7 +141,7 @@ def _read(text: str, path: Path) -> PositionTable:
     tables = [table.rows for table in one_instrument(report_tables(text), path)]
     if not tables:
         every = rows_of(text)
-        plain = _table_of(every)
+        plain = table_of(every)
         if plain is None:
             raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
         tables = [plain]
@@ -173,50 +169,6 @@ def _require_near(table: PositionTable, path: Path) -> None:
             allowed="positions; or deviations whose heads say so and state the unit",
             hint="write the unit of deviations into their heads, such as: forward 1 [µm]",
         )
-
-
-def _table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, which may stand in its first column; None when there is none."""
-    found = _below_titles(rows)
-    # Titles have one cell.
-    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if found is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
-        found = _below_titles(list(zip_longest(*wide, fillvalue="")))
-    return found
-
-
-def _one_reading_a_row(
-    heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
-) -> list[Sequence[str]]:
-    """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
-    target, way, cycles = by_way
-    out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
-    last = ""
-    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
-        last = row[target].strip() or last
-        out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
-    return out
-
-
-def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
-    for begin, row in enumerate(rows[:_MOST_TITLES]):
-        below = list(rows[begin + 1 :])
-        by_way = by_way_of(row)
-        if by_way is not None:
-            return _one_reading_a_row(row, below, by_way)
-        if wide_of(row) is not None or long_of(row) is not None:
-            return [row, *below]
-        if below and sum(bool(cell.strip()) for cell in row) > 1:
-            filled, last = [], ""
-            for cell in row:
-                last = cell.strip() or last
-                filled.append(last)
-            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
-            lying = any(cell.strip()[:1].isalpha() for line in below[1:2] for cell in line[:1])
-            if wide_of(joined) is not None and not way_of(filled[0]) and not lying:
-                return [[unit_last(head) for head in joined], *below[1:]]
-    return None
 
 
 def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:

@@ -6,17 +6,18 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
+_MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
-SUMMARY = re.compile(r"(avg|average|mean|std|stdev|sigma|range|min|max|mittel\w*|spannweite|streuung)\b", re.I)
+_STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung"
+SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
 """First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
-_SUMS_UP = re.compile(
-    r"\b(avg|average|mean|median|std|stdev|sigma|range|spread|mittel\w*|spannweite|streuung|\d?s)\b|x̄|\u03c3", re.I
-)
+_SUMS_UP = re.compile(rf"\b({_STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3", re.I)
 """Words of a column that sums up the readings beside it."""
 AXIS = re.compile(r"^(axis|achse|axe|asse|eje)$", re.I)
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
@@ -112,7 +113,7 @@ def long_of(heads: Sequence[str]) -> Long | None:
     return Long(target, way, cycle, value)
 
 
-def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
+def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
     names = [head.strip() for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
@@ -130,7 +131,51 @@ def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ..
     return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
 
 
-def unit_last(head: str) -> str:
+def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
+    """Return a table from its heads on, which may stand in its first column; None when there is none."""
+    found = _below_titles(rows)
+    # Titles have one cell.
+    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
+    if found is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
+        found = _below_titles(list(zip_longest(*wide, fillvalue="")))
+    return found
+
+
+def _one_reading_a_row(
+    heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
+) -> list[Sequence[str]]:
+    """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
+    target, way, cycles = by_way
+    out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
+    last = ""
+    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
+        last = row[target].strip() or last
+        out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
+    return out
+
+
+def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
+    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
+    for begin, row in enumerate(rows[:_MOST_TITLES]):
+        below = list(rows[begin + 1 :])
+        by_way = _by_way_of(row)
+        if by_way is not None:
+            return _one_reading_a_row(row, below, by_way)
+        if wide_of(row) is not None or long_of(row) is not None:
+            return [row, *below]
+        if below and sum(bool(cell.strip()) for cell in row) > 1:
+            filled, last = [], ""
+            for cell in row:
+                last = cell.strip() or last
+                filled.append(last)
+            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
+            lying = any(cell.strip()[:1].isalpha() for line in below[1:2] for cell in line[:1])
+            if wide_of(joined) is not None and not way_of(filled[0]) and not lying:
+                return [[_unit_last(head) for head in joined], *below[1:]]
+    return None
+
+
+def _unit_last(head: str) -> str:
     """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
     unit = _UNIT_INSIDE.search(head)
     return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
