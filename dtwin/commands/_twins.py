@@ -48,7 +48,7 @@ def fit_twin(
     ],
     name: Annotated[str, typer.Option(help="Name of the twin.")],
     wanted: Annotated[
-        str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis. None: the set-up alone.")
+        str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis. Without: the set-up alone.")
     ] = "",
     robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
     effects_path: Paths = None,
