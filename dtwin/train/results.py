@@ -57,7 +57,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Latency:
-    """Time of one evaluation of one row.
+    """Time of one evaluation of one row, in the round of three that other work on the computer disturbed least.
 
     ``what``: what was timed, for example ``bundle tick`` or ``onnxruntime``.
     ``histogram_us``: upper edges and counts.
