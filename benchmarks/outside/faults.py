@@ -177,7 +177,7 @@ def heat(axis: str, rng: np.random.Generator) -> Fault:
         return a._replace(scale=a.scale + 1e-6 * ppm * (1.0 - math.exp(-minute / fading_min)))
 
     also = _also_by_plane(axis, "scale_mismatch", "thermal_drift")
-    return Fault("heat", axis, _also_by_plane(axis, "thermal_growth"), also, drive)
+    return Fault("heat", axis, _also_by_plane(axis, "thermal_growth", "warming_growth"), also, drive)
 
 
 def drift(axis: str, rng: np.random.Generator) -> Fault:
@@ -214,7 +214,7 @@ def straightness(axis: str, toward: str, signed_um: float, span_mm: float, rng: 
         return {toward: signed_um / 0.75 * (shape(at, shift, skew) - np.polyval(line, at)) / most}
 
     tilts = frozenset(f"squareness {plane}" for plane in PLANES if {axis, toward} == set(plane))
-    return Fault("straightness", axis, _labels(axis, "straightness"), tilts, push=push)
+    return Fault("straightness", axis, _labels(axis, "straightness", "guideway_shape"), tilts, push=push)
 
 
 # Shapes of a guideway by place as a share of its span, a shift of the middle, and a skew.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem, Term, beside, least_visible, orthonormal
 from dtwin.physics.whitening import condition_sums
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 # As share of a column's sum of squares; less differs between repeats by rounding only.
 _ROUNDING = 1e-18
+_SPANNING = 16
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Condensed:
             self.candidates.harmonics(term) if keep else self.problem.obs.distinct_harmonics(term.instance, term.shape)
         )
         weighted = rows * self.problem.weights[:, None]
-        if of is self.problem.obs.condition_of:
+        if len(rows) == len(self.root) < len(of):
             cells = (weighted * self.root[:, None, None]).reshape(-1, rows.shape[2])
             return np.concatenate([cells, np.zeros((len(self.y) - len(cells), cells.shape[1]))])
         return self._condensed(weighted[of])
@@ -84,11 +87,11 @@ def condensed(problem: Problem, candidates: Candidates) -> Condensed:
     """Return a problem condensed; with all its rows where repeats were not measured in the same places."""
     obs = problem.obs
     own = [i for i in candidates.instances if not obs.is_alike_in_repeats(i)]
-    rows_differ = obs.condition_masks is None or any(i.effect.shapes for i in own)
+    rows_differ = obs.condition_masks is None or any(not s.smooth for i in own for s in i.effect.shapes)
     of = np.arange(obs.n_rows) if rows_differ else obs.condition_of
     root = np.sqrt(np.bincount(of))
     basis = problem.basis.reshape(obs.n_rows, obs.n_bins, -1)
-    terms = [] if rows_differ else [candidates.whitened(problem, Term(i, {})) for i in own]
+    terms = [] if rows_differ else [candidates.whitened(problem, Term(i, s)) for i in own for s in _spanning(i)]
     whole = np.concatenate([problem.basis, *terms], axis=1).reshape(obs.n_rows, obs.n_bins, -1)
     between = _directions(whole, of, root)
     empty = np.empty(0)
@@ -97,6 +100,13 @@ def condensed(problem: Problem, candidates: Candidates) -> Condensed:
     of_y = blank._condensed(y)[:, 0]
     of_y[-1] = np.sqrt(max(0.0, float(problem.y @ problem.y - of_y @ of_y)))
     return replace(blank, y=of_y, basis=blank._condensed(basis))
+
+
+def _spanning(instance: Instance) -> list[Shape]:
+    """Return shapes of an effect whose columns span those of all others, to within 1e-4."""
+    values = [np.geomspace(*shape.bounds, _SPANNING) for shape in instance.effect.shapes]
+    names = [shape.name for shape in instance.effect.shapes]
+    return [dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*values)]
 
 
 def _directions(rows: Floats, condition_of: Indices, root: Floats) -> Floats:

@@ -148,7 +148,7 @@ def _group(
         if other.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         invisible = not candidates.visible(beside, other.term).shape[1]
-        if in_part and invisible and _numbers(other.term) < _numbers(top.term):
+        if in_part and invisible and candidates.numbers(other.term) < candidates.numbers(top.term):
             hidden.add(other.term.label)
         elif not _as_good(problem, top, other) and not _adds_nothing(problem, top, other, candidates, level):
             continue
@@ -169,11 +169,6 @@ def _is_like(top: Candidate, other: Candidate) -> bool:
     """Tell whether two effects are what follows a reversal of one axis."""
     first, second = top.term.instance, other.term.instance
     return {first.effect.name, second.effect.name} <= _AFTER_A_REVERSAL and first.axis == second.axis
-
-
-def _numbers(term: Term) -> int:
-    effect = term.instance.effect
-    return len(effect.parameters) + len(effect.shapes)
 
 
 def _sets(
@@ -197,9 +192,9 @@ def _sets(
     out: list[Candidate] = []
     for other in term.instance.effect.confusables:
         like = [c for c in rivals if c.term.instance.effect.name == other]
-        numbers = sum(_numbers(c.term) for c in like)
+        numbers = sum(candidates.numbers(c.term) for c in like)
         # What needs more numbers is no plainer explanation.
-        if len(like) + len(own) < 3 or not 0 < numbers <= sum(map(_numbers, own)):
+        if len(like) + len(own) < 3 or not 0 < numbers <= sum(map(candidates.numbers, own)):
             continue
         with_them = candidates.given(given, [c.term for c in like])
         whitened = np.concatenate([candidates.whitened(given, t) for t in own], axis=1)
@@ -228,7 +223,7 @@ def _adds_nothing(
     left = candidates.visible(given, top.term)
     if not left.shape[1]:
         return True
-    simpler = _numbers(other.term) < _numbers(top.term)
+    simpler = candidates.numbers(other.term) < candidates.numbers(top.term)
     within = top.term.instance.effect.within_condition
     score = score_test(given, left, given.residual, level, within=within)
     return score.p_value > (_SIMPLER_P if simpler else _GROUP_P)

@@ -136,6 +136,11 @@ class Candidates:
         """Return the columns of a term that nothing known can imitate."""
         return problem.visible(self.whitened(problem, term), given, least_visible(term))[0]
 
+    def numbers(self, term: Term) -> int:
+        """Return how many numbers an effect has in these runs: parameters of what moves, and shapes."""
+        rows, _ = self.harmonics(term)
+        return int(rows.any(axis=(0, 1)).sum()) + len(term.instance.effect.shapes)
+
     def whitened(self, problem: Problem, term: Term) -> Floats:
         """Return the whitened columns of a term, shape (rows * n, k)."""
         rows, of = self.harmonics(term)

@@ -32,7 +32,7 @@ from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
-from dtwin.physics.observations import Observations
+from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 from dtwin.physics.score import HIGHEST_HARMONIC
@@ -265,6 +265,7 @@ def _doubted(found: Search, late: bool, tests: _Tests) -> list[Found]:
         for f in found.found
         if not survivors(f, tests[f.label])
         or at_its_end(f.top.term)
+        or _hangs_untested(f, tests[f.label][f.label], found)
         or f.gain <= 0.0
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
@@ -345,6 +346,12 @@ def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     confirmed = bool(variables(effect.top, tests)[0]) or not changed
     vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
     return small and (vague or not confirmed)
+
+
+def _hangs_untested(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+    """Tell whether an effect that hangs on the mounting could not be compared between mountings."""
+    hangs = any(name.startswith(SETUP_COLUMNS) for name in effect.top.term.instance.effect.needs)
+    return hangs and len(found.plain.obs.setups) > 1 and not any(t.variable == "set-up" for t in tests)
 
 
 def _is_dwarfed(effect: Found, found: Search) -> bool:

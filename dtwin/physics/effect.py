@@ -34,11 +34,14 @@ class Parameter:
         What it is, and its unit; the regressor is in um per this unit.
     typical : float
         Size on an ordinary machine, for planning.
+    once : str
+        The parameter that stood for this one too in versions that were stored before there were two.
     """
 
     name: str
     unit: str
     typical: float
+    once: str = ""
 
     @property
     def largest(self) -> float:
@@ -66,6 +69,8 @@ class ShapeParameter:
         Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
     by_speed : bool
         Whether only runs at several speeds tell it: at one speed it stays at its start.
+    smooth : bool
+        Whether a dozen values between the limits span the effect at all others, as they do for a time constant.
     """
 
     name: str
@@ -77,6 +82,7 @@ class ShapeParameter:
     ends: bool = False
     vanishes: bool = False
     by_speed: bool = False
+    smooth: bool = False
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -272,6 +278,30 @@ def other_axis(state: State, axis: str) -> str:
     """Return the second moving axis of a circle."""
     first, second = state.axes
     return second if axis == first else first
+
+
+# What slows down as heat spreads, ISO 230-3; at its largest it goes on as it began.
+SETTLING = ShapeParameter("settling_h", "h", 1e4, (0.15, 0.5, 1e4), (0.05, 1e4), smooth=True)
+
+
+def settled_h(state: State, shape: Shape) -> Floats:
+    """Return the time since the first run, in hours, slowing down with the time constant of a shape, shape (n,)."""
+    return shape["settling_h"] * -np.expm1(-state.column("time_h") / shape["settling_h"])
+
+
+def aside(state: State, axis: str, *profiles_um: Floats) -> Floats:
+    """Return what pushes the other moving axis of a circle aside, in a column for each axis that this might be.
+
+    A guideway has a shape of its own in each of the two directions across it, and a plane shows one of them.
+
+    ``profiles_um``: k of them, each of shape (n,).
+    Returns (n, 2 k): towards the first of the other two axes by letter, then towards the second.
+    """
+    nothing = [np.zeros(state.n)] * len(profiles_um)
+    towards = other_axis(state, axis)
+    pushed = [profile * state.sensitivity[towards] for profile in profiles_um]
+    is_first = towards == min(set("XYZ") - {axis})
+    return stacked(*pushed, *nothing) if is_first else stacked(*nothing, *pushed)
 
 
 def taken_up(state: State, axis: str, standstill_um: float) -> Floats:

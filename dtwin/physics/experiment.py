@@ -229,9 +229,12 @@ def detectable(obs: Observations, library: Mapping[str, Effect], *, noise_um: fl
     for instance in tried:
         effect = instance.effect
         term = Term(instance, effect.start_shape)
-        first = problem.whitened(obs.regressors(instance, term.shape))[:, :1]
+        columns = problem.whitened(obs.regressors(instance, term.shape))
+        # Of what has a size for each direction across an axis, the first that these circles show.
+        shown = int(np.argmax(columns.any(axis=0)))
+        first = columns[:, shown : shown + 1]
         visible, share = problem.visible(first, least=least_visible(term))
-        parameter = effect.parameters[0]
+        parameter = effect.parameters[shown]
         size = math.inf
         rms_um = math.nan
         if visible.shape[1] and dof >= 2.0:

@@ -17,7 +17,9 @@ _WAVES = frozenset(
     ("cyclic_error", "cyclic_error_by_direction", "screw_error", "screw_error_by_direction", "pitch_error")
 )
 # What belongs to the instrument, the day, or the stretch of the axis that was measured.
-_OWN = frozenset(("thermal_drift", "thermal_shift", "instrument_artefact", "measurement_delay", "worn_screw"))
+_OWN = frozenset(
+    ("thermal_drift", "thermal_shift", "warming_growth", "instrument_artefact", "measurement_delay", "worn_screw")
+)
 # The first order of a screw's turn is what a circle shows as a cyclic error.
 _CAUSES = {
     "cyclic_error": "screw",

@@ -206,7 +206,8 @@ class Knowledge:
             parameters = seen.instances[label].effect.parameters
             for (name, axis, sort), sign in zip(self._keys(seen, label), (1.0, -1.0), strict=False):
                 larger = self._larger.get((name, axis, sort), 1.0)
-                for i, parameter in enumerate(parameters):
+                for i in np.flatnonzero(own.any(axis=0)):
+                    parameter = parameters[i]
                     part = parameter.name if len(parameters) > 1 else ""
                     unknown = Unknown(name, axis, part, parameter.unit, larger * parameter.typical, sort)
                     columns[unknown] = columns.get(unknown, 0.0) + sign * unknown.typical * own[:, i]

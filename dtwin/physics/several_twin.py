@@ -165,8 +165,7 @@ def _values_of(twin: SeveralTwin, alike: Sequence[Twin], term: Term, seen: Term)
     for source in sources:
         for own in source.terms:
             if key_of(own) == key_of(seen):
-                where = own.instance.effect.name, own.instance.axis
-                return [e for e in source.estimates if (e.effect, e.axis) == where]
+                return source.estimates_of(own)
     return []
 
 

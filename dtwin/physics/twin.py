@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -129,9 +129,15 @@ class Twin:
 
     def values(self, term: Term) -> Floats:
         """Return the fitted parameters of an effect, shape (parameters,)."""
-        return np.array(
-            [e.value for e in self.estimates if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)]
-        )
+        return np.array([e.value for e in self.estimates_of(term)])
+
+    def estimates_of(self, term: Term) -> list[Estimate]:
+        """Return the fitted parameters of an effect, in its order; of an earlier version with what it took to be equal."""
+        where = term.instance.effect.name, term.instance.axis
+        mine = [e for e in self.estimates if (e.effect, e.axis) == where]
+        stored = {e.name: e for e in mine}
+        once = [p for p in term.instance.effect.parameters if p.once in stored and p.name not in stored]
+        return [*mine, *(replace(stored[p.once], name=p.name) for p in once)]
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

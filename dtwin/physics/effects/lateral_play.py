@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves, other_axis
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
-        return np.zeros((state.n, 1))
-    side = 0.5 * np.sign(state.velocity_mm_s[axis])
-    return (side * state.sensitivity[other_axis(state, axis)])[:, None]
+        return np.zeros((state.n, 2))
+    return aside(state, axis, 0.5 * np.sign(state.velocity_mm_s[axis]))
 
 
 EFFECT = Effect(
     name="lateral_play",
     title="Lateral play",
-    parameters=(Parameter("play", "um", 3.0),),
+    parameters=(Parameter("play", "um", 3.0), Parameter("second_play", "um", 3.0, once="play")),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),
     meaning=("Play in the guideway: the carriage tips or shifts at right angles to its motion when it reverses."),

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves, other_axis
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
-        return np.zeros((state.n, 1))
+        return np.zeros((state.n, 2))
     side = 0.5 * np.sign(state.velocity_mm_s[axis]) * state.position_mm[axis] / 100.0
-    return (side * state.sensitivity[other_axis(state, axis)])[:, None]
+    return aside(state, axis, side)
 
 
 EFFECT = Effect(
     name="lateral_play_taper",
     title="Lateral play that changes along the axis",
-    parameters=(Parameter("change_per_100_mm", "um", 2.0),),
+    parameters=(
+        Parameter("change_per_100_mm", "um", 2.0),
+        Parameter("second_change_per_100_mm", "um", 2.0, once="change_per_100_mm"),
+    ),
     regressors=_columns,
     law=Law(0.0, 1.0, "odd"),
     meaning="Guideway play is larger at one end of the travel.",

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves, other_axis
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
-    if not moves(state, axis):
-        return np.zeros((state.n, 1))
-    bow = (state.position_mm[axis] / 100.0) ** 2
-    return (bow * state.sensitivity[other_axis(state, axis)])[:, None]
+    return aside(state, axis, (state.position_mm[axis] / 100.0) ** 2) if moves(state, axis) else np.zeros((state.n, 2))
 
 
 EFFECT = Effect(
     name="straightness",
     title="Straightness",
-    parameters=(Parameter("bow_at_100_mm", "um", 5.0),),
+    parameters=(
+        Parameter("bow_at_100_mm", "um", 5.0),
+        Parameter("second_bow_at_100_mm", "um", 5.0, once="bow_at_100_mm"),
+    ),
     regressors=_columns,
     law=Law(0.0, 2.0, "even"),
     meaning=("The guideway of the axis is bowed: the other axis is pushed aside by the square of the position."),
@@ -31,6 +31,6 @@ EFFECT = Effect(
     separate_by="Seat the bar again: three lobes of a dirty cup change, those of a guideway stay.",
     remedy="Check guideway and alignment of the bed, or enter a straightness table.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    confusables=("instrument_artefact", "gravity_sag"),
+    confusables=("instrument_artefact", "gravity_sag", "guideway_shape"),
     correctable="A compensation value of the control, or an offset of position.",
 )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
+from dtwin.physics.effect import SETTLING, Effect, Law, Parameter, Shape, settled_h, stacked
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
-    time_h = state.column("time_h")
+    time_h = settled_h(state, shape)
     shift = [time_h * state.sensitivity[a] if a in state.axes else np.zeros(state.n) for a in "XYZ"]
     # Only a circle has a radius; along an axis that would be the same as its shift.
     length = time_h if state.plane else np.zeros(state.n)
@@ -29,13 +29,14 @@ EFFECT = Effect(
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
     meaning=("Centre and radius move with time: heat of the structure, creep of the set-up, or wear over days."),
-    formula="h (a cos(t) + b sin(t) + c), h in hours",
+    formula="S (1 - exp(-h / S)) (a cos(t) + b sin(t) + c), h in hours since the first run",
     looks_like="The start and the end of the circle do not meet; repeats wander in one direction.",
     separate_by=("Stop for twenty minutes and measure again: drift with time goes on, thermal growth turns back."),
     remedy="Warm up, wait for the set-up to settle, shorten the test.",
     reference="ISO 230-3",
     per="machine",
     kinds=("circular", "linear"),
+    shapes=(SETTLING,),
     confusables=("thermal_growth", "centre_offset"),
     within_condition=True,
 )

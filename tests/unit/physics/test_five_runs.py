@@ -87,7 +87,7 @@ def test_noise_of_five_runs_is_called_significant_as_often_as_stated(name: str) 
 
 def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
     obs = campaign(3.0 * SHARE, np.random.default_rng(2))
-    drift = Term(Instance(LIBRARY["thermal_drift"], ""), {})
+    drift = Term(Instance(LIBRARY["thermal_drift"], ""), LIBRARY["thermal_drift"].start_shape)
     problem = set_up(obs, [], [drift])
     columns = Candidates(obs, [drift.instance]).visible(problem, drift)
     score = score_test(problem, columns, problem.residual, NoiseLevel(), within=True)

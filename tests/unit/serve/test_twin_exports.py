@@ -36,7 +36,7 @@ EFFECTS: tuple[tuple[str, str, tuple[float, ...], dict[str, float]], ...] = (
     ("backlash", "X", (4.0,), {"standstill_um": 3.0}),
     ("scale_mismatch", "X", (20.0,), {}),
     ("squareness", "XY", (30.0,), {}),
-    ("straightness", "Y", (3.0,), {}),
+    ("straightness", "Y", (3.0, 0.0), {}),
     ("servo_mismatch", "Y", (0.02,), {}),
 )
 
@@ -269,7 +269,7 @@ def klipper_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
 
 def test_klipper_makes_the_axes_square(source: Source) -> None:
     sizes = {"XY": 30.0, "YZ": 20.0, "ZX": -15.0}
-    bow = ("straightness", "Y", (3.0,), {})
+    bow = ("straightness", "Y", (3.0, 0.0), {})
     twin, _ = made_twin((*(("squareness", plane, (q,), {}) for plane, q in sizes.items()), bow))
     made = export(replace(source, twin=twin), Request("klipper"))
     assert made.left_out == {"straightness Y": "is no squareness"}

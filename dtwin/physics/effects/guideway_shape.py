@@ -1,0 +1,37 @@
+"""An axis moves along a guideway of any smooth shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+_ORDERS = (3, 4, 5, 6)
+
+
+def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    if not moves(state, axis):
+        return np.zeros((state.n, 2 * len(_ORDERS)))
+    along = state.position_mm[axis] / 100.0
+    return aside(state, axis, *(along**order for order in _ORDERS))
+
+
+EFFECT = Effect(
+    name="guideway_shape",
+    title="Shape of a guideway",
+    parameters=tuple(
+        Parameter(f"{side}order_{order}_at_100_mm", "um", 5.0) for side in ("", "second_") for order in _ORDERS
+    ),
+    regressors=_columns,
+    law=Law(0.0, None, "even"),
+    meaning="The guideway is bent otherwise than in an arc: what is left of its straightness beside the bow.",
+    formula="(a u^3 + b u^4 + c u^5 + d u^6) sin(t), u = x / 100 mm, for the X axis",
+    looks_like="Smooth lobes, the same at all feeds and in both directions, that follow the place along the axis.",
+    separate_by="Circles of another radius: what follows the place keeps its place on the axis, not its angle.",
+    remedy="Check guideway and alignment of the bed, or enter a straightness table.",
+    reference="ISO 230-1, straightness error motion",
+    confusables=("straightness", "gravity_sag", "instrument_artefact"),
+    correctable="A compensation value of the control, or an offset of position.",
+)

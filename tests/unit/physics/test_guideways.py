@@ -1,0 +1,105 @@
+"""Guideways that are bent otherwise than in an arc, and in each direction otherwise, and axes that grow unwatched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.machines.mill import Disturbance, Moment, VirtualMill
+from dtwin.machines.mill_parameters import MillParameters
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.experiment import detectable
+from dtwin.physics.fit import Fit, fit
+from dtwin.physics.library import Library
+from dtwin.physics.observations import SETUP_COLUMNS, Observations, observe
+from dtwin.physics.twin import chosen_terms, twin_of
+from dtwin.schema import Floats
+
+LIBRARY = Library()
+PLANES = ("XY", "YZ", "ZX")
+
+
+def measured(mill: MillParameters, disturbance: Disturbance, planes: tuple[str, ...] = ("XY",)) -> Observations:
+    machine = VirtualMill(mill, seed=4, disturbance=disturbance)
+    return observe(machine.campaign(), machine.measure(standard_tests(4, planes=planes)))
+
+
+def labels(obs: Observations) -> set[str]:
+    return {s.label for group in diagnose(obs, [], LIBRARY).found for s in group}
+
+
+def bump(moment: Moment) -> Floats:
+    """A hump of the guideway of X, some 60 mm wide, that lifts Y."""
+    x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
+    return np.asarray(9.0 * np.exp(-(((x_mm - 25.0) / 60.0) ** 2)) * np.sin(moment.angle_rad))
+
+
+def test_a_hump_of_a_guideway_is_named_and_hides_nothing_else() -> None:
+    obs = measured(MillParameters().with_axis("Y", play_um=4.0), bump)
+    found = diagnose(obs, [], LIBRARY)
+    named = {s.label for group in found.found for s in group}
+    assert {"guideway_shape X", "backlash Y"} <= named
+    assert "instrument_artefact" not in named
+    # What polynomials of the sixth order leave of a hump.
+    assert found.unresolved is None or found.unresolved.systematic_rms_um < 0.15 * obs.rms(obs.y_um)
+
+
+def test_an_arc_is_named_as_such_alone() -> None:
+    assert labels(measured(MillParameters().with_axis("X", bow_um=4.0), lambda m: 0.0 * m.angle_rad)) == {
+        "straightness X"
+    }
+
+
+def sideways(moment: Moment) -> Floats:
+    """X bends towards Y by 6 µm at 100 mm, and towards Z not at all."""
+    if moment.test.plane != "XY":
+        return np.asarray(0.0 * moment.angle_rad)
+    x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
+    return np.asarray(6.0 * (x_mm / 100.0) ** 2 * np.sin(moment.angle_rad))
+
+
+@pytest.fixture(scope="module")
+def three_planes() -> Observations:
+    return measured(MillParameters(), sideways, PLANES)
+
+
+def fitted(obs: Observations) -> Fit:
+    return fit(obs, chosen_terms(["straightness:X"], LIBRARY, obs))
+
+
+def test_a_guideway_bends_in_each_direction_by_itself(three_planes: Observations) -> None:
+    values = {e.name: e.value for e in fitted(three_planes).estimates}
+    assert values["bow_at_100_mm"] == pytest.approx(6.0, abs=0.3)
+    assert values["second_bow_at_100_mm"] == pytest.approx(0.0, abs=0.3)
+
+
+def test_a_plane_tells_nothing_of_the_direction_that_it_does_not_show(three_planes: Observations) -> None:
+    obs = three_planes.take(np.flatnonzero([meta.plane == "ZX" for meta in three_planes.runs]))
+    told = {e.name: e.identifiable for e in fitted(obs).estimates}
+    assert told == {"bow_at_100_mm": False, "second_bow_at_100_mm": True}
+    (seen,) = [d for d in detectable(obs, LIBRARY, noise_um=0.5) if d.label == "straightness X"]
+    assert np.isfinite(seen.amplitude)
+
+
+def test_a_version_from_before_there_were_two_directions_says_what_it_said(three_planes: Observations) -> None:
+    twin = twin_of(fitted(three_planes), three_planes, name="t", version=1, action="fit", data={})
+    (first, _) = twin.estimates
+    assert replace(twin, estimates=(first,)).values(twin.terms[0]).tolist() == [first.value, first.value]
+
+
+def warming(moment: Moment) -> Floats:
+    """The scale of X fades towards 40 um/m with a time constant of 20 min, and nothing is logged of it."""
+    grown = 0.04 * moment.test.radius_mm * (1.0 - np.exp(-3.0 * moment.time_h))
+    return np.asarray(grown * np.cos(moment.angle_rad) ** 2)
+
+
+def test_an_axis_that_grows_while_nobody_logs_why_is_named() -> None:
+    obs = measured(MillParameters(squareness_um_m={"XY": 30.0}), warming)
+    unwatched = tuple({k: v for k, v in c.items() if k == "time_h" or k.startswith(SETUP_COLUMNS)} for c in obs.columns)
+    found = diagnose(replace(obs, columns=unwatched), [], LIBRARY)
+    groups = [{s.label for s in group} for group in found.found]
+    assert {"squareness XY"} in groups
+    assert any("warming_growth X" in group for group in groups)
