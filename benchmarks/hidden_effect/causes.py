@@ -294,5 +294,5 @@ def foreign(kind: str, rng: np.random.Generator) -> Cause:
             slow = replace(mill.heat, lag_share=1.0)
             return replace(mill.with_axis(axis, growth_um_m_k=size), heat=slow)
 
-        return Cause(kind, 10.0, change, in_time=True)
+        return Cause(f"{kind} {axis}", 10.0, change, in_time=True)
     raise KeyError(kind)

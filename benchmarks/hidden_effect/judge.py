@@ -84,6 +84,7 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
         "name": found.verdict in NAMING and all(names & group for names in accepted(case)),
         "all": all(any(t in named for named in out.get("rungs", ())) for t in truths),
         "unknown": found.verdict == "unknown_effect",
+        "lagging": found.verdict == "unknown_effect" or _is_growth(case, found),
         "channel": found.verdict == "unknown_effect" and _channel(case) in out["channels"],
         "group": {"squareness", "servo_mismatch"} <= effects and found.verdict == "ambiguous",
         "confounded": found.verdict == "ambiguous" and {"thermal_growth", "thermal_drift"} <= effects,
@@ -104,8 +105,17 @@ def _channel(case: Case) -> str:
 def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
     if found.verdict not in NAMING:
         return False
+    if case.row.right == "lagging":
+        return not _is_growth(case, found)
     group = {s.label for s in found.group}
     return not any(group & names for names in accepted(case))
+
+
+def _is_growth(case: Case, found: Diagnosis) -> bool:
+    """Tell whether nothing is named but that the axis which lags behind its temperature grows, with that or with time."""
+    axis = case.hidden[0].label.split()[1]
+    names = {f"thermal_growth {axis}", f"warming_growth {axis}"}
+    return bool(found.found) and all(names & {s.label for s in group} for group in found.found)
 
 
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:

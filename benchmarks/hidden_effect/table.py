@@ -119,7 +119,8 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
     shares = [
         ("truth in the group, single, k = 1/2", ("single_half",), 0.95),
         ("truth in the group, single, k = 1/4", ("single_quarter",), 0.90),
-        (OUTSIDE, tuple(n for n in by_row if n.startswith("unknown_")), 0.95),
+        (OUTSIDE, tuple(n for n in by_row if n.startswith("unknown_") and ROWS[n].right != "lagging"), 0.95),
+        ("growth that lags told as growth of its axis, or unknown", ("unknown_hysteretic_heat",), 0.95),
         ("both of a pair found, k = 1", ("pair_one",), 0.95),
         ("thermal growth named with a cool-down, k = 1", ("heat_cool_down",), 0.90),
         ("lateral play named, k = 1/2", ("lateral_play_half",), 0.95),

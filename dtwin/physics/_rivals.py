@@ -101,6 +101,7 @@ def described(
         tested = [candidates.tested_term(given, t, level) for t in simpler]
         group += tuple(c for c in tested if c is not None)
         group += _sets(problem, candidates, terms, term, rivals, group, level)
+        group += _two_instead(given, candidates, top, rivals, group, level)
         gain = left_out_gain(given, candidates.whitened(given, term))
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
@@ -207,6 +208,32 @@ def _sets(
     return tuple(out)
 
 
+def _two_instead(
+    problem: Problem,
+    candidates: Candidates,
+    top: Candidate,
+    rivals: Sequence[Candidate],
+    group: Sequence[Candidate],
+    level: NoiseLevel,
+) -> tuple[Candidate, ...]:
+    """Return two simpler effects that at one speed are together what an effect is: a mode is an oval and what rings."""
+    if problem.obs.several_speeds or any(not _is_like(top, c) for c in group):
+        return ()
+    numbers = candidates.numbers(top.term)
+    have = {c.term.label for c in group}
+    alike = [c for c in rivals if _is_like(top, c) and c.term.label != top.term.label]
+    most = [c for c in rivals if c.score.gain > _GROUP_GAIN * top.score.gain and c not in alike]
+    for first in sorted(most, key=lambda c: -c.score.gain):
+        given = candidates.given(problem, [first.term])
+        for second in alike:
+            if candidates.numbers(first.term) + candidates.numbers(second.term) > numbers:
+                continue
+            beside = refined(given, second.term, bounded=True)
+            if _is_nothing(candidates.given(given, [beside]), candidates, top, level, _SIMPLER_P):
+                return tuple(c for c in (first, second) if c.term.label not in have)
+    return ()
+
+
 def refined_candidate(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> Candidate:
     """Return a candidate in the shape, within its grid, that leaves least."""
     term = refined(problem, candidate.term, bounded=True)
@@ -220,10 +247,12 @@ def _adds_nothing(
 ) -> bool:
     visible = candidates.visible(problem, other.term)
     given = problem.extended(visible, candidates.whitened(problem, other.term))
-    left = candidates.visible(given, top.term)
-    if not left.shape[1]:
-        return True
     simpler = candidates.numbers(other.term) < candidates.numbers(top.term)
+    return _is_nothing(given, candidates, top, level, _SIMPLER_P if simpler else _GROUP_P)
+
+
+def _is_nothing(given: Problem, candidates: Candidates, top: Candidate, level: NoiseLevel, least_p: float) -> bool:
+    """Tell whether an effect has nothing significant left to explain."""
+    left = candidates.visible(given, top.term)
     within = top.term.instance.effect.within_condition
-    score = score_test(given, left, given.residual, level, within=within)
-    return score.p_value > (_SIMPLER_P if simpler else _GROUP_P)
+    return not left.shape[1] or score_test(given, left, given.residual, level, within=within).p_value > least_p

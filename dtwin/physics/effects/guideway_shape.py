@@ -8,7 +8,7 @@ from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
-_ORDERS = (3, 4, 5, 6)
+_ORDERS = (3, 4, 5)
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
@@ -27,7 +27,7 @@ EFFECT = Effect(
     regressors=_columns,
     law=Law(0.0, None, "even"),
     meaning="The guideway is bent otherwise than in an arc: what is left of its straightness beside the bow.",
-    formula="(a u^3 + b u^4 + c u^5 + d u^6) sin(t), u = x / 100 mm, for the X axis",
+    formula="(a u^3 + b u^4 + c u^5) sin(t), u = x / 100 mm, for the X axis",
     looks_like="Smooth lobes, the same at all feeds and in both directions, that follow the place along the axis.",
     separate_by="Circles of another radius: what follows the place keeps its place on the axis, not its angle.",
     remedy="Check guideway and alignment of the bed, or enter a straightness table.",

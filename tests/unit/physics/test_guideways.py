@@ -16,13 +16,13 @@ from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import SETUP_COLUMNS, Observations, observe
 from dtwin.physics.twin import chosen_terms, twin_of
-from dtwin.schema import Floats
+from dtwin.schema import Floats, Plane
 
 LIBRARY = Library()
-PLANES = ("XY", "YZ", "ZX")
+PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
 
 
-def measured(mill: MillParameters, disturbance: Disturbance, planes: tuple[str, ...] = ("XY",)) -> Observations:
+def measured(mill: MillParameters, disturbance: Disturbance, planes: tuple[Plane, ...] = ("XY",)) -> Observations:
     machine = VirtualMill(mill, seed=4, disturbance=disturbance)
     return observe(machine.campaign(), machine.measure(standard_tests(4, planes=planes)))
 
