@@ -35,10 +35,14 @@ def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
 def survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
     """Return the members of a group whose laws hold.
 
-    Where that of the top one does not, one with more parameters only hides that.
+    Where that of the top one does not, one with more numbers only hides that.
     """
-    most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
-    return [c for c in effect.group if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))]
+    most = _numbers(effect.top) if _broken(tests.get(effect.label, ())) else np.inf
+    return [c for c in effect.group if _numbers(c) <= most and not _broken(tests.get(c.term.label, ()))]
+
+
+def _numbers(candidate: Candidate) -> int:
+    return candidate.visible.shape[1] + len(candidate.term.shape)
 
 
 def _broken(tests: Sequence[LawTest]) -> bool:

@@ -12,7 +12,7 @@ from dtwin.physics._rivals import Found
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Suspect
-from dtwin.physics.fit import fit
+from dtwin.physics.fit import Estimate, fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.search import Search
@@ -21,15 +21,42 @@ from dtwin.physics.search import Search
 def sized(
     obs: Observations, known: Sequence[Term], kept: Sequence[Found], groups: Sequence[tuple[Suspect, ...]]
 ) -> tuple[tuple[Suspect, ...], ...]:
-    """Return groups with the sizes that their first members have beside each other."""
+    """Return groups with the sizes that their first members have beside each other.
+
+    Where these runs do not tell the size of the first one, another member that they do size leads its group.
+    """
     if not kept:
         return ()
-    estimates = fit(obs, [*known, *(f.top.term for f in kept)], refine=False).estimates
-    out = []
-    for effect, (first, *others) in zip(kept, groups, strict=True):
-        sizes = tuple(e for e in estimates if f"{e.effect} {e.axis}".rstrip() == effect.label)
-        out.append((replace(first, sizes=sizes), *others))
-    return tuple(out)
+    terms = {c.term.label: c.term for effect in kept for c in effect.group}
+    groups = list(groups)
+    sizes = _sizes(obs, known, terms, groups)
+    for number, group in enumerate(groups):
+        if _is_told(sizes[group[0].label]):
+            continue
+        others = sorted((s for s in group[1:] if s.label not in sizes), key=lambda s: _numbers(terms[s.label]))
+        for other in others[:1]:
+            instead = [*groups[:number], (other, *(s for s in group if s is not other)), *groups[number + 1 :]]
+            found = _sizes(obs, known, terms, instead)
+            if _is_told(found[other.label]):
+                groups, sizes = instead, found
+    return tuple((replace(first, sizes=sizes[first.label]), *others) for first, *others in groups)
+
+
+def _sizes(
+    obs: Observations, known: Sequence[Term], terms: Mapping[str, Term], groups: Sequence[Sequence[Suspect]]
+) -> dict[str, tuple[Estimate, ...]]:
+    """Return the parameters of what leads each group, all fitted together, by label."""
+    leading = [terms[group[0].label] for group in groups]
+    estimates = fit(obs, [*known, *leading], refine=False).estimates
+    return {t.label: tuple(e for e in estimates if f"{e.effect} {e.axis}".rstrip() == t.label) for t in leading}
+
+
+def _is_told(sizes: Sequence[Estimate]) -> bool:
+    return any(e.identifiable for e in sizes)
+
+
+def _numbers(term: Term) -> int:
+    return len(term.instance.effect.parameters) + len(term.shape)
 
 
 def members(
