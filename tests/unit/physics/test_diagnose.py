@@ -317,3 +317,14 @@ def test_a_law_without_a_name_is_found_though_the_twin_knows_every_effect_withou
     shaped = [instance for instance in tried if instance.effect.name == "reversal_ringing"]
     (law,) = nameless(set_up(obs, known, ()), Candidates(obs, shaped), ())
     assert law.label == "learned_even_h7_f0_r0"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_of_names_for_the_same_oval_one_leads_whose_size_these_runs_tell(seed: int) -> None:
+    slow = [CircularTest("XY", way, 100.0, 500.0, repeat, "xy") for repeat in (1, 2) for way in ("CCW", "CW")]
+    mill = VirtualMill(MillParameters().with_axis("X", scale_ppm=30.0), seed=seed, noise=NoiseParameters(rms_um=0.2))
+    (group,) = diagnose(observe(mill.campaign(), mill.measure(slow)), [], LIBRARY).found
+    assert group[0].label == "scale_mismatch XY"
+    assert all(size.identifiable for size in group[0].sizes)
+    # A structure that gave way so much to so little acceleration would be no machine.
+    assert {"structural_resonance X", "inertial_compliance"} <= {s.label for s in group}
