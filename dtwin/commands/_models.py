@@ -106,6 +106,7 @@ def train(
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
     from dtwin.config import home
+    from dtwin.serve.pointer import proven_state
     from dtwin.train.promotion import history
     from dtwin.train.registry import Registry
     from dtwin.twins.registration import log_waiting, waiting_text
@@ -114,8 +115,9 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     registry = Registry(home())
     found = [v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)]
     past = {m: history(home(), m) for m in {v.machine for v in found}}
+    states = [proven_state(v.machine, int(v.version), v.tags.get("state", "-"), home()) for v in found]
     payload = {
-        "versions": [dict(vars(v)) for v in found],
+        "versions": [dict(vars(v)) | {"state": state} for v, state in zip(found, states, strict=True)],
         "history": past,
         "not_in_mlflow": [item.as_dict() for item in left],
     }
@@ -130,13 +132,13 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 v.machine,
                 v.version,
                 ", ".join(v.aliases) or "-",
-                v.tags.get("state", "-"),
+                state,
                 v.tags.get("gates", "-"),
                 v.tags.get("evidence", "none"),
                 v.tags.get("proved", "-")[:10],
                 v.created,
             ]
-            for v in found
+            for v, state in zip(found, states, strict=True)
         ]
         lines = [table(("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created"), rows)]
         for name, entries in past.items():

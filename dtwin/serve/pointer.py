@@ -7,6 +7,7 @@ under one seal, together with the list of withdrawn versions: see :mod:`dtwin.se
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 from dataclasses import dataclass
@@ -240,6 +241,21 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
             hint="dtwin promote it, or look at it with --shadow or --dry-run",
         )
     return resolved
+
+
+def proven_state(machine: str, version: int, said: str, home: Home) -> str:
+    """Return the state of a registered version: champion or on trial only where the pointer that serving follows names it.
+
+    ``said``: the state by the registry's tags, which whoever reaches its server can write.
+    """
+    if barred_why(machine, home, version):
+        return "barred"
+    for model in _POINTERS:
+        with contextlib.suppress(InputError, GateRefusal):
+            named = _follow(model, machine, home)
+            if named.version == version:
+                return named.state
+    return f"{UNPROMOTED}, whatever its tags say" if said in _SERVED_LIVE else said
 
 
 def _follow(model: str, machine: str, home: Home) -> Resolved:

@@ -21,6 +21,7 @@ from dtwin.serve.pointer import (
     clear_trial,
     machine_folder,
     only_machine,
+    proven_state,
     read_machine,
     resolve,
     write_machine,
@@ -45,6 +46,18 @@ def test_latest_is_the_promoted_bundle(home: Home) -> None:
     assert (found.version, found.state) == (3, "champion")
     assert load_bundle(found.path, "cobot-a").bundle.model_version == 3
     assert "version 3 (champion)" in found.describe()
+
+
+def test_a_state_that_only_the_registry_tells_is_not_believed(home: Home) -> None:
+    said = {"champion": "unpromoted, whatever its tags say", "previous": "previous"}
+    assert {tag: proven_state("cobot-a", 3, tag, home) for tag in said} == said
+    pointer = promoted(home)
+    assert proven_state("cobot-a", 3, "candidate", home) == "champion"
+    assert proven_state("cobot-a", 4, "champion", home) == "unpromoted, whatever its tags say"
+    pointer.write_text(pointer.read_text().replace('"version": 3', '"version": 4'))
+    assert proven_state("cobot-a", 4, "champion", home) == "unpromoted, whatever its tags say"
+    bar("cobot-a", home, 3, "it made things worse")
+    assert proven_state("cobot-a", 3, "champion", home) == "barred"
 
 
 def test_machine_may_be_left_out_when_there_is_one(home: Home) -> None:
