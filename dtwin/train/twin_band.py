@@ -47,8 +47,9 @@ def parameter_factor(twin: Twin, carried: Twin, obs: Observations) -> Floats | N
         return None
     scaled = seen / np.where(size > 0.0, size, 1.0)
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)[np.ix_(wanted, wanted)]
-    spread = np.sqrt(np.diag(inverse))
-    correlation = inverse / np.where(spread > 0.0, np.outer(spread, spread), 1.0)
+    spread = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    both = np.outer(spread, spread)
+    correlation = np.divide(inverse, both, out=np.zeros_like(inverse), where=both > 0.0)
     value, vector = np.linalg.eigh(correlation)
     # In units of each parameter's own half width: what is negligible is so for every regressor.
     kept = np.cumsum(np.maximum(value, 0.0)) > _NEGLIGIBLE * value.sum()
