@@ -47,7 +47,7 @@ def _sizes(
 ) -> dict[str, tuple[Estimate, ...]]:
     """Return the parameters of what leads each group, all fitted together, by label."""
     leading = [terms[group[0].label] for group in groups]
-    estimates = fit(obs, [*known, *leading], refine=False).estimates
+    estimates = [e for e in fit(obs, [*known, *leading], refine=False).estimates if not e.is_unseen]
     return {t.label: tuple(e for e in estimates if f"{e.effect} {e.axis}".rstrip() == t.label) for t in leading}
 
 

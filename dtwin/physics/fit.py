@@ -51,6 +51,11 @@ class Estimate:
     uncertainty: float
     identifiable: bool
 
+    @property
+    def is_unseen(self) -> bool:
+        """Whether it does nothing in these runs, as a bend towards an axis that stood still."""
+        return not self.identifiable and self.value == 0.0
+
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         return dict(vars(self))

@@ -11,6 +11,7 @@ from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.experiment import next_experiment
+from dtwin.physics.fit import Estimate
 from dtwin.physics.joint import Joint, MachineTest, Shared, joint
 from dtwin.physics.machine_terms import cause_of, key_of, machine_terms, seen_by
 from dtwin.physics.observations import Observations
@@ -162,16 +163,15 @@ def _shown_together(
     if not many & alone:
         return groups, []
     sizes = fit_several(campaigns, list(terms.values()), library).estimates
-    absent = {
-        key
-        for key in many
-        for term in [terms[key]]
-        if all(
-            abs(e.value) <= _THERE * e.uncertainty
-            for e in sizes
-            if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)
-        )
-    }
+    told: dict[tuple[str, str], list[Estimate]] = {}
+    for e in sizes:
+        if e.identifiable:
+            told.setdefault((e.effect, e.axis), []).append(e)
+    absent = set()
+    for key in many:
+        own = told.get((terms[key].instance.effect.name, terms[key].instance.axis), [])
+        if own and all(abs(e.value) <= _THERE * e.uncertainty for e in own):
+            absent.add(key)
     denied = [group[0].label for group, _ in groups if len(group) == 1 and _key(group[0], library) in absent]
     return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
 

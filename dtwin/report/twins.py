@@ -66,6 +66,7 @@ def parameter_table(twin: Twin) -> Table:
             shown_unit(e.unit),
         )
         for e in twin.estimates
+        if not e.is_unseen
     ]
     for term in twin.terms:
         rows += [

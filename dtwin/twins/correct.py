@@ -230,7 +230,7 @@ def _objections(diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: T
     out += [
         f"{e.effect} {e.axis}".strip() + f": {e.name} cannot be told from another effect"
         for e in corrected.estimates
-        if not e.identifiable and f"{e.effect} {e.axis}".strip() in labels
+        if not (e.identifiable or e.is_unseen) and f"{e.effect} {e.axis}".strip() in labels
     ]
     return out
 

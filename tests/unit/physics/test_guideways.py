@@ -15,7 +15,9 @@ from dtwin.physics.experiment import detectable
 from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import SETUP_COLUMNS, Observations, observe
+from dtwin.physics.several import fit_several
 from dtwin.physics.twin import chosen_terms, twin_of
+from dtwin.report.twins import parameter_table
 from dtwin.schema import Floats, Plane
 
 LIBRARY = Library()
@@ -82,6 +84,22 @@ def test_a_plane_tells_nothing_of_the_direction_that_it_does_not_show(three_plan
     assert told == {"bow_at_100_mm": False, "second_bow_at_100_mm": True}
     (seen,) = [d for d in detectable(obs, LIBRARY, noise_um=0.5) if d.label == "straightness X"]
     assert np.isfinite(seen.amplitude)
+
+
+def test_tests_in_different_planes_tell_a_direction_each(three_planes: Observations) -> None:
+    apart = [three_planes.take(np.flatnonzero([m.plane == p for m in three_planes.runs])) for p in ("XY", "ZX")]
+    first, second = (replace(o, campaign=replace(o.campaign, name=n)) for o, n in zip(apart, "ab", strict=True))
+    both = fit_several([first, second], chosen_terms(["straightness:X"], LIBRARY, first), LIBRARY).estimates
+    assert [e.identifiable for e in both] == [True, True]
+    assert [e.value for e in both] == pytest.approx([6.0, 0.0], abs=0.3)
+
+
+def test_what_a_plane_does_not_show_is_not_spoken_of(three_planes: Observations) -> None:
+    obs = three_planes.take(np.flatnonzero([meta.plane == "XY" for meta in three_planes.runs]))
+    (group,) = diagnose(obs, [], LIBRARY).found
+    assert [size.name for size in group[0].sizes] == ["bow_at_100_mm"]
+    twin = twin_of(fitted(obs), obs, name="t", version=1, action="fit", data={})
+    assert [row[1] for row in parameter_table(twin).rows] == ["bow at 100 mm"]
 
 
 def test_a_version_from_before_there_were_two_directions_says_what_it_said(three_planes: Observations) -> None:
