@@ -230,7 +230,7 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             code="rotation.unit",
             where=str(path),
             got=", ".join(without)[:120],
-            allowed="[mm], [µm], [nm] or [in] behind a displacement; s, ms; deg, rad, rev; rpm, 1/min, Hz",
+            allowed="[mm], [µm], [nm] or [in] behind a displacement (volts need the scale of the probe); s, ms; deg, rad, rev; rpm, 1/min, Hz",
         )
     roles = [c.role for c in columns if c.role in (TIME, ANGLE, SPEED)]
     twice = sorted(role for role in set(roles) if roles.count(role) > 1)

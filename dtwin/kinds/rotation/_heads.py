@@ -89,7 +89,8 @@ def column_of(head: str, unit_below: str = "") -> Column:
                 return Column(
                     role, factor=_FACTORS[role].get(told or (inside[1] if inside else _USUAL[role]), 0.0), likely=True
                 )
-        if told and told not in _LENGTH_UM:
+        # A probe in volts is one without its scale, which is refused; what else is in volts is of no use here.
+        if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(words)):
             return Column("")
     name = re.sub(r"[^A-Za-z0-9.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)

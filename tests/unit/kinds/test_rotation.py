@@ -341,6 +341,7 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
     [
         (table({"t_s": TIME, "angle_deg": np.radians(ANGLE) % (2.0 * np.pi), "radial_um": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial": UM}), "rotation.unit"),
+        (table({"t_s": TIME, "angle_deg": ANGLE, "axial_um": UM, "radial [V]": UM}), "rotation.unit"),
         (table({"speed [krpm]": TIME, "run-out [µm]": UM}), "rotation.unit"),
         (table({"speed [1000 rpm]": TIME, "run-out [µm]": UM}), "rotation.unit"),
         (table({"speed [rpm]": TIME, "run-out [tenths]": UM}), "rotation.unit"),
