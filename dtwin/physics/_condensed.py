@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # As share of a column's sum of squares; less differs between repeats by rounding only.
 _ROUNDING = 1e-18
-_SPANNING = 16
+_SPANNING = 8
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def condensed(problem: Problem, candidates: Candidates) -> Condensed:
 
 
 def _spanning(instance: Instance) -> list[Shape]:
-    """Return shapes of an effect whose columns span those of all others, to within 1e-4."""
-    values = [np.geomspace(*shape.bounds, _SPANNING) for shape in instance.effect.shapes]
+    """Return shapes of an effect whose columns span those of all others between them, to within 1 % of each."""
+    values = [np.geomspace(min(s.grid), max(s.grid), _SPANNING) for s in instance.effect.shapes]
     names = [shape.name for shape in instance.effect.shapes]
     return [dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*values)]
 

@@ -204,7 +204,7 @@ class Observations:
         out = np.zeros((self.n_rows, self.n_bins, len(effect.parameters)))
         if not self.is_alike_in_repeats(instance):
             for row in range(self.n_rows):
-                out[row] = _averaged(self.grid, instance, shape, self._row_state(row))
+                out[row] = _averaged(self.grid, instance, shape, self._row_states[row])
         else:
             for number, state in enumerate(self._condition_states):
                 make = partial(_averaged, self.grid, instance, shape, state)
@@ -253,6 +253,10 @@ class Observations:
             meta, geometry = self.runs[int(rows[0])], self.campaign.machine_geometry
             states.append(self.grid.state(meta, self.conditions[number], feed, geometry))
         return states
+
+    @cached_property
+    def _row_states(self) -> tuple[State, ...]:
+        return tuple(self._row_state(row) for row in range(self.n_rows))
 
     def _row_state(self, row: int) -> State:
         state = self._condition_states[int(self.condition_of[row])]
