@@ -41,6 +41,11 @@ _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2":
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta)$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
+_BESIDE = re.compile(
+    r"angle|winkel|phi|theta|time|zeit|temp|luft|air|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
+    re.I,
+)
+"""What a head says whose column is no deviation of a run, though it names a direction."""
 _COORDINATE = re.compile(r"^(actual |ist|pos(ition)? )?([xyz])([ _]?(actual|act|ist|pos|position))?$", re.I)
 
 
@@ -79,6 +84,7 @@ def read_circle_runs(
     """
     columns, body = _table(rows_of(decoded(table_bytes(path, _MAX_BYTES))), path)
     form = _form_of(columns)
+    _require_one_meaning(columns, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
         raise _wrong("a table of a circle needs its programmed radius and feed", path, "radius_mm, feed_mm_min", "both")
@@ -160,6 +166,21 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     if form.angle is not None and not pair and bool(ways) != (form.radius is not None):
         return form
     return None
+
+
+def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
+    """Refuse a column whose head names a direction and is no deviation in a length, and one that stands there twice."""
+    for column in columns:
+        name = _bare(column)
+        no_length = column.unit and not column.name.endswith(("_um", "_mm"))
+        if _way(name) and (no_length or _BESIDE.search(name)):
+            raise _wrong(
+                "a column names a direction and is no deviation", path, column.head, "deviations: ccw [µm], cw [µm]"
+            )
+    for pattern in (_ANGLE, _TIME, _RADIUS):
+        alike = [column.head for column in columns if pattern.match(_bare(column))]
+        if len(alike) > 1:
+            raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")
 
 
 def _bare(column: Column) -> str:

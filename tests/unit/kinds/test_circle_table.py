@@ -183,3 +183,20 @@ def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path
         assert not any(f.code == "angle.direction" for f in judge_run(run))
         found.append(run.samples["angle_deg"])
     assert found[0] % 360.0 == pytest.approx(found[1] % 360.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "angle [deg],ccw [µm],cw [µm],ccw best fit [µm]",
+        "angle [deg],ccw [µm],cw [µm],mean ccw [µm]",
+        "angle [deg],ccw [µm],cw [µm],ccw spindle [°C]",
+        "angle [deg],ccw [µm],cw [µm],cw angle [deg]",
+        "angle [deg],ccw [µm],angle [deg],cw [µm]",
+        "angle [deg],radius [mm],time [s],actual radius [mm]",
+    ],
+)
+def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads: str) -> None:
+    deviation = error_um(ANGLE, 1.0)
+    with pytest.raises(InputError, match=r"is no deviation|more than one column"):
+        read(tmp_path / "a.csv", table(heads, ANGLE, deviation, deviation, deviation))
