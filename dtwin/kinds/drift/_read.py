@@ -73,7 +73,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         # Day and time may stand apart.
         stamped = [i for i, name in enumerate(heads) if name == clock]
         cells = [" ".join(row[i].strip() for i in stamped) for row in body]
-    t_s = _seconds(cells, path, stamps=clock == _STAMPED) * scales[clock]
+    t_s = _seconds(cells, scales[clock], path, stamps=clock == _STAMPED)
     if len(t_s) > 1 and t_s[0] > t_s[-1]:
         # The newest reading first.
         t_s, column = t_s[::-1], {name: values[::-1] for name, values in column.items()}
@@ -225,11 +225,11 @@ def _numbers(cells: Sequence[str]) -> Floats:
     return out
 
 
-def _seconds(cells: Sequence[str], path: Path, *, stamps: bool) -> Floats:
-    """Return times in seconds: numbers, ISO 8601, or a stamp of a known form; ``stamps``: numbers have no unit."""
+def _seconds(cells: Sequence[str], unit_s: float, path: Path, *, stamps: bool) -> Floats:
+    """Return times in seconds: numbers of ``unit_s``, ISO 8601, or a stamp of a known form; ``stamps``: numbers have no unit."""
     numbers = _numbers(cells)
     if np.isfinite(numbers).all() and not stamps:
-        return numbers
+        return numbers * unit_s
     for form in (None, *_STAMPS):
         try:
             made = [datetime.fromisoformat(c) if form is None else datetime.strptime(c, form) for c in cells]

@@ -255,6 +255,12 @@ def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
     assert (refused.value.code, refused.value.got) == ("drift.clock", "-2340 s after the reading before")
 
 
+@pytest.mark.parametrize("head", ["Zeit [h]", "time [min]"])
+def test_a_unit_above_stamps_is_not_counted_twice(tmp_path: Path, head: str) -> None:
+    run = read(log(tmp_path / "a.csv", [f"02.03.2026 08:{n:02d}" for n in range(60)], head=head))
+    assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
+
+
 @pytest.mark.parametrize("lost", [-127.0, 85.0, 999.9])
 def test_a_sensor_that_drops_out_and_one_in_an_unknown_unit_are_told(tmp_path: Path, lost: float) -> None:
     warm = [20.0 + 0.1 * n for n in range(60)]
