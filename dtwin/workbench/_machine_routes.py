@@ -181,13 +181,18 @@ def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONRespon
 
 def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JSONResponse:
     """Write the record of a machine with what is stated; tables are joined."""
-    document = (read_record(bench.home, name) or MachineRecord(name)).as_dict()
-    for key, value in stated.items():
-        document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
-    record = record_from(name, document, name)
+
+    def joined() -> MachineRecord:
+        document = (read_record(bench.home, name) or MachineRecord(name)).as_dict()
+        for key, value in stated.items():
+            document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
+        return record_from(name, document, name)
+
+    # What is not usable is refused at once; the work before this one may change the record still.
+    joined()
 
     def work(tell: Any) -> str:
-        write_record(bench.home, record)
+        write_record(bench.home, joined())
         return f"/machines/{name}"
 
     return accepted(bench.jobs.start(f"{what} of {name}", work))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import threading
+import time
 import tomllib
 import zipfile
 from pathlib import Path
@@ -9,17 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 
+from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.machine_record import MachineRecord, tolerances_of, write_record
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
 from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
 from dtwin.workbench._cache import Cache
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._numbers import decimal
+from dtwin.workbench._server import application
 
 
 @pytest.mark.parametrize(
@@ -170,3 +176,21 @@ def test_a_job_that_was_cut_off_is_known_at_the_next_start(tmp_path: Path) -> No
     let_go.set()
     assert again is not None
     assert (again.state, "start it again" in again.stage) == ("interrupted", True)
+
+
+def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> None:
+    bench = Bench(Home(tmp_path), Access("127.0.0.1", 8765))
+    write_record(bench.home, MachineRecord("mill-a"))
+    let_go = threading.Event()
+    bench.jobs.start("a long fit", lambda _: str(let_go.wait(10)))
+    client = TestClient(
+        application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
+    )
+    client.get("/", params={"token": bench.access.token})
+    told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
+    jobs = [client.post("/api/machines/mill-a/tolerance", json=one).json()["job"] for one in told]
+    let_go.set()
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
+        time.sleep(0.01)
+    assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
