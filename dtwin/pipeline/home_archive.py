@@ -118,6 +118,8 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
             home.root.rmdir()
         made.rename(home.root)
         sync(home.root.parent)
+    except sqlite3.Error as error:
+        raise _damaged(archive, f"a database: {error}"[:120], "what was backed up") from error
     except OSError as error:
         raise StoreError(
             "the home cannot be written",
