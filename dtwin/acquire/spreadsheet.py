@@ -36,7 +36,7 @@ def ending_as_table(path: Path) -> str:
 
 
 def table_bytes(path: Path, max_bytes: int) -> bytes:
-    """Return a table of text; of a spreadsheet its first sheet that holds a table, as CSV.
+    """Return a table of text; of a spreadsheet its first sheet that holds a table and is not hidden, as CSV.
 
     A sheet without numbers below names, such as a cover, is none where another one has them. Two sheets with the same heads are refused:
     one axis would be read for the other.
@@ -77,15 +77,17 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
+            # What is hidden is not what its reader sees.
+            shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
             heads = {
                 sheet.title: _heads(_rows(path, islice(sheet.iter_rows(values_only=True), _LOOKED_AT)))
-                for sheet in book.worksheets
+                for sheet in shown
             }
             tables = [title for title, found in heads.items() if found]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
             if len(alike) > 1:
                 raise _refused(path, f"sheets with the same heads: {', '.join(alike)}"[:160], "one of them")
-            sheets = [sheet for sheet in book.worksheets if sheet.title in tables[:1]] or book.worksheets
+            sheets = [sheet for sheet in shown if sheet.title in tables[:1]] or shown
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
@@ -101,9 +103,9 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
 
 
 def _heads(rows: list[list[str]]) -> list[str]:
-    """Return the row of names above the first of two rows with numbers; empty where a sheet, such as a cover, has no such table."""
+    """Return the row of names, in small letters, above the first of two rows with numbers; empty where a sheet, such as a cover, has no such table."""
     numbers = [n for n, row in enumerate(rows) if sum(is_number(cell.replace(",", ".")) for cell in row) > 1]
-    return rows[numbers[0] - 1] if len(numbers) > 1 and numbers[0] > 0 else []
+    return [cell.casefold() for cell in rows[numbers[0] - 1]] if len(numbers) > 1 and numbers[0] > 0 else []
 
 
 def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:

@@ -130,3 +130,25 @@ def test_a_damaged_spreadsheet_is_read_or_refused_with_a_message(
     except InputError as error:
         code = error.code
     assert code in ("", "spreadsheet.unusable")
+
+
+def test_a_hidden_sheet_is_not_read_and_heads_are_alike_in_any_letters(tmp_path: Path) -> None:
+    heads = ["target [mm]", "forward 1 [µm]", "reverse 1 [µm]"]
+    book = openpyxl.Workbook()
+    book.active.title = "old"
+    book.active.sheet_state = "hidden"
+    shown = book.create_sheet("new")
+    for sheet, size in ((book["old"], 10.0), (shown, 1.0)):
+        sheet.append(heads)
+        for target in (0.0, 100.0, 200.0):
+            sheet.append([target, size, 2.0 * size])
+    book.active = 1
+    book.save(tmp_path / "a.xlsx")
+    assert table_bytes(tmp_path / "a.xlsx", 10**6).decode().splitlines()[1] == "0,1,2"
+    other = book.create_sheet("Y")
+    for row in shown.iter_rows(values_only=True):
+        other.append([str(cell).upper() if cell in heads else cell for cell in row])
+    book.save(tmp_path / "b.xlsx")
+    with pytest.raises(InputError, match="cannot be read") as refused:
+        table_bytes(tmp_path / "b.xlsx", 10**6)
+    assert refused.value.got == "sheets with the same heads: new, Y"
