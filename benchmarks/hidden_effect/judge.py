@@ -113,8 +113,7 @@ def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
 
 def _is_growth(case: Case, found: Diagnosis) -> bool:
     """Tell whether nothing is named but that the axis which lags behind its temperature grows, with that or with time."""
-    axis = case.hidden[0].label.split()[1]
-    names = {f"thermal_growth {axis}", f"warming_growth {axis}"}
+    names = {f"{effect} {c.label[-1]}" for c in case.hidden for effect in ("thermal_growth", "warming_growth")}
     return bool(found.found) and all(names & {s.label for s in group} for group in found.found)
 
 

@@ -205,7 +205,10 @@ def applicable(
         absent = [name for name in effect.needs if name not in obs.logged]
         if effect.setup or effect.on_spread or instance.label in have:
             continue
-        if absent:
+        silent = [name for name in effect.stated if name not in geometry]
+        if silent:
+            untestable[instance.label] = f"{', '.join(silent)} is not stated in the machine's geometry"
+        elif absent:
             untestable[instance.label] = f"{', '.join(absent)} was not logged"
         elif effect.within_condition and _never_changed(obs, effect):
             untestable[instance.label] = f"{', '.join(effect.needs)} did not change"

@@ -45,16 +45,20 @@ _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.93
 # What is found at one speed is what the curve looks like only, and is said so.
 _EXPLAINED_AT_ONE_SPEED = 0.85
+# Along an axis all effects of one parity move with the two conditions alike: what is left speaks against none of them.
+_EXPLAINED_ALONG = 0.5
 _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
 _DWARFED = 0.4
+# What has less of its size left without what is withdrawn makes up for that.
+_ALONE = 0.5
 # So much of everything, as RMS, is something unknown, and not how far the library's laws are off.
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
-_BESIDE_LAWS = 0.5
+_BESIDE_LAWS = 0.75
 
 # Tests of the laws of every effect found and of its rivals, by label.
 _Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
@@ -215,6 +219,7 @@ def _concluded(
         for f in trusted(found, doubted, much)
         if (much or not _is_dwarfed(f, found)) and (f.label in believed or f.size_um >= least_um)
     ]
+    kept = _standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     others = [f for f in found.found if f not in kept]
     told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
     terms = [f.top.term for f in kept]
@@ -325,7 +330,9 @@ def _much_left(found: Search, floor_um: float) -> bool:
     p_value, left_um = found.lack_of_fit[-1], found.systematic_um[-1]
     certain = p_value <= LACK_OF_FIT and left_um > _LITTLE * floor_um
     probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
-    enough = _EXPLAINED if found.plain.obs.several_speeds else _EXPLAINED_AT_ONE_SPEED
+    obs = found.plain.obs
+    along = _EXPLAINED_ALONG if obs.there_and_back else _EXPLAINED_AT_ONE_SPEED
+    enough = _EXPLAINED if obs.several_speeds else along
     return (certain or probable) and found.explained < enough
 
 
@@ -373,6 +380,23 @@ def _hidden_by(doubted: Sequence[Found], found: Search, tests: _Tests) -> list[F
         and f.size_um < does_um
         and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
     ]
+
+
+def _standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
+    """Return the effects without those that do little but beside what is withdrawn: they only make up for it.
+
+    ``bare``: the campaign without weights, with what is known.
+    """
+    while kept and len(kept) < len(found.found):
+        shares = []
+        for f in kept:
+            beside = candidates.given(bare, [o.top.term for o in kept if o is not f])
+            shares.append(candidates.size_um(beside, f.top.term) / max(f.size_um, 1e-300))
+        worst = int(np.argmin(shares))
+        if shares[worst] >= _ALONE:
+            break
+        kept = [f for n, f in enumerate(kept) if n != worst]
+    return kept
 
 
 def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:

@@ -133,6 +133,8 @@ class Effect:
         Shapes that diagnosis tries besides the combinations of the grids, in runs at several speeds.
     needs : tuple of str
         Logged columns without which it cannot be judged.
+    stated : tuple of str
+        What the geometry of the machine must state, without which it cannot be judged.
     setup : bool
         Belongs to the mounting of the instrument: always fitted, never a missing effect.
     within_condition : bool
@@ -167,6 +169,7 @@ class Effect:
     shapes: tuple[ShapeParameter, ...] = ()
     also_tried: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
+    stated: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()
     cause: str = ""
     correctable: str = ""

@@ -21,6 +21,7 @@ from dtwin import __version__
 from dtwin.atomic import make_folder, sync, whole_file
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.home_file import HOME_FILE
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 
@@ -238,6 +239,9 @@ def _place(archive: Path, into: Path, name: str) -> Path:
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\0" in name:
         raise _damaged(archive, name[:80], "a name below the home")
+    # It may name servers elsewhere; backup makes none of a home that has one.
+    if parts == (HOME_FILE,):
+        raise _damaged(archive, name, "what dtwin home backup writes")
     return into.joinpath(*parts)
 
 

@@ -107,6 +107,7 @@ CHANGES: dict[str, Change] = {
     "a link": _link,
     "a name above": lambda members: _manifest_first(members, "../outside", b"x"),
     "a name from the root": lambda members: _manifest_first(members, "/outside", b"x"),
+    "servers elsewhere": lambda members: _manifest_first(members, "home.toml", b"registry = 1"),
     "a database that is none": lambda members: _manifest_first(members, "x.db", b"SQLite format 3\0no pages"),
     "twice": lambda members: members.insert(0, members[0]),
 }

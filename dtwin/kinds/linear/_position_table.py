@@ -35,6 +35,9 @@ from dtwin.kinds.linear._table_heads import (
     ANGLE,
     AXIS,
     MISSING,
+    MOST_TITLES,
+    OPPOSITE,
+    OTHER_TEST,
     SUMMARY,
     Long,
     Wide,
@@ -141,6 +144,7 @@ def _read(text: str, path: Path) -> PositionTable:
     tables = [table.rows for table in one_instrument(report_tables(text), path)]
     if not tables:
         every = rows_of(text)
+        _require_positioning(every, path)
         plain = table_of(every)
         if plain is None:
             raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
@@ -153,6 +157,21 @@ def _read(text: str, path: Path) -> PositionTable:
     table = matrix_of(_as_they_are(readings), path)
     _require_near(table, path)
     return table
+
+
+def _require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a table whose title says that it is of another test along an axis."""
+    titles = [row[0].strip() for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
+    other = next((title for title in titles if OTHER_TEST.search(title)), None)
+    if other is not None:
+        raise InputError(
+            "the title says that this is no test of positioning",
+            code="position_table.test",
+            where=str(path),
+            got=other[:60],
+            allowed="linear positioning",
+            hint="deviations across the axis, and angles, are not read",
+        )
 
 
 def _require_near(table: PositionTable, path: Path) -> None:
@@ -319,6 +338,15 @@ def _parted(
 
 def _scale(head: str, below: str, path: Path) -> float:
     """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
+    if OPPOSITE.search(head):
+        raise InputError(
+            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
+            code="position_table.sign",
+            where=str(path),
+            got=head.strip()[:60],
+            allowed="actual minus target",
+            hint="change the sign and call the column a deviation",
+        )
     unit = told_unit(head, below)
     scale = scale_of(unit)
     if not scale > 0.0 or (not unit and is_deviation(head)):

@@ -10,7 +10,7 @@ from itertools import zip_longest
 
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
-_MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
+MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
 _STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung"
 SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
@@ -28,6 +28,12 @@ _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
+OPPOSITE = re.compile(r"correct|compens|korrektur|kompens|(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
+"""Head of a column whose sign is the opposite of a deviation's."""
+OTHER_TEST = re.compile(
+    r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular|\b(pitch|yaw|roll)\b", re.I
+)
+"""Title of another test that is made along an axis."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
@@ -156,7 +162,7 @@ def _one_reading_a_row(
 
 def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
-    for begin, row in enumerate(rows[:_MOST_TITLES]):
+    for begin, row in enumerate(rows[:MOST_TITLES]):
         below = list(rows[begin + 1 :])
         by_way = _by_way_of(row)
         if by_way is not None:

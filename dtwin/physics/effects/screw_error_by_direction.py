@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dtwin.physics.effect import Effect, Law, Parameter, Shape
-from dtwin.physics.screw import ORDERS, screw_waves
+from dtwin.physics.screw import ORDERS, PITCH, screw_waves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -30,6 +30,7 @@ EFFECT = Effect(
     remedy="Renew nut or screw; a compensation for each direction, that remembers the last reversal.",
     reference="ISO 230-2; ISO 230-1:2012, periodic errors of linear axes",
     kinds=("linear",),
+    stated=(PITCH,),
     confusables=("screw_error", "backlash"),
     correctable="A function of position and direction; between the flanks it must hold its value.",
 )

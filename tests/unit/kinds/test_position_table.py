@@ -285,6 +285,29 @@ def test_what_was_not_read_is_left_out_and_what_is_no_number_is_refused(tmp_path
         assert "row 5" in str(refused.value.where)
 
 
+@pytest.mark.parametrize("sign", ["correction", "Korrektur", "nominal-actual", "soll - ist"])
+def test_a_column_of_the_opposite_sign_is_no_deviation(tmp_path: Path, sign: str) -> None:
+    path = tmp_path / "x.csv"
+    heads = ",".join(f"{way} {n} {sign} [µm]" for n in (1, 2) for way in ("forward", "reverse"))
+    path.write_text(f"target [mm],{heads}\n" + "".join(f"{t},1,2,3,4\n" for t in (0, 100, 200)), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == "position_table.sign"
+
+
+def test_a_table_whose_title_is_of_another_test_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    table = (
+        "target [mm],forward 1 [µm],reverse 1 [µm],forward 2 [µm],reverse 2 [µm]\n0,1,2,3,4\n100,1,2,3,4\n200,1,2,3,4\n"
+    )
+    path.write_text(f"Straightness test\n{table}", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == "position_table.test"
+    path.write_text(f"Linear positioning test\n{table}", encoding="utf-8")
+    assert read_position_table(path).target_mm.tolist() == [0.0, 100.0, 200.0]
+
+
 def test_angles_are_not_taken_for_lengths(tmp_path: Path) -> None:
     path = tmp_path / "c-axis.csv"
     for heads in ("target_deg,cycle,direction,position_deg", "target [°],cycle,direction,error [arcsec]"):
