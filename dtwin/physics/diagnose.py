@@ -45,8 +45,8 @@ _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.93
 # What is found at one speed is what the curve looks like only, and is said so.
 _EXPLAINED_AT_ONE_SPEED = 0.85
-# Along an axis all effects of one parity move with the two conditions alike: what is left speaks against none of them.
-_EXPLAINED_ALONG = 0.5
+# Along an axis all effects of one parity move with the two conditions alike: what is left speaks against none of several.
+_EXPLAINED_ALONG, _SEVERAL = 0.5, 4
 _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
@@ -331,7 +331,8 @@ def _much_left(found: Search, floor_um: float) -> bool:
     certain = p_value <= LACK_OF_FIT and left_um > _LITTLE * floor_um
     probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
     obs = found.plain.obs
-    along = _EXPLAINED_ALONG if obs.there_and_back else _EXPLAINED_AT_ONE_SPEED
+    several = obs.there_and_back and len(found.found) >= _SEVERAL
+    along = _EXPLAINED_ALONG if several else _EXPLAINED_AT_ONE_SPEED
     enough = _EXPLAINED if obs.several_speeds else along
     return (certain or probable) and found.explained < enough
 
