@@ -102,7 +102,7 @@ def read_people(home: Home) -> People:
             code="people.file",
             where=str(path),
             got=str(error)[:120],
-            hint="dtwin people add NAME --role ... writes it",
+            hint="mend the file or move it away; dtwin people add NAME --role ... then writes a new one",
         ) from error
 
 

@@ -58,7 +58,7 @@ _ALONE = 0.5
 # So much of everything, as RMS, is something unknown, and not how far the library's laws are off.
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
-_BESIDE_LAWS = 0.75
+_BESIDE_LAWS = 0.5
 
 # Tests of the laws of every effect found and of its rivals, by label.
 _Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]

@@ -77,5 +77,6 @@ def _unknown(twins: Twins, name: str, seed: int) -> tuple[Twin, Diagnosis]:
             code="twin.nothing_to_learn",
             where=f"twin {name} version {twin.version}",
             got=f"{found.verdict}: {found.headline}",
+            hint=f"dtwin twin add {name} EFFECT adds what is named" if found.found else f"dtwin twin diagnose {name}",
         )
     return twin, found

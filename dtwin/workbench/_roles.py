@@ -9,10 +9,12 @@ from collections.abc import Callable
 from starlette.types import Message, Receive
 
 NEEDED = (
-    (r"/api/jobs/", "look"),
+    (r"/api/jobs/", "measure"),
     (r"/api/live/[^/]+/stop$", "stop"),
     (r"/api/models/", "promote"),
-    (r"/api/(twins|effects)(/|$)", "train"),
+    (r"/api/twins(/|$)", "train"),
+    # An effect is a program that the server runs: whoever may write one may do what the server may.
+    (r"/api/effects(/|$)", "promote"),
     (r"/api/(campaigns|machines)/[^/]+/(find|together)$", "train"),
     (r"/api/campaigns/[^/]+/(amend$|runs/)", "measure"),
     (r"/api/(trays|measuring)(/|$)", "measure"),

@@ -219,7 +219,8 @@ def test_a_restarted_controller_is_found_again_and_corrected_from_zero(home: Hom
 
 
 def test_a_frozen_host_leaves_a_half_open_link_and_the_robot_lets_go(robot: VirtualRobot) -> None:
-    with UrLink(robot.host, realtime=False, lost_after_s=0.3) as link:
+    # A busy computer may hold the controller up for longer than a third of a second.
+    with UrLink(robot.host, realtime=False, lost_after_s=1.0) as link:
         state = link.wait_state(5.0)
         assert state is not None
         first = int(state[layout.APPLIED_SEQUENCE]) + 1

@@ -497,6 +497,7 @@ def test_a_person_sees_which_buttons_are_not_for_them(browser: Browser, bench: W
     try:
         other = browser.new_page()
         other.goto(f"{bench.base}/?token={token}")
+        other.wait_for_url("**/machines")
         other.goto(f"{bench.base}/campaigns/mill-backlash")
         find = other.get_by_role("button", name="Find what these runs can tell")
         expect(find).to_be_disabled()

@@ -26,7 +26,10 @@ EFFECT = Effect(
     ),
     regressors=_columns,
     law=Law(0.0, None, "even"),
-    meaning="The guideway is bent otherwise than in an arc: what is left of its straightness beside the bow.",
+    meaning=(
+        "The other axis is pushed aside by a smooth function of the position that is no arc: the guideway is bent so, "
+        "or a hose or chain pulls by where the axis is."
+    ),
     formula="(a u^3 + b u^4 + c u^5) sin(t), u = x / 100 mm, for the X axis",
     looks_like="Smooth lobes, the same at all feeds and in both directions, that follow the place along the axis.",
     separate_by="Circles of another radius: what follows the place keeps its place on the axis, not its angle.",
