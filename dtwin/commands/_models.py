@@ -106,16 +106,19 @@ def train(
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
     from dtwin.config import home
-    from dtwin.serve.pointer import proven_state
+    from dtwin.serve.pointer import proven_states
     from dtwin.train.promotion import history
     from dtwin.train.registry import Registry
     from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
     registry = Registry(home())
-    found = [v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)]
+    by_machine = {m: registry.versions(m) for m in ([machine] if machine else registry.machines())}
+    found = [v for versions in by_machine.values() for v in versions]
+    said = {m: {int(v.version): v.tags.get("state", "-") for v in versions} for m, versions in by_machine.items()}
+    proven = {m: proven_states(m, tags, home()) for m, tags in said.items()}
+    states = [proven[v.machine][int(v.version)] for v in found]
     past = {m: history(home(), m) for m in {v.machine for v in found}}
-    states = [proven_state(v.machine, int(v.version), v.tags.get("state", "-"), home()) for v in found]
     payload = {
         "versions": [dict(vars(v)) | {"state": state} for v, state in zip(found, states, strict=True)],
         "history": past,

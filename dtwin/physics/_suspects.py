@@ -27,28 +27,37 @@ def sized(
     """
     if not kept:
         return ()
-    terms = {c.term.label: c.term for effect in kept for c in effect.group}
-    groups = list(groups)
-    sizes = _sizes(obs, known, terms, groups)
+    terms = [{c.term.label: c.term for c in effect.group} for effect in kept]
+    leads = [group[0].label for group in groups]
+    sizes = _sizes(obs, known, terms, leads)
     for number, group in enumerate(groups):
-        if _is_told(sizes[group[0].label]):
+        if _is_told(sizes[leads[number]]):
             continue
-        others = sorted((s for s in group[1:] if s.label not in sizes), key=lambda s: _numbers(terms[s.label]))
-        for other in others[:1]:
-            instead = [*groups[:number], (other, *(s for s in group if s is not other)), *groups[number + 1 :]]
+        own = terms[number]
+        for other in sorted((s.label for s in group if s.label not in sizes), key=lambda n: _numbers(own[n]))[:1]:
+            instead = [*leads[:number], other, *leads[number + 1 :]]
             found = _sizes(obs, known, terms, instead)
-            if _is_told(found[other.label]):
-                groups, sizes = instead, found
-    return tuple((replace(first, sizes=sizes[first.label]), *others) for first, *others in groups)
+            if _is_told(found[other]):
+                leads, sizes = instead, found
+    return tuple(
+        tuple(
+            replace(s, sizes=sizes[lead]) if s.label == lead else s
+            for s in sorted(group, key=lambda s: s.label != lead)
+        )
+        for lead, group in zip(leads, groups, strict=True)
+    )
 
 
 def _sizes(
-    obs: Observations, known: Sequence[Term], terms: Mapping[str, Term], groups: Sequence[Sequence[Suspect]]
+    obs: Observations, known: Sequence[Term], terms: Sequence[Mapping[str, Term]], leads: Sequence[str]
 ) -> dict[str, tuple[Estimate, ...]]:
-    """Return the parameters of what leads each group, all fitted together, by label."""
-    leading = [terms[group[0].label] for group in groups]
-    estimates = [e for e in fit(obs, [*known, *leading], refine=False).estimates if not e.is_unseen]
-    return {t.label: tuple(e for e in estimates if f"{e.effect} {e.axis}".rstrip() == t.label) for t in leading}
+    """Return the parameters of what leads each group, all fitted together, by label.
+
+    ``terms``: of each group, by label.
+    """
+    leading = {lead: own[lead] for lead, own in zip(leads, terms, strict=True)}
+    estimates = [e for e in fit(obs, [*known, *leading.values()], refine=False).estimates if not e.is_unseen]
+    return {lead: tuple(e for e in estimates if f"{e.effect} {e.axis}".rstrip() == lead) for lead in leading}
 
 
 def _is_told(sizes: Sequence[Estimate]) -> bool:

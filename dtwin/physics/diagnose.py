@@ -16,30 +16,27 @@ from functools import partial
 import numpy as np
 
 from dtwin.physics import localise
-from dtwin.physics._grading import laws_of, survivors, variables
+from dtwin.physics._doubts import LACK_OF_FIT, SPOKEN_OF, Tests, doubted, hidden_by, is_dwarfed, standing_alone
+from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
-from dtwin.physics._laws import LawTest
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import nameless
 from dtwin.physics._outliers import odd_runs
-from dtwin.physics._rivals import Found
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of
 from dtwin.physics._suspects import members, sized, suspect, suspects
-from dtwin.physics._trust import sum_um, trusted
+from dtwin.physics._trust import trusted
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
-from dtwin.physics.observations import SETUP_COLUMNS, Observations
-from dtwin.physics.plausible import at_its_end
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.search import Search, search
 from dtwin.schema import Floats
 
-LACK_OF_FIT = 0.003
 _FIT_IS_DOUBTFUL = 0.05
 # What was found must explain this share, or what is left must be this small beside the floor.
 _EXPLAINED = 0.93
@@ -49,19 +46,10 @@ _EXPLAINED_AT_ONE_SPEED = 0.85
 _EXPLAINED_ALONG, _SEVERAL = 0.5, 4
 _LEFT = 0.3
 _LITTLE = 0.2
-_SPOKEN_OF = 0.1
-# An exponent that is known no better tells nothing of a law.
-_VAGUE = 0.3
-_DWARFED = 0.4
-# What has less of its size left without what is withdrawn makes up for that.
-_ALONE = 0.5
 # So much of everything, as RMS, is something unknown, and not how far the library's laws are off.
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
 _BESIDE_LAWS = 0.5
-
-# Tests of the laws of every effect found and of its rivals, by label.
-_Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
 
 
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
@@ -146,7 +134,7 @@ def _searched(
         shown_by_channel=shown_by_channel,
     )
     found = again()
-    if found.best is not None and found.best.exact and _doubted(found, False, _tests(found)):
+    if found.best is not None and found.best.exact and doubted(found, False, _tests(found)):
         # What is small may then be how far others are off.
         found = again(before=found)
     return found
@@ -211,15 +199,15 @@ def _concluded(
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(c.name, library) for c in moving)
     much = _much_left(found, blank.noise_floor_um)
-    doubted = _doubted(found, late, tests)
-    doubted += _hidden_by(doubted, found, tests)
+    doubts = doubted(found, late, tests)
+    doubts += hidden_by(doubts, found, tests)
     least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
     kept = [
         f
-        for f in trusted(found, doubted, much)
-        if (much or not _is_dwarfed(f, found)) and (f.label in believed or f.size_um >= least_um)
+        for f in trusted(found, doubts, much)
+        if (much or not is_dwarfed(f, found)) and (f.label in believed or f.size_um >= least_um)
     ]
-    kept = _standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
+    kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     others = [f for f in found.found if f not in kept]
     told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
     terms = [f.top.term for f in kept]
@@ -256,25 +244,8 @@ def _concluded(
     return replace(blank, verdict=verdict, headline=said, found=groups)
 
 
-def _tests(found: Search) -> _Tests:
+def _tests(found: Search) -> Tests:
     return {f.label: laws_of(f, len(found.found)) for f in found.found}
-
-
-def _doubted(found: Search, late: bool, tests: _Tests) -> list[Found]:
-    """Return the effects whose laws are broken, or that foretell nothing.
-
-    ``late``: a channel of the library's own still moves with what is left.
-    """
-    return [
-        f
-        for f in found.found
-        if not survivors(f, tests[f.label])
-        or at_its_end(f.top.term)
-        or _hangs_untested(f, tests[f.label][f.label], found)
-        or f.gain <= 0.0
-        or (late and f.top.term.instance.effect.within_condition)
-        or _is_weak(f, tests[f.label][f.label], found)
-    ]
 
 
 def _nothing_found(
@@ -340,68 +311,11 @@ def _much_left(found: Search, floor_um: float) -> bool:
 def _worth_telling(found: Search, floor_um: float) -> bool:
     """Tell whether what is left is certain, and large enough to be spoken of."""
     first_um, left_um = found.systematic_um
-    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(_LITTLE * floor_um, _SPOKEN_OF * first_um)
+    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(_LITTLE * floor_um, SPOKEN_OF * first_um)
 
 
 def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
-
-
-def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
-    """Tell whether an effect is small, and what was changed does not confirm its law, or cannot tell."""
-    changed = _over_conditions(tests)
-    small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
-    confirmed = bool(variables(effect.top, tests)[0]) or not changed
-    vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
-    return small and (vague or not confirmed)
-
-
-def _hangs_untested(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
-    """Tell whether an effect that hangs on the mounting could not be compared between mountings."""
-    hangs = any(name.startswith(SETUP_COLUMNS) for name in effect.top.term.instance.effect.needs)
-    return hangs and len(found.plain.obs.setups) > 1 and not any(t.variable == "set-up" for t in tests)
-
-
-def _is_dwarfed(effect: Found, found: Search) -> bool:
-    """Tell whether what is certainly left is so much larger that an effect may be a part of it."""
-    certain = found.lack_of_fit[-1] <= LACK_OF_FIT
-    return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
-
-
-def _hidden_by(doubted: Sequence[Found], found: Search, tests: _Tests) -> list[Found]:
-    """Return the effects smaller than what is doubted whose own laws are not confirmed.
-
-    What is not what it seems leaves something of itself, which smaller effects take.
-    """
-    does_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubted, found.plain.obs))
-    return [
-        f
-        for f in found.found
-        if f not in doubted
-        and f.size_um < does_um
-        and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
-    ]
-
-
-def _standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
-    """Return the effects without those that do little but beside what is withdrawn: they only make up for it.
-
-    ``bare``: the campaign without weights, with what is known.
-    """
-    while kept and len(kept) < len(found.found):
-        shares = []
-        for f in kept:
-            beside = candidates.given(bare, [o.top.term for o in kept if o is not f])
-            shares.append(candidates.size_um(beside, f.top.term) / max(f.size_um, 1e-300))
-        worst = int(np.argmin(shares))
-        if shares[worst] >= _ALONE:
-            break
-        kept = [f for n, f in enumerate(kept) if n != worst]
-    return kept
-
-
-def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:
-    return [test for test in tests if test.variable not in ("time", "delay")]
 
 
 def _with_foreign(problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]) -> Problem:

@@ -70,7 +70,7 @@ class ShapeParameter:
     by_speed : bool
         Whether only runs at several speeds tell it: at one speed it stays at its start.
     smooth : bool
-        Whether a dozen values between the limits span the effect at all others, as they do for a time constant.
+        Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
     """
 
     name: str

@@ -27,7 +27,7 @@ from dtwin.progress import Progress
 
 MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.
-_LEFT_OUT = ("logs", "reduced", "locks", "servers.json", "prefect-auth", "shared.json")
+_LEFT_OUT = (HOME_FILE, "logs", "reduced", "locks", "servers.json", "prefect-auth", "shared.json")
 _SQLITE = b"SQLite format 3\x00"
 _OF_SQLITE = ("-wal", "-shm", "-journal")
 _PLACES = ("artifact_location", "artifact_uri", "source", "storage_location")
@@ -239,7 +239,7 @@ def _place(archive: Path, into: Path, name: str) -> Path:
     parts = PurePosixPath(name).parts
     if not parts or name.startswith("/") or ".." in parts or "\0" in name:
         raise _damaged(archive, name[:80], "a name below the home")
-    # It may name servers elsewhere; backup makes none of a home that has one.
+    # It may name servers elsewhere, and backup writes none.
     if parts == (HOME_FILE,):
         raise _damaged(archive, name, "what dtwin home backup writes")
     return into.joinpath(*parts)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -243,19 +244,23 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
     return resolved
 
 
-def proven_state(machine: str, version: int, said: str, home: Home) -> str:
-    """Return the state of a registered version: champion or on trial only where the pointer that serving follows names it.
+def proven_states(machine: str, said: Mapping[int, str], home: Home) -> dict[int, str]:
+    """Return the states of registered versions: champion or on trial only where the pointer that serving follows names one.
 
-    ``said``: the state by the registry's tags, which whoever reaches its server can write.
+    ``said``: version and its state by the registry's tags, which whoever reaches its server can write.
     """
-    if barred_why(machine, home, version):
-        return "barred"
+    named: dict[int, str] = {}
     for model in _POINTERS:
         with contextlib.suppress(InputError, GateRefusal):
-            named = _follow(model, machine, home)
-            if named.version == version:
-                return named.state
-    return f"{UNPROMOTED}, whatever its tags say" if said in _SERVED_LIVE else said
+            resolved = _follow(model, machine, home)
+            named[resolved.version] = resolved.state
+
+    def state(version: int, tagged: str) -> str:
+        if barred_why(machine, home, version):
+            return "barred"
+        return named.get(version, f"{UNPROMOTED}, whatever its tags say" if tagged in _SERVED_LIVE else tagged)
+
+    return {version: state(version, tagged) for version, tagged in said.items()}
 
 
 def _follow(model: str, machine: str, home: Home) -> Resolved:

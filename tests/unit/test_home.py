@@ -100,6 +100,14 @@ def _link(members: list[tuple[tarfile.TarInfo, bytes]]) -> None:
     members.insert(0, (head, b""))
 
 
+def test_a_file_of_settings_that_states_nothing_is_in_no_backup(lived_in: Home, tmp_path: Path) -> None:
+    (lived_in.root / "home.toml").write_text("# all is here\n", encoding="utf-8")
+    backup(lived_in, tmp_path / "home.tar")
+    again = Home(tmp_path / "again")
+    restore(tmp_path / "home.tar", again)
+    assert not (again.root / "home.toml").exists()
+
+
 CHANGES: dict[str, Change] = {
     "a bit is another": _flip,
     "a file is missing": lambda members: members.pop(2) and None,

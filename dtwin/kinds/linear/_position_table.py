@@ -36,13 +36,13 @@ from dtwin.kinds.linear._table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,
-    OPPOSITE,
     OTHER_TEST,
     SUMMARY,
     Long,
     Wide,
     deviation_um,
     is_deviation,
+    is_opposite,
     is_unit,
     long_of,
     scale_of,
@@ -338,7 +338,7 @@ def _parted(
 
 def _scale(head: str, below: str, path: Path) -> float:
     """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
-    if OPPOSITE.search(head):
+    if is_opposite(head):
         raise InputError(
             "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
             code="position_table.sign",

@@ -28,11 +28,9 @@ _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
 _SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
-OPPOSITE = re.compile(r"correct|compens|korrektur|kompens|(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
-"""Head of a column whose sign is the opposite of a deviation's."""
-OTHER_TEST = re.compile(
-    r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular|\b(pitch|yaw|roll)\b", re.I
-)
+_CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
+_REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
+OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
@@ -79,6 +77,11 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
 def is_index(head: str) -> bool:
     """Return whether a column counts its rows: ``i``, ``i-th``."""
     return re.match(r"i\b", head.strip(), re.I) is not None
+
+
+def is_opposite(head: str) -> bool:
+    """Return whether the sign of a column is the opposite of a deviation's: corrections, or nominal minus actual."""
+    return bool(_REVERSED.search(head)) or bool(_CORRECTION.search(head) and not is_deviation(head))
 
 
 def names_target(head: str) -> bool:

@@ -28,7 +28,10 @@ EFFECT = Effect(
     ),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
-    meaning=("Centre and radius move with time: heat of the structure, creep of the set-up, or wear over days."),
+    meaning=(
+        "Centre and radius move with time: heat of the structure, creep of the set-up, or wear over days. It slows down "
+        "with the time constant S; at 10 000 h it does not."
+    ),
     formula="S (1 - exp(-h / S)) (a cos(t) + b sin(t) + c), h in hours since the first run",
     looks_like="The start and the end of the circle do not meet; repeats wander in one direction.",
     separate_by=("Stop for twenty minutes and measure again: drift with time goes on, thermal growth turns back."),

@@ -295,6 +295,17 @@ def test_a_column_of_the_opposite_sign_is_no_deviation(tmp_path: Path, sign: str
     assert refused.value.code == "position_table.sign"
 
 
+@pytest.mark.parametrize(
+    "head", ["deviation {n} {way}, temperature compensated [µm]", "error {way} {n} after compensation [µm]"]
+)
+def test_what_was_compensated_is_a_deviation_still(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "x.csv"
+    heads = ";".join(head.format(n=n, way=way) for n in (1, 2) for way in ("forward", "reverse"))
+    rows = "".join(f"{t};1;2;3;4\n" for t in (0, 100, 200))
+    path.write_text(f"Ball screw pitch 10 mm\ntarget [mm];{heads}\n{rows}", encoding="utf-8")
+    assert read_position_table(path).forward_um[0].tolist() == [1.0, 3.0]
+
+
 def test_a_table_whose_title_is_of_another_test_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     table = (

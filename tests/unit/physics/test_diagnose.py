@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.acquire.virtual_mill import standard_tests, virtual_mill
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
@@ -186,6 +186,12 @@ def test_what_is_unknown_stands_beside_what_was_found() -> None:
     assert found.unresolved is not None
     assert found.unresolved.systematic_rms_um == pytest.approx(3.0 / np.sqrt(2.0), rel=0.15)
     assert "harmonic 7" in found.unresolved.words
+
+
+def test_a_wobble_that_no_effect_describes_is_called_unknown() -> None:
+    # As docs/tutorials/missing-effect.md has it: a shape of a guideway and its bow would make up for each other.
+    found = verdict(measured(virtual_mill("wobble", seed=0)))
+    assert found.verdict == "unknown_effect", found.headline
 
 
 def test_at_one_radius_a_cup_and_two_bows_are_one_group_and_the_radius_is_not_tested() -> None:

@@ -45,7 +45,7 @@ def test_a_hump_of_a_guideway_is_named_and_hides_nothing_else() -> None:
     named = {s.label for group in found.found for s in group}
     assert {"guideway_shape X", "backlash Y"} <= named
     assert "instrument_artefact" not in named
-    # What polynomials of the sixth order leave of a hump.
+    # What polynomials of the fifth order leave of a hump.
     assert found.unresolved is None or found.unresolved.systematic_rms_um < 0.15 * obs.rms(obs.y_um)
 
 

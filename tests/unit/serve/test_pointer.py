@@ -21,7 +21,7 @@ from dtwin.serve.pointer import (
     clear_trial,
     machine_folder,
     only_machine,
-    proven_state,
+    proven_states,
     read_machine,
     resolve,
     write_machine,
@@ -49,15 +49,15 @@ def test_latest_is_the_promoted_bundle(home: Home) -> None:
 
 
 def test_a_state_that_only_the_registry_tells_is_not_believed(home: Home) -> None:
-    said = {"champion": "unpromoted, whatever its tags say", "previous": "previous"}
-    assert {tag: proven_state("cobot-a", 3, tag, home) for tag in said} == said
+    said = {2: "previous", 3: "candidate", 4: "champion"}
+    nothing = {2: "previous", 3: "candidate", 4: "unpromoted, whatever its tags say"}
+    assert proven_states("cobot-a", said, home) == nothing
     pointer = promoted(home)
-    assert proven_state("cobot-a", 3, "candidate", home) == "champion"
-    assert proven_state("cobot-a", 4, "champion", home) == "unpromoted, whatever its tags say"
+    assert proven_states("cobot-a", said, home) == nothing | {3: "champion"}
     pointer.write_text(pointer.read_text().replace('"version": 3', '"version": 4'))
-    assert proven_state("cobot-a", 4, "champion", home) == "unpromoted, whatever its tags say"
+    assert proven_states("cobot-a", said, home) == nothing
     bar("cobot-a", home, 3, "it made things worse")
-    assert proven_state("cobot-a", 3, "champion", home) == "barred"
+    assert proven_states("cobot-a", {3: "champion"}, home) == {3: "barred"}
 
 
 def test_machine_may_be_left_out_when_there_is_one(home: Home) -> None:

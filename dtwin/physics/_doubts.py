@@ -1,0 +1,105 @@
+"""Which of the effects found are doubted: their laws are broken, or they hang on what is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dtwin.physics import localise
+from dtwin.physics._grading import survivors, variables
+from dtwin.physics._laws import LawTest
+from dtwin.physics._rivals import Found
+from dtwin.physics._trust import sum_um
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.observations import SETUP_COLUMNS
+from dtwin.physics.plausible import at_its_end
+from dtwin.physics.problem import Problem
+from dtwin.physics.search import Search
+
+# At this p-value what is left is certain.
+LACK_OF_FIT = 0.003
+# A smaller share of everything, as RMS, is small.
+SPOKEN_OF = 0.1
+# An exponent that is known no better tells nothing of a law.
+_VAGUE = 0.3
+_DWARFED = 0.4
+# What has less of its size left without what is withdrawn makes up for that.
+_ALONE = 0.5
+
+# Tests of the laws of every effect found and of its rivals, by label.
+Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
+
+
+def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
+    """Return the effects whose laws are broken, or that foretell nothing.
+
+    ``late``: a channel of the library's own still moves with what is left.
+    """
+    return [
+        f
+        for f in found.found
+        if not survivors(f, tests[f.label])
+        or at_its_end(f.top.term)
+        or _hangs_untested(f, tests[f.label][f.label], found)
+        or f.gain <= 0.0
+        or (late and f.top.term.instance.effect.within_condition)
+        or _is_weak(f, tests[f.label][f.label], found)
+    ]
+
+
+def is_dwarfed(effect: Found, found: Search) -> bool:
+    """Tell whether what is certainly left is so much larger that an effect may be a part of it."""
+    certain = found.lack_of_fit[-1] <= LACK_OF_FIT
+    return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
+
+
+def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:
+    """Return the effects smaller than what is doubted whose own laws are not confirmed.
+
+    What is not what it seems leaves something of itself, which smaller effects take.
+    """
+    does_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubts, found.plain.obs))
+    return [
+        f
+        for f in found.found
+        if f not in doubts
+        and f.size_um < does_um
+        and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
+    ]
+
+
+def standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
+    """Return the effects without those that do little but beside what is withdrawn: they only make up for it.
+
+    ``bare``: the campaign without weights, with what is known.
+    """
+    while kept and len(kept) < len(found.found):
+        shares = []
+        for f in kept:
+            beside = candidates.given(bare, [o.top.term for o in kept if o is not f])
+            shares.append(candidates.size_um(beside, f.top.term) / max(f.size_um, 1e-300))
+        worst = int(np.argmin(shares))
+        if shares[worst] >= _ALONE:
+            break
+        kept = [f for n, f in enumerate(kept) if n != worst]
+    return kept
+
+
+def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+    """Tell whether an effect is small, and what was changed does not confirm its law, or cannot tell."""
+    changed = _over_conditions(tests)
+    small = effect.size_um < SPOKEN_OF * found.systematic_um[0]
+    confirmed = bool(variables(effect.top, tests)[0]) or not changed
+    vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
+    return small and (vague or not confirmed)
+
+
+def _hangs_untested(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+    """Tell whether an effect that hangs on the mounting could not be compared between mountings."""
+    hangs = any(name.startswith(SETUP_COLUMNS) for name in effect.top.term.instance.effect.needs)
+    return hangs and len(found.plain.obs.setups) > 1 and not any(t.variable == "set-up" for t in tests)
+
+
+def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:
+    return [test for test in tests if test.variable not in ("time", "delay")]
