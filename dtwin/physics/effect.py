@@ -292,6 +292,10 @@ def settled_h(state: State, shape: Shape) -> Floats:
     return shape["settling_h"] * -np.expm1(-state.column("time_h") / shape["settling_h"])
 
 
+SECOND_AXIS = "; second_axis_ is the same towards the second of the other two axes: Z for X and Y, Y for Z"
+"""What the formula of an effect says that has the columns of :func:`aside`."""
+
+
 def aside(state: State, axis: str, *profiles_um: Floats) -> Floats:
     """Return what pushes the other moving axis of a circle aside, in a column for each axis that this might be.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
+from dtwin.physics.effect import SECOND_AXIS, Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
     name="guideway_shape",
     title="Shape of a guideway",
     parameters=tuple(
-        Parameter(f"{side}order_{order}_at_100_mm", "um", 5.0) for side in ("", "second_") for order in _ORDERS
+        Parameter(f"{side}order_{order}_at_100_mm", "um", 5.0) for side in ("", "second_axis_") for order in _ORDERS
     ),
     regressors=_columns,
     law=Law(0.0, None, "even"),
@@ -30,7 +30,7 @@ EFFECT = Effect(
         "The other axis is pushed aside by a smooth function of the position that is no arc: the guideway is bent so, "
         "or a hose or chain pulls by where the axis is."
     ),
-    formula="(a u^3 + b u^4 + c u^5) sin(t), u = x / 100 mm, for the X axis",
+    formula="(a u^3 + b u^4 + c u^5) sin(t), u = x / 100 mm, for the X axis" + SECOND_AXIS,
     looks_like="Smooth lobes, the same at all feeds and in both directions, that follow the place along the axis.",
     separate_by="Circles of another radius: what follows the place keeps its place on the axis, not its angle.",
     remedy="Check guideway and alignment of the bed, or enter a straightness table.",

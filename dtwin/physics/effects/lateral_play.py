@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
+from dtwin.physics.effect import SECOND_AXIS, Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -18,11 +18,11 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="lateral_play",
     title="Lateral play",
-    parameters=(Parameter("play", "um", 3.0), Parameter("second_play", "um", 3.0, once="play")),
+    parameters=(Parameter("play", "um", 3.0), Parameter("second_axis_play", "um", 3.0, once="play")),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),
     meaning=("Play in the guideway: the carriage tips or shifts at right angles to its motion when it reverses."),
-    formula="-d (L / 2) |sin(t)| for the X axis",
+    formula="-d (L / 2) |sin(t)| for the X axis" + SECOND_AXIS,
     looks_like=("Radius differs between the directions, with lobes; never a step where the axis itself reverses."),
     separate_by=("Compare both directions at one set-up: backlash steps at its own reversal, play does not."),
     remedy="Adjust or renew guideway, gibs or preload of the carriages.",

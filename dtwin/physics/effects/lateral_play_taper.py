@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
+from dtwin.physics.effect import SECOND_AXIS, Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -21,12 +21,12 @@ EFFECT = Effect(
     title="Lateral play that changes along the axis",
     parameters=(
         Parameter("change_per_100_mm", "um", 2.0),
-        Parameter("second_change_per_100_mm", "um", 2.0, once="change_per_100_mm"),
+        Parameter("second_axis_change_per_100_mm", "um", 2.0, once="change_per_100_mm"),
     ),
     regressors=_columns,
     law=Law(0.0, 1.0, "odd"),
     meaning="Guideway play is larger at one end of the travel.",
-    formula="d (dL / 2) (x / 100 mm) sgn(vx) sin(t) for the X axis",
+    formula="d (dL / 2) (x / 100 mm) sgn(vx) sin(t) for the X axis" + SECOND_AXIS,
     looks_like=("Lobes that differ between the two ends of the axis and turn over with the direction."),
     separate_by="Measure the same circle at another place along the axis.",
     remedy="Inspect the guideway along its length.",

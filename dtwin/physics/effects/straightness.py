@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, aside, moves
+from dtwin.physics.effect import SECOND_AXIS, Effect, Law, Parameter, Shape, aside, moves
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -18,12 +18,12 @@ EFFECT = Effect(
     title="Straightness",
     parameters=(
         Parameter("bow_at_100_mm", "um", 5.0),
-        Parameter("second_bow_at_100_mm", "um", 5.0, once="bow_at_100_mm"),
+        Parameter("second_axis_bow_at_100_mm", "um", 5.0, once="bow_at_100_mm"),
     ),
     regressors=_columns,
     law=Law(0.0, 2.0, "even"),
     meaning=("The guideway of the axis is bowed: the other axis is pushed aside by the square of the position."),
-    formula="s (x / 100 mm)^2 sin(t) for the X axis",
+    formula="s (x / 100 mm)^2 sin(t) for the X axis" + SECOND_AXIS,
     looks_like=(
         "Three smooth lobes, the same at all feeds and in both directions; changes with the "
         "place in the working volume."

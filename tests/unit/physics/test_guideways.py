@@ -75,13 +75,13 @@ def fitted(obs: Observations) -> Fit:
 def test_a_guideway_bends_in_each_direction_by_itself(three_planes: Observations) -> None:
     values = {e.name: e.value for e in fitted(three_planes).estimates}
     assert values["bow_at_100_mm"] == pytest.approx(6.0, abs=0.3)
-    assert values["second_bow_at_100_mm"] == pytest.approx(0.0, abs=0.3)
+    assert values["second_axis_bow_at_100_mm"] == pytest.approx(0.0, abs=0.3)
 
 
 def test_a_plane_tells_nothing_of_the_direction_that_it_does_not_show(three_planes: Observations) -> None:
     obs = three_planes.take(np.flatnonzero([meta.plane == "ZX" for meta in three_planes.runs]))
     told = {e.name: e.identifiable for e in fitted(obs).estimates}
-    assert told == {"bow_at_100_mm": False, "second_bow_at_100_mm": True}
+    assert told == {"bow_at_100_mm": False, "second_axis_bow_at_100_mm": True}
     (seen,) = [d for d in detectable(obs, LIBRARY, noise_um=0.5) if d.label == "straightness X"]
     assert np.isfinite(seen.amplitude)
 

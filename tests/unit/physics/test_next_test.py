@@ -96,7 +96,7 @@ def test_what_was_found_and_is_not_clear_counts_in_full_and_as_large_as_it_may_b
     other = kind_named("circular").foreseen(planned_document(radii, "p"))
     nothing, found = (Knowledge([Made(obs, groups)], [other], LIBRARY, NOISE).worth(0) for groups in ((), (group,)))
     assert found.bits > nothing.bits + 3.0
-    assert {"straightness X (second bow at 100 mm)", "instrument artefact (sine)"} <= {
+    assert {"straightness X (second axis bow at 100 mm)", "instrument artefact (sine)"} <= {
         gain.unknown.label for gain in found.told
     }
 
