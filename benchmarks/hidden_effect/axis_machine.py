@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 
@@ -143,6 +144,14 @@ def _bowed(s: Stand) -> Floats:
     return np.abs(s.share - 0.5) ** 1.5
 
 
+def _tilted(s: Stand) -> Floats:
+    """A slide on two shoes tilts on a way that nobody scraped straight, and is measured above the scale."""
+    shoes_mm = s.rng.uniform(0.15, 0.35) * s.travel_mm
+    knots_mm = np.linspace(-0.5, 1.5, 13) * s.travel_mm
+    way = CubicSpline(knots_mm, s.rng.standard_normal(len(knots_mm)))
+    return np.asarray(way(s.at_mm + 0.5 * shoes_mm) - way(s.at_mm - 0.5 * shoes_mm))
+
+
 def _moved(channel: str) -> Mechanism:
     """Return light through air that changes: in proportion to the way from the laser, and a dead path."""
 
@@ -163,7 +172,9 @@ LIBRARY: dict[str, tuple[Mechanism, str]] = {
     "thermal_growth": (_growth, ""),
     "thermal_drift": (_creep, ""),
 }
-FOREIGN: dict[str, Mechanism] = {"flank": _flank_wave, "dent": _dent, "power": _bowed}
+# Smooth curves, the same both ways, that a table of pitch errors takes out, whatever makes them.
+CURVES: dict[str, Mechanism] = {"power": _bowed, "tilt": _tilted}
+FOREIGN: dict[str, Mechanism] = {"flank": _flank_wave, "dent": _dent}
 FOREIGN |= {name: _moved(name) for name in CHANNELS}
 
 
@@ -171,6 +182,8 @@ def mechanism(name: str) -> tuple[str, Mechanism]:
     """Return the label that is right for a mechanism, and the mechanism."""
     if name in FOREIGN:
         return name, FOREIGN[name]
+    if name in CURVES:
+        return "pitch_error X", CURVES[name]
     act, axis = LIBRARY[name]
     return f"{name} {axis}".strip(), act
 

@@ -198,6 +198,7 @@ def _of_lines() -> list[Row]:
         Row("axis_null", "nothing", 200, design="5 runs", base=(), kind="linear"),
         Row("axis_single", "name", 100, hidden=axes, design="5 runs", kind="linear", **some),
         Row("axis_untold_5", "every", 100, hidden=axes, how_many=5, design="5 runs", kind="linear", **some),
+        Row("axis_curve", "name", 100, hidden=tuple(axis_machine.CURVES), design="5 runs", kind="linear", **some),
         Row("axis_channel", "channel", 100, hidden=axis_machine.CHANNELS, design="5 runs", kind="linear", **some),
         Row("tone_null", "nothing", 200, design="tones", base=(), kind="sinusoidal"),
         Row("tone_single", "name", 100, hidden=tones, design="tones", kind="sinusoidal", **some),
@@ -215,7 +216,7 @@ def _of_lines() -> list[Row]:
     ]
     rows += [
         Row(f"axis_unknown_{name}", "unknown", 100, hidden=(name,), design="5 runs", kind="linear", **some)
-        for name in ("flank", "dent", "power")
+        for name in ("flank", "dent")
     ]
     return rows
 

@@ -10,9 +10,9 @@ from dtwin.physics import localise
 from dtwin.physics._grading import survivors, variables
 from dtwin.physics._laws import LawTest
 from dtwin.physics._rivals import Found
-from dtwin.physics._trust import sum_um
+from dtwin.physics._trust import does_um, sum_um
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.observations import SETUP_COLUMNS
+from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem
 from dtwin.physics.search import Search
@@ -26,6 +26,8 @@ _VAGUE = 0.3
 _DWARFED = 0.4
 # What has less of its size left without what is withdrawn makes up for that.
 _ALONE = 0.5
+# More of a curve than this in a fifth of the travel is one place and no screw.
+_LOCAL, _STRETCH = 0.6, 5
 
 # Tests of the laws of every effect found and of its rivals, by label.
 Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
@@ -43,6 +45,7 @@ def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
         or at_its_end(f.top.term)
         or _hangs_untested(f, tests[f.label][f.label], found)
         or f.gain <= 0.0
+        or _is_local(f, found.plain.obs)
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
     ]
@@ -59,12 +62,12 @@ def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Foun
 
     What is not what it seems leaves something of itself, which smaller effects take.
     """
-    does_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubts, found.plain.obs))
+    doubted_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubts, found.plain.obs))
     return [
         f
         for f in found.found
         if f not in doubts
-        and f.size_um < does_um
+        and f.size_um < doubted_um
         and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
     ]
 
@@ -93,6 +96,18 @@ def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     confirmed = bool(variables(effect.top, tests)[0]) or not changed
     vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
     return small and (vague or not confirmed)
+
+
+def _is_local(effect: Found, obs: Observations) -> bool:
+    """Tell whether most of what is the same both ways along an axis happens in one place."""
+    cause = effect.top.term.instance.effect
+    if not obs.there_and_back or cause.law.direction != "even" or cause.within_condition:
+        return False
+    means = localise.condition_means(obs, does_um(effect, obs)).mean(axis=0)
+    means = means[means != 0.0]
+    power = (means - means.mean()) ** 2
+    stretch = np.ones(max(1, len(power) // _STRETCH))
+    return bool(np.convolve(power, stretch, mode="valid").max(initial=0.0) > _LOCAL * power.sum())
 
 
 def _hangs_untested(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:

@@ -68,16 +68,16 @@ def _rms_um(means: Floats) -> float:
 
 def sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
     """Return what effects do together, shape (rows, n)."""
-    return sum((_does_um(f, obs) for f in effects), np.zeros(obs.y_um.shape))
+    return sum((does_um(f, obs) for f in effects), np.zeros(obs.y_um.shape))
 
 
-def _does_um(effect: Found, obs: Observations) -> Floats:
+def does_um(effect: Found, obs: Observations) -> Floats:
     return np.asarray(from_harmonics(effect.fitted_um) * obs.mask)
 
 
 def _shapes(effects: Sequence[Found], obs: Observations) -> Floats:
     """Return what effects look like along the path, whatever their size in a condition: orthonormal, shape (n, k)."""
-    does = [_does_um(f, obs) for f in effects]
+    does = [does_um(f, obs) for f in effects]
     alike = np.concatenate([d / max(float(np.linalg.norm(d)), 1e-300) for d in does])
     _, sizes, shapes = np.linalg.svd(alike, full_matrices=False)
     return np.asarray(shapes[sizes > _SHAPE * sizes[0]].T)
@@ -85,13 +85,13 @@ def _shapes(effects: Sequence[Found], obs: Observations) -> Floats:
 
 def _share_in(effect: Found, shapes: Floats, obs: Observations) -> float:
     """Return the share of an effect, as a mean square, that looks like these shapes in any size."""
-    does = _does_um(effect, obs)
+    does = does_um(effect, obs)
     return float(((does @ shapes) ** 2).sum() / max(float((does**2).sum()), 1e-300))
 
 
 def _alike(effect: Found, means: Floats, obs: Observations) -> float:
     """Return the share, as an amplitude, of condition means that moves with the condition as an effect."""
-    does = localise.condition_means(obs, _does_um(effect, obs))
+    does = localise.condition_means(obs, does_um(effect, obs))
     amplitude = np.sqrt((does**2).mean(axis=1))
     if effect.top.term.instance.effect.law.direction == "odd":
         amplitude = amplitude * np.array([c.sense for c in obs.conditions])
@@ -105,7 +105,7 @@ def _is_apart(effect: Found, means: Floats, obs: Observations) -> bool:
     What has many harmonics can leave others than those that an effect takes of it.
     """
     power = _harmonics(means, obs)
-    own = _harmonics(localise.condition_means(obs, _does_um(effect, obs)), obs)
+    own = _harmonics(localise.condition_means(obs, does_um(effect, obs)), obs)
     return bool(power.max() > _HALF and _overlap(own, power) < _APART)
 
 

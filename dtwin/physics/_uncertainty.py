@@ -78,7 +78,7 @@ def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Flo
     summed = condition_sums(influence, condition_of)
     coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
     factor = 2.0 if few else t_quantile(0.5 + _COVERAGE / 2.0, number - 1.0)
-    return np.asarray(factor * np.sqrt(jackknife + coherent))
+    return np.asarray(factor * np.sqrt(np.maximum(jackknife + coherent, 0.0)))
 
 
 def _jackknife(rows: Floats, left: Floats, condition_of: NDArray[np.int64]) -> Floats:

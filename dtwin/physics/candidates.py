@@ -179,7 +179,7 @@ class Candidates:
                 *((s.start,) if s.by_speed and not several else s.grid for s in effect.shapes)
             )
         ]
-        return [*grid, *effect.also_tried] if several else grid
+        return [*grid, *(s for s in effect.also_tried if several or effect.is_told_at_one_speed(s))]
 
 
 def _key(term: Term) -> _Key:

@@ -130,7 +130,7 @@ class Effect:
     shapes : tuple of ShapeParameter
         Parameters that the error is not proportional to.
     also_tried : tuple of dict
-        Shapes that diagnosis tries besides the combinations of the grids, in runs at several speeds.
+        Shapes that diagnosis tries besides the combinations of the grids; at one speed those that it tells.
     needs : tuple of str
         Logged columns without which it cannot be judged.
     stated : tuple of str
@@ -181,6 +181,10 @@ class Effect:
     def another_law(self, shape: Shape) -> bool:
         """Tell whether a shape has another than the usual value where only those that are tried are possible."""
         return any(shape[s.name] != s.start for s in self.shapes if not s.refined)
+
+    def is_told_at_one_speed(self, shape: Shape) -> bool:
+        """Tell whether a shape is the usual one where only runs at several speeds tell."""
+        return all(shape[s.name] == s.start for s in self.shapes if s.by_speed)
 
     def refined_shapes(self, several_speeds: bool) -> tuple[ShapeParameter, ...]:
         """Return the shape parameters that are refined between the values tried."""

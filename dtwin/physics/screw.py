@@ -27,7 +27,7 @@ def screw_waves(state: State, axis: str) -> Floats:
     turn = 2.0 * np.pi * position_mm / pitch_mm
     angles = _angles(np.unique(position_mm), pitch_mm)
     waves = [
-        wave(order * turn) * state.sensitivity[axis] if 2 * order < angles else np.zeros(state.n)
+        wave(order * turn) * state.sensitivity[axis] if 3 * order < angles else np.zeros(state.n)
         for order in range(1, ORDERS + 1)
         for wave in (np.cos, np.sin)
     ]

@@ -122,7 +122,7 @@ class Twin:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Effects whose values or shapes are not plausible, in words."""
-        values = np.array([e.value for e in self.estimates])
+        values = np.concatenate([np.empty(0), *(self.values(term) for term in self.terms)])
         return tuple(
             f"{label} is not told by these runs: {why}" for label, why in implausible(self.terms, values).items()
         )
@@ -132,12 +132,17 @@ class Twin:
         return np.array([e.value for e in self.estimates_of(term)])
 
     def estimates_of(self, term: Term) -> list[Estimate]:
-        """Return the fitted parameters of an effect, in its order; of an earlier version with what it took to be equal."""
-        where = term.instance.effect.name, term.instance.axis
-        mine = [e for e in self.estimates if (e.effect, e.axis) == where]
-        stored = {e.name: e for e in mine}
-        once = [p for p in term.instance.effect.parameters if p.once in stored and p.name not in stored]
-        return [*mine, *(replace(stored[p.once], name=p.name) for p in once)]
+        """Return the fitted parameters of an effect, in its order.
+
+        Of an earlier version with what it took to be equal; what it did not know does nothing.
+        """
+        effect, axis = term.instance.effect, term.instance.axis
+        stored = {e.name: e for e in self.estimates if (e.effect, e.axis) == (effect.name, axis)}
+        blank = Estimate(effect.name, axis, "", "", 0.0, float("nan"), identifiable=False)
+        return [
+            replace(stored.get(p.name) or stored.get(p.once) or blank, name=p.name, unit=p.unit)
+            for p in effect.parameters
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

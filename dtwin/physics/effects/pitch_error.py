@@ -1,4 +1,4 @@
-"""A slow wave of the screw along its length."""
+"""A wave or a smooth curve along an axis, the same both ways."""
 
 from __future__ import annotations
 
@@ -10,34 +10,55 @@ from dtwin.schema import Floats
 
 # Waves side by side are half a turn apart at the end of a metre: between them a fit finds its way.
 _WAVES_MM = tuple(2000.0 / n for n in range(5, 41))
+_START_MM = 200.0
 _MOST = 0.75
+# The first half wave is a straight line, but for its ends: that is the lead error.
+_HALF_WAVES = tuple(range(2, 11))
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    nothing = np.zeros(state.n)
+    wave, curve = [nothing] * 2, [nothing] * len(_HALF_WAVES)
     if not moves(state, axis):
-        return np.zeros((state.n, 2))
-    position_mm = state.position_mm[axis]
+        return stacked(*wave, *curve)
+    position_mm, along = state.position_mm[axis], state.sensitivity[axis]
+    travel_mm = max(float(np.ptp(position_mm)), 1e-9)
+    if shape["half_waves"] > 0.0:
+        turn = np.pi * (position_mm - position_mm.min()) / travel_mm
+        # Half of the targets: more numbers would follow any error.
+        most = min(shape["half_waves"], len(np.unique(position_mm)) / 2)
+        return stacked(*wave, *(along * np.cos(k * turn) if k <= most else nothing for k in _HALF_WAVES))
     # What does not turn back within the travel is no wave but a bow.
-    wave_mm = min(shape["wave_mm"], _MOST * max(float(np.ptp(position_mm)), 1e-9))
-    phase = 2.0 * np.pi * position_mm / wave_mm
-    along = state.sensitivity[axis]
-    return stacked(along * np.cos(phase), along * np.sin(phase))
+    phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], _MOST * travel_mm)
+    return stacked(along * np.cos(phase), along * np.sin(phase), *curve)
 
 
 EFFECT = Effect(
     name="pitch_error",
     title="Pitch error",
-    parameters=(Parameter("cosine", "um", 5.0), Parameter("sine", "um", 5.0)),
+    parameters=tuple(
+        Parameter(name, "um", 5.0) for name in ("cosine", "sine", *(f"half_wave_{k}" for k in _HALF_WAVES))
+    ),
     regressors=_columns,
     law=Law(None, None, "even"),
-    meaning="The lead of the screw wanders along its length.",
-    formula="C cos(2 pi x / w + f)",
-    looks_like="A slow wave along the travel, the same in both directions.",
-    separate_by="Run in both directions: backlash separates the curves, a pitch error does not.",
-    remedy="Pitch error table of the control.",
+    meaning=(
+        "The position is off by a wave or a smooth curve along the travel: the lead of the screw wanders, or the slide "
+        "tilts on its guideway and is measured at a distance from the scale (Abbe)."
+    ),
+    formula="C cos(2 pi x / w + f); or the sum over k = 2 to n of C_k cos(pi k x / L), x from the near end of the travel L",
+    looks_like="A wave or a smooth curve along the travel, the same in both directions.",
+    separate_by=(
+        "Run in both directions: backlash separates the curves, a pitch error does not. Measured at another height or "
+        "with an angle optic, a tilt changes and a lead does not."
+    ),
+    remedy="Pitch error table of the control; where a tilt makes it, the guideway.",
     reference="ISO 230-2",
     kinds=("linear",),
-    shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM),),
+    shapes=(
+        ShapeParameter("wave_mm", "mm", _START_MM, _WAVES_MM),
+        ShapeParameter("half_waves", "1", 0.0, (0.0,), (0.0, 20.0), refined=False),
+    ),
+    also_tried=tuple({"wave_mm": _START_MM, "half_waves": n} for n in (4.0, 7.0, 10.0)),
     confusables=("lead_error", "cyclic_error"),
     correctable="Pitch error table of the control.",
 )

@@ -88,7 +88,7 @@ EFFECT = Effect(
         ShapeParameter("duration_ms", "ms", 60.0, (10.0, 30.0, 80.0, 250.0), ends=True),
         ShapeParameter("rise_ms", "ms", 1.0, (1.0, 20.0), (0.0, 150.0), vanishes=True),
         ShapeParameter("presliding_um", "um", 0.2, (0.2, 4.0, 20.0), (0.0, 60.0), vanishes=True),
-        ShapeParameter("speed_exponent", "1", 0.0, (0.0,), (0.0, 1.5), refined=False),
+        ShapeParameter("speed_exponent", "1", 0.0, (0.0,), (0.0, 1.5), refined=False, by_speed=True),
     ),
     also_tried=tuple(
         {"duration_ms": ms, "rise_ms": 1.0, "presliding_um": 0.2, "speed_exponent": 1.0}

@@ -28,6 +28,7 @@ EFFECT = Effect(
     separate_by="Log the temperature of the scale or the screw and let the machine cool down in the middle of the test.",
     remedy="Warm up before measuring, cool the screw; scale with a temperature that follows it.",
     reference="ISO 230-3",
+    kinds=("circular", "linear"),
     shapes=(SETTLING,),
     confusables=("thermal_growth", "thermal_drift", "scale_mismatch"),
     within_condition=True,

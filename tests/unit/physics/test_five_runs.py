@@ -102,14 +102,27 @@ def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
 @pytest.mark.parametrize(
     "shape",
     [
-        np.abs(SHARE - 0.5) ** 1.5 * 20.0 * np.ones((2, 1)),
+        4.0 / (1.0 + ((AT_MM - 210.0) / 30.0) ** 4) * np.ones((2, 1)),
         np.sin(2.0 * np.pi * AT_MM / 137.0) * 4.0 * np.array([[1.0], [-0.6]]),
     ],
-    ids=["a bow", "a wave that differs by flank"],
+    ids=["a dent", "a wave that differs by flank"],
 )
 def test_what_the_library_does_not_have_gets_no_name(shape: Floats) -> None:
     found = diagnose(campaign(shape, np.random.default_rng(3)), [], LIBRARY)
     assert found.verdict == "unknown_effect", found.headline
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [20.0 * np.abs(SHARE - 0.5) ** 1.5, 3.0 * np.exp(SHARE) * np.sin(4.0 * SHARE**2)],
+    ids=["a bow", "a leaning curve"],
+)
+def test_a_smooth_curve_hides_nothing_beside_it(curve: Floats) -> None:
+    both_ways = curve + np.array([[-1.0], [1.0]])
+    found = diagnose(campaign(both_ways, np.random.default_rng(3)), [], LIBRARY)
+    named = {group[0].label for group in found.found}
+    assert {"pitch_error X", "backlash X"} <= named <= {"pitch_error X", "backlash X", "lead_error X"}
+    assert found.unresolved is None
 
 
 def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:

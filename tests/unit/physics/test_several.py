@@ -204,7 +204,7 @@ def test_a_contradiction_is_explained_by_what_one_campaign_takes_for_another_eff
 def test_a_name_by_chance_in_one_campaign_is_not_told_where_another_denies_it() -> None:
     # In this draw the noise of the laser looks like 0.2 µm of lost motion; the circles show none.
     scaled = MillParameters().with_axis("X", scale_ppm=13.29)
-    campaigns = [circles(scaled, 3), laser("X", 13.29, 0.0, 6), laser("Y", 0.0, 0.0, 7)]
+    campaigns = [circles(scaled, 3), laser("X", 13.29, 0.0, 317), laser("Y", 0.0, 0.0, 7)]
     twin = twin_of_all(campaigns, "lead_error:X")
     alone = diagnose(campaigns[1], twin.on("laser-X").terms, LIBRARY)
     assert [[s.label for s in group] for group in alone.found] == [["backlash X"]]
