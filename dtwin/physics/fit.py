@@ -326,7 +326,7 @@ def _refined_one(obs: Observations, others: Sequence[Term], term: Term, *, searc
 
 
 def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str, float]:
-    """Return the best of the given shape, the grid, and the pitches that the residual shows."""
+    """Return the best of the given shape, the grid, and the pitches that the residual shows, by Schwarz's criterion."""
     effect = term.instance.effect
     residual = problem.residual
     tries: list[Mapping[str, float]] = [term.shape or effect.start_shape]
@@ -337,8 +337,10 @@ def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str,
         ]
     else:
         tries += list(candidates.grid(term.instance))
-    gains = []
+    n, total = int(problem.obs.mask.sum()), float((residual**2).sum())
+    costs = []
     for shape in tries:
         visible = candidates.visible(problem, replace(term, shape=shape))
-        gains.append(float(((visible.T @ residual.ravel()) ** 2).sum()))
-    return tries[int(np.argmax(gains))]
+        left = max(total - float(((visible.T @ residual.ravel()) ** 2).sum()), 1e-12 * total, 1e-300)
+        costs.append(n * np.log(left) + visible.shape[1] * np.log(n))
+    return tries[int(np.argmin(costs))]

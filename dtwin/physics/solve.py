@@ -105,7 +105,8 @@ def _solved(triangle: Floats, right: Floats, left: float, n: int) -> Solution:
     if rank == len(triangle):
         x = solve_triangular(triangle, right)
     else:
-        x = vt[keep].T @ ((u.T @ right)[keep] / values[keep]) / scale
+        # A column of nothing has nothing, and not what rounding leaves of it.
+        x = np.where(size > 0.0, vt[keep].T @ ((u.T @ right)[keep] / values[keep]) / scale, 0.0)
     lost = float(((u.T @ right)[~keep] ** 2).sum())
     return Solution(
         x=x,
