@@ -273,7 +273,7 @@ def _local_variance(problem: Problem) -> Floats:
     rows = count > 1
     raw = (deviation[rows] ** 2 / level[rows][:, None]).mean(axis=0)
     kernel = np.hanning(2 * _NEIGHBOURS + 3)[1:-1]
-    padded = np.concatenate([raw[-_NEIGHBOURS:], raw, raw[:_NEIGHBOURS]])
+    padded = raw.take(np.arange(-_NEIGHBOURS, len(raw) + _NEIGHBOURS), mode="wrap")
     profile = np.convolve(padded, kernel / kernel.sum(), mode="valid")
     return np.asarray(level[:, None] * profile[None, :] / profile.mean())
 

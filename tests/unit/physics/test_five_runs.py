@@ -8,6 +8,7 @@ import pytest
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
+from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term, set_up
@@ -21,13 +22,13 @@ SHARE = (AT_MM - AT_MM[0]) / np.ptp(AT_MM)
 HUMIDITY = np.array([41.0, 47.0, 44.0, 52.0, 43.0])
 
 
-def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25) -> Observations:
+def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25, at_mm: Floats = AT_MM) -> Observations:
     """Return five runs with an error, shape that broadcasts to (runs, 2, targets), and noise."""
-    shape = RUNS, 2, TARGETS
+    shape = RUNS, 2, len(at_mm)
     error_um = error_um + noise_um * rng.standard_normal(shape)
     # Where a run begins differs more than what it reads.
     error_um = error_um + 2.0 * noise_um * rng.standard_normal((RUNS, 1, 1))
-    ways = np.repeat(np.array(["forward", "reverse"], dtype=object), TARGETS)
+    ways = np.repeat(np.array(["forward", "reverse"], dtype=object), len(at_mm))
     runs = []
     for number in range(RUNS):
         covariates = {
@@ -45,7 +46,7 @@ def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25)
             covariates=covariates,
         )
         samples = {
-            "position_mm": np.concatenate([AT_MM, AT_MM[::-1]]),
+            "position_mm": np.concatenate([at_mm, at_mm[::-1]]),
             "direction": ways,
             "error_um": np.concatenate([error_um[number, 0], error_um[number, 1, ::-1]]),
         }
@@ -123,6 +124,21 @@ def test_a_smooth_curve_hides_nothing_beside_it(curve: Floats) -> None:
     named = {group[0].label for group in found.found}
     assert {"pitch_error X", "backlash X"} <= named <= {"pitch_error X", "backlash X", "lead_error X"}
     assert found.unresolved is None
+
+
+def test_five_targets_make_a_twin() -> None:
+    five_mm = np.array([15.0, 25.2, 35.4, 45.6, 55.8])
+    obs = campaign(np.array([[-2.0], [2.0]]), np.random.default_rng(6), at_mm=five_mm)
+    assert [[s.label for s in group] for group in diagnose(obs, [], LIBRARY).found] == [["backlash X"]]
+    (backlash,) = fit(obs, [Term(Instance(LIBRARY["backlash"], "X"), {})]).estimates
+    assert backlash.value == pytest.approx(4.0, abs=backlash.uncertainty)
+
+
+def test_growth_that_nobody_logged_is_named() -> None:
+    hours = 10.0 / 60.0 * np.arange(RUNS)[:, None, None]
+    warmer = 1.0 - np.exp(-hours / 0.3)
+    found = diagnose(campaign(12.0 * warmer * SHARE, np.random.default_rng(8)), [], LIBRARY)
+    assert "warming_growth X" in [group[0].label for group in found.found]
 
 
 def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:

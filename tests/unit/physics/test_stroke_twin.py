@@ -15,7 +15,7 @@ from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
-from dtwin.physics.twin import chosen_terms
+from dtwin.physics.twin import chosen_terms, twin_of
 from dtwin.schema import Campaign, Run, RunMeta
 
 LIBRARY = Library()
@@ -115,3 +115,20 @@ def test_tests_that_cannot_be_compared_are_refused(runs: list[Run], code: str) -
     with pytest.raises(InputError) as refused:
         observe(Campaign("c", "m", kind="linear"), runs)
     assert refused.value.code == code
+
+
+def test_a_wave_of_a_version_that_knew_no_curves_says_what_it_said(worn: Observations) -> None:
+    twin = twin_of(
+        fit(worn, chosen_terms(["pitch_error", "backlash"], LIBRARY, worn)),
+        worn,
+        name="z",
+        version=1,
+        action="fit",
+        data={},
+    )
+    before = replace(twin, estimates=tuple(e for e in twin.estimates if not e.name.startswith("half_wave")))
+    assert [len(version.values(version.terms[0])) for version in (twin, before)] == [11, 11]
+    assert before.values(before.terms[0]).tolist()[:2] == twin.values(twin.terms[0]).tolist()[:2]
+    assert not before.values(before.terms[0])[2:].any()
+    assert before.values(before.terms[1]).tolist() == twin.values(twin.terms[1]).tolist()
+    assert before.doubts == twin.doubts == ()
