@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 from dtwin.atomic import make_folder, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.locks import locked
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
 from dtwin.units import is_number
@@ -82,7 +84,7 @@ def read_record(home: Home, machine: str) -> MachineRecord | None:
     InputError
         When the name is not usable, or the file is not a record.
     """
-    path = _path(home, machine)
+    path = record_file(home, machine)
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError(f"more than {_MAX_BYTES} bytes")
@@ -118,20 +120,44 @@ def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineR
     return MachineRecord(machine, facts, axes, tolerances, tuple(sorted(made, key=lambda e: e.on)), float(every))
 
 
-def write_record(home: Home, record: MachineRecord) -> Path:
-    """Write a record whole, and return its file."""
-    path = _path(home, record.name)
-    make_folder(path.parent)
-    return write_toml(path, record.as_dict(), "the record of a machine")
+def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineRecord:
+    """Return the record of a machine with what is stated anew; axes and tolerances are joined.
+
+    Raises
+    ------
+    InputError
+        When a field is unknown or not usable.
+    """
+    document = (read_record(home, machine) or MachineRecord(machine)).as_dict()
+    for key, value in stated.items():
+        document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
+    return record_from(machine, document, machine)
+
+
+def keep_record(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineRecord:
+    """Write the record of a machine with what is stated anew, as ``record_with`` returns it."""
+    with _alone(home, machine):
+        return _written(home, record_with(home, machine, stated))
 
 
 def with_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
     """Add an event to a record, which is made when there is none; an empty day is today."""
-    known = read_record(home, machine) or MachineRecord(machine)
     day = on or datetime.now(UTC).date().isoformat()
     event = _event({"on": day, "what": what, "note": note}, "the event")
-    record = replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on)))
-    write_record(home, record)
+    with _alone(home, machine):
+        known = read_record(home, machine) or MachineRecord(machine)
+        return _written(home, replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on))))
+
+
+def _alone(home: Home, machine: str) -> AbstractContextManager[bool]:
+    """Wait for others that state something of a machine, so that what they state is kept."""
+    return locked(home.root / "locks" / f"record-{record_file(home, machine).stem}.lock", wait=True)
+
+
+def _written(home: Home, record: MachineRecord) -> MachineRecord:
+    path = record_file(home, record.name)
+    make_folder(path.parent)
+    write_toml(path, record.as_dict(), "the record of a machine")
     return record
 
 
@@ -157,7 +183,8 @@ def recorded(home: Home) -> list[str]:
     return sorted(path.stem for path in home.machines.glob("*.toml"))
 
 
-def _path(home: Home, machine: str) -> Path:
+def record_file(home: Home, machine: str) -> Path:
+    """Return the file of a machine's record."""
     return home.machines / f"{require_name(machine, 'the machine')}.toml"
 
 

@@ -42,17 +42,21 @@ def add(
 ) -> None:
     """State what is known of a machine, or state it anew; what is not given stays."""
     from dtwin.config import home
-    from dtwin.machine_record import MachineRecord, read_record, record_from, write_record
+    from dtwin.machine_record import keep_record, record_file
 
-    known = read_record(home(), name) or MachineRecord(name)
-    stated = {"type": type, "serial": serial, "controller": controller, "instruments": instruments, "notes": notes}
-    facts = {key: value for key, value in stated.items() if value is not None}
-    document = known.as_dict() | facts | ({} if test_every is None else {"test_every_days": test_every})
-    document["axes"] |= dict(map(_axis, axis or []))
-    document["tolerances"] |= dict(map(_tolerance, tolerance or []))
-    record = record_from(name, document, name)
-    file = write_record(home(), record)
-    emit({"machine": name, **record.as_dict()}, lambda: f"{_record_text(record)}\nkept in {file}", as_json=as_json)
+    stated = {
+        "type": type,
+        "serial": serial,
+        "controller": controller,
+        "instruments": instruments,
+        "notes": notes,
+        "axes": dict(map(_axis, axis or [])),
+        "tolerances": dict(map(_tolerance, tolerance or [])),
+        "test_every_days": test_every,
+    }
+    record = keep_record(home(), name, {key: value for key, value in stated.items() if value is not None})
+    where = record_file(home(), name)
+    emit({"machine": name, **record.as_dict()}, lambda: f"{_record_text(record)}\nkept in {where}", as_json=as_json)
 
 
 @app_machine.command()

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
-from dtwin.machine_record import EVENTS, MachineRecord, read_record, record_from, with_event, write_record
+from dtwin.machine_record import EVENTS, keep_record, record_with, with_event
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import machine_joint
 from dtwin.pipeline.machine_next import machine_next
@@ -181,18 +181,11 @@ def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONRespon
 
 def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JSONResponse:
     """Write the record of a machine with what is stated; tables are joined."""
-
-    def joined() -> MachineRecord:
-        document = (read_record(bench.home, name) or MachineRecord(name)).as_dict()
-        for key, value in stated.items():
-            document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
-        return record_from(name, document, name)
-
     # What is not usable is refused at once; the work before this one may change the record still.
-    joined()
+    record_with(bench.home, name, stated)
 
     def work(tell: Any) -> str:
-        write_record(bench.home, joined())
+        keep_record(bench.home, name, stated)
         return f"/machines/{name}"
 
     return accepted(bench.jobs.start(f"{what} of {name}", work))

@@ -14,7 +14,7 @@ import typer
 from dtwin import __version__, cli
 from dtwin.cli import app, main
 from dtwin.config import home
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 
 
 def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
@@ -207,7 +207,7 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
 def test_what_makes_no_sense_is_refused_and_nothing_hangs(
     words: list[str], code: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_record(home(), MachineRecord("m", axes={"Q": {}}))
+    keep_record(home(), "m", {"axes": {"Q": {}}})
     monkeypatch.setattr(sys, "argv", ["dtwin", *words])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, date, datetime
 from pathlib import Path
+from threading import Barrier
 from typing import Any, cast
 
 import pytest
@@ -18,7 +20,7 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
-from dtwin.machine_record import Event, MachineRecord, read_record, tolerances_of
+from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series
 from dtwin.tolerances import Limits
@@ -202,3 +204,20 @@ def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> No
     refused = CliRunner().invoke(app, ["machine", "diagnose", "mill-7", "--campaign", "t00", "--campaign", "elsewhere"])
     assert refused.exit_code == 1
     assert "the campaign is of another machine" in str(refused.exception)
+
+
+def test_what_many_state_at_the_same_moment_is_all_kept(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    started = Barrier(8)
+
+    def told(number: int) -> None:
+        started.wait(10)
+        for n in range(5):
+            keep_record(home, "mill", {"axes": {f"A{number}{n}": {"pitch_mm": 5.0}}})
+            with_event(home, "mill", "other", "2026-02-01", f"{number} {n}")
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(told, range(8)))
+    record = read_record(home, "mill")
+    assert record is not None
+    assert (len(record.axes), len(record.events)) == (40, 40)

@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.machine_record import MachineRecord, tolerances_of, write_record
+from dtwin.machine_record import keep_record, tolerances_of
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
@@ -180,7 +180,7 @@ def test_a_job_that_was_cut_off_is_known_at_the_next_start(tmp_path: Path) -> No
 
 def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> None:
     bench = Bench(Home(tmp_path), Access("127.0.0.1", 8765))
-    write_record(bench.home, MachineRecord("mill-a"))
+    keep_record(bench.home, "mill-a", {})
     let_go = threading.Event()
     bench.jobs.start("a long fit", lambda _: str(let_go.wait(10)))
     client = TestClient(
