@@ -19,7 +19,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     """Return a campaign of one run: a table that lies alone, and what is told of it.
 
     ``path``: ``.csv`` or ``.parquet``.
-    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine`` and ``axis``. Direction and
+    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine``, ``axis`` and ``screw_pitch_mm``. Direction and
     campaign may be left away: the angle runs one way, the file has a name.
     """
     kind = kind_of_table(path)
@@ -45,7 +45,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     if told.get("axis") is not None:
         run["condition"] = {"axis": told["axis"]}
     name = told.get("campaign") or safe_name(path.stem)
-    head = {"name": name, "machine": told.get("machine") or "unknown", "kind": kind}
+    geometry = {k: told[k] for k in ("screw_pitch_mm",) if told.get(k) is not None}
+    head = {"name": name, "machine": told.get("machine") or "unknown", "kind": kind, "machine_geometry": geometry}
     entry = entry_from({"id": safe_name(path.stem), "file": path.name, **run}, 1, path)
     return CampaignFolder(campaign_from(head, path), (entry,))
 

@@ -24,6 +24,10 @@ Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed 
 Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
 Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")]
 Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X.")]
+Pitch = Annotated[
+    float | None,
+    typer.Option(help="Of a positioning table: travel in a turn of the screw, mm; else as the machine's record says."),
+]
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
 Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
@@ -72,6 +76,7 @@ def check(
     feed: Feed = None,
     direction: Direction = None,
     axis: Axis = None,
+    pitch: Pitch = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -85,7 +90,7 @@ def check(
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch)
     limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
@@ -110,6 +115,7 @@ def ingest(
     feed: Feed = None,
     direction: Direction = None,
     axis: Axis = None,
+    pitch: Pitch = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -124,7 +130,7 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch)
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -238,14 +244,20 @@ def told_of(
     repeat: int | None,
     machine: str | None,
     campaign: str | None = None,
+    pitch: float | None = None,
 ) -> dict[str, Any]:
-    """Return what the options tell of a table, named as in campaign.toml."""
+    """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
+    from dtwin.config import home
+    from dtwin.machine_record import read_record
+
+    record = read_record(home(), machine) if pitch is None and machine and axis else None
     return {
         "plane": plane,
         "radius_mm": radius,
         "feed_mm_min": feed,
         "direction": direction,
         "axis": axis,
+        "screw_pitch_mm": pitch if record is None else record.axes.get(axis or "", {}).get("pitch_mm"),
         "setup": setup,
         "repeat": repeat,
         "machine": machine,
