@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import zipfile
 from collections.abc import Iterator, Sequence
 from datetime import date, datetime
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -23,6 +25,8 @@ _MAX_UNPACKED = 256 * 1024**2
 _SNIFFED, _FIRST_LINES = 65_536, 100
 _LOOKED_AT = 200
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
+_FORMULA = re.compile(rb"<(\w+:)?f[ />]")
+_CHUNK = 1024**2
 
 
 def is_spreadsheet(path: Path) -> bool:
@@ -40,7 +44,8 @@ def table_bytes(path: Path, max_bytes: int) -> bytes:
 
     A sheet without numbers below names, such as a cover, is none where another one has them. Two sheets with the same heads are refused:
     one axis would be read for the other.
-    Formulas count as what the spreadsheet program last saved of them. Empty rows and columns are left out.
+    Formulas count as what the spreadsheet program last saved of them; one without a saved value is refused. Empty rows and columns are left
+    out.
 
     Raises
     ------
@@ -73,12 +78,15 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
+            calculated = unpacked <= _MAX_UNPACKED and _has_formulas(archive)
         if unpacked > _MAX_UNPACKED:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
             # What is hidden is not what its reader sees.
             shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+            if calculated:
+                _require_saved(path, shown)
             heads = {
                 sheet.title: _heads(_rows(path, islice(sheet.iter_rows(values_only=True), _LOOKED_AT)))
                 for sheet in shown
@@ -100,6 +108,42 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
     except Exception as error:
         raise _refused(path, f"{type(error).__name__}: {error}"[:160], "a workbook of Excel 2007 or later") from error
     raise _refused(path, "no sheet holds a table", "a sheet with a row of names and rows of values")
+
+
+def _has_formulas(archive: zipfile.ZipFile) -> bool:
+    """Return whether any sheet holds a formula; few do, and to look for their values takes as long as to read the workbook twice."""
+    for entry in archive.infolist():
+        if entry.filename.startswith("xl/worksheets/"):
+            with archive.open(entry) as sheet:
+                end = b""
+                while block := sheet.read(_CHUNK):
+                    if _FORMULA.search(end + block):
+                        return True
+                    end = block[-_LOOKED_AT:]
+    return False
+
+
+def _require_saved(path: Path, sheets: Sequence[Any]) -> None:
+    """Refuse a formula whose value was never calculated, as programs write it: it would count as a cell without a reading."""
+    import openpyxl
+
+    book = openpyxl.load_workbook(path, read_only=True, keep_links=False)
+    try:
+        for sheet in sheets:
+            for told, read in zip(book[sheet.title].iter_rows(), sheet.iter_rows(), strict=False):
+                for formula, cell in zip(told, read, strict=False):
+                    # A saved empty text has its type.
+                    if formula.data_type == "f" and cell.value is None and cell.data_type != "str":
+                        raise InputError(
+                            "a cell holds a formula without a saved value",
+                            code="spreadsheet.formula",
+                            where=f"{path} {sheet.title}!{formula.coordinate}",
+                            got=str(formula.value)[:60],
+                            allowed="formulas with the value that a spreadsheet program saved",
+                            hint="open the file in the spreadsheet program, save it there, and bring that; or write values instead",
+                        )
+    finally:
+        book.close()
 
 
 def _heads(rows: list[list[str]]) -> list[str]:

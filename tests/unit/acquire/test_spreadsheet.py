@@ -152,3 +152,25 @@ def test_a_hidden_sheet_is_not_read_and_heads_are_alike_in_any_letters(tmp_path:
     with pytest.raises(InputError, match="cannot be read") as refused:
         table_bytes(tmp_path / "b.xlsx", 10**6)
     assert refused.value.got == "sheets with the same heads: new, Y"
+
+
+def test_a_formula_without_a_saved_value_is_refused_with_its_place(tmp_path: Path) -> None:
+    rows = circle(50)
+    rows[7][2] = "=2*3"
+    with pytest.raises(InputError) as refused:
+        table_bytes(write(tmp_path / "sheet.xlsx", rows), 1 << 20)
+    assert refused.value.code == "spreadsheet.formula"
+    assert "Sheet!D8" in str(refused.value.where)
+
+
+def test_a_formula_whose_saved_value_is_an_empty_text_is_an_empty_cell(tmp_path: Path) -> None:
+    rows = circle(50)
+    rows[7][2] = "=2*3"
+    written = write(tmp_path / "written.xlsx", rows)
+    with zipfile.ZipFile(written) as source, zipfile.ZipFile(tmp_path / "saved.xlsx", "w") as saved:
+        for entry in source.infolist():
+            data = source.read(entry)
+            saved.writestr(entry, data.replace(b'<c r="D8"><f>2*3</f><v />', b'<c r="D8" t="str"><f>2*3</f><v></v>'))
+    lines = table_bytes(tmp_path / "saved.xlsx", 1 << 20).decode().splitlines()
+    assert lines[7].endswith(",")
+    assert len(lines) == 51
