@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,7 +83,9 @@ def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mappi
 
 
 def _column(head: str, unit_below: str, answer: str | None) -> Column:
-    match = _WITH_UNIT.match(head)
+    # Units that are one letter, and brackets of another width, as in Chinese and Japanese.
+    shown, unit_below = unicodedata.normalize("NFKC", head), unicodedata.normalize("NFKC", unit_below)
+    match = _WITH_UNIT.match(shown)
     base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
     if unit:
         here, factor = _UNITS.get(unit.lower(), ("", 1.0))
@@ -121,7 +124,7 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
 
 def all_units(row: Sequence[str]) -> bool:
     """Tell whether a row holds units, and nothing else but empty cells."""
-    told = [cell.strip().strip("[]() ").lower() for cell in row if cell.strip()]
+    told = [unicodedata.normalize("NFKC", cell).strip("[]() \t").lower() for cell in row if cell.strip()]
     return bool(told) and all(cell in _UNITS for cell in told)
 
 

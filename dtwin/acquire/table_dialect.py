@@ -8,6 +8,9 @@ import re
 from itertools import zip_longest
 
 _SNIFFED_LINES = 100
+_SNIFFED_BYTES = 65_536
+# How each is read, how it is known, and the first bytes of its usual letters: what Windows writes in the West has few of these in pairs.
+_EAST_ASIAN = (("cp932", "cp932", range(0x81, 0xA0)), ("gb18030", "gb2312", range(0xA1, 0xD8)))
 DECIMALS = ("comma", "point")
 # Digits, perhaps in groups, perhaps with an exponent.
 _NUMBER = re.compile(r"[+-]?\d[\d.,]*(e[+-]?\d+)?", re.I)
@@ -16,16 +19,20 @@ _GROUPS = {"comma": re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+"), "point": re.compi
 # A whole number in groups, by the decimal sign of its table; and one that needs none.
 _WHOLE = {"comma": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+"), "point": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")}
 _WHOLE_EITHER = re.compile("|".join(form.pattern for form in _WHOLE.values()))
+# Signs, groups and marks of text as typesetters and spreadsheets write them.
+_TYPESET = re.compile("['\u2019\u2212\u2013\u00a0\u2009\u202f]|\\d \\d")
+_MINUS = {ord("\u2212"): "-", ord("\u2013"): "-"}
+_PARTED = re.compile("(?<=\\d)['\u2019\u00a0\u2009\u202f ](?=\\d{3}(?!\\d))")
 _HUNDREDS = re.compile(r"[+-]?[1-9]\d\d")
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
 def encoding_of(data: bytes) -> str:
-    """Return the encoding of a text: by its first bytes, by zeros between letters, UTF-8, else that of Windows."""
+    """Return the encoding of a text: by its first bytes, by zeros between letters, UTF-8, of China or Japan, else that of Windows."""
     for mark, name in _BOMS:
         if data.startswith(mark):
             return name
-    begin = data[:200]
+    begin = data[:2000]
     if begin[1::2].count(0) > len(begin) // 4:
         return "utf-16-le"
     if begin[::2].count(0) > len(begin) // 4:
@@ -34,8 +41,18 @@ def encoding_of(data: bytes) -> str:
         # What was read in part may end within a letter.
         codecs.getincrementaldecoder("utf-8")().decode(data)
     except UnicodeDecodeError:
-        return "cp1252"
+        return next((name for name, strict, leads in _EAST_ASIAN if _is_of(data, strict, leads)), "cp1252")
     return "utf-8"
+
+
+def _is_of(data: bytes, strict: str, leads: range) -> bool:
+    """Return whether a text is all of an encoding of two bytes a letter, and most of its letters begin with bytes of these."""
+    try:
+        text = codecs.getincrementaldecoder(strict)().decode(data[:_SNIFFED_BYTES])
+    except UnicodeDecodeError:
+        return False
+    letters = [letter.encode(strict) for letter in set(text) if not letter.isascii()]
+    return bool(letters) and 2 * sum(letter[0] in leads and len(letter) > 1 for letter in letters) > len(letters)
 
 
 def decoded(data: bytes) -> str:
@@ -62,10 +79,22 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     except csv.Error:
         return []
     rows = [row for row in rows if any(cell.strip() for cell in row)]
+    if _TYPESET.search(text):
+        # Of a lone cell a blank may part columns.
+        rows = [[_typed(cell) for cell in row] if len(row) > 1 else row for row in rows]
     decimal = decimal or _grouped(rows)
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
     return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+
+
+def _typed(cell: str) -> str:
+    """Return a number as a keyboard types it, with a hyphen for minus and without what parts its digits; anything else as it is."""
+    if not _TYPESET.search(cell):
+        return cell
+    plain = _PARTED.sub("", cell.strip().lstrip("'\u2019").strip().translate(_MINUS))
+    plain = re.sub(r"^([+-])\s", r"\1", plain)
+    return plain if _NUMBER.fullmatch(plain) else cell
 
 
 def _grouped(rows: list[list[str]]) -> str:

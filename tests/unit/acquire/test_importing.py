@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from dtwin.acquire.importing import understand, write_folder
 from dtwin.acquire.ingest import open_source
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
@@ -203,3 +204,52 @@ def test_a_table_on_its_side_is_imported_whole(tmp_path: Path) -> None:
     write_folder(found, tmp_path / "c", home)
     run = next(iter(open_source(tmp_path / "c")[1]))[0][0]
     assert run.samples["error_um"].tolist() == [1.0, 1.5, 2.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "heads"),
+    [
+        ("gbk", "时间\uff08s\uff09,angle\uff08°\uff09,deviation\uff08μm\uff09,室温\uff08℃\uff09"),
+        ("cp932", "時間\uff3bms\uff3d,angle\uff3b°\uff3d,deviation\uff3bμm\uff3d,室温\uff3b℃\uff3d"),
+        ("utf-16-le", "时间\uff08s\uff09,angle\uff08°\uff09,deviation\uff08μm\uff09,室温\uff08℃\uff09"),
+    ],
+)
+def test_a_table_from_china_or_japan(tmp_path: Path, encoding: str, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{0.9 * n},{0.1 * n},20.5" for n in range(400)]
+    path.write_bytes("\n".join([heads, *rows]).encode(encoding))
+    found = understand(path, Home(tmp_path / "home"), CIRCLE, {})
+    assert [c.name for c in found.columns] in ([f"{heads[:2]}_s", "angle_deg", "deviation_um", "室温_c"], [])
+    assert found.runs
+
+
+def test_letters_of_the_west_are_not_taken_for_chinese() -> None:
+    for text in ("Größe;Prüfung Übermaß;°;µ", "Weg [µm];Temp [°C]", "ÄÖ ÜBER", "“a” \u2013 b … \u2018c\u2019 €5"):
+        assert decoded(text.encode("cp1252")) == text
+
+
+@pytest.mark.parametrize(
+    ("cell", "value"),
+    [
+        ("'1,5", 1.5),
+        ("\u22121,5", -1.5),
+        ("\u20131,5", -1.5),
+        ("1\u00a0234,5\u00a0", 1234.5),
+        ("1\u202f234", 1234.0),
+        ("1\u2009234,5", 1234.5),
+        ("1 234,5", 1234.5),
+        ("1'234", 1234.0),
+        (" +3,5 ", 3.5),
+    ],
+)
+def test_numbers_as_spreadsheets_and_typesetters_write_them(cell: str, value: float) -> None:
+    assert float(rows_of(f"a;b\n{cell};2\n")[1][0]) == value
+
+
+@pytest.mark.parametrize("cell", ["2026-03-02 100", "1 2", "5\u20133", "it's", "\u2013", "12 34 567"])
+def test_what_is_no_number_stays_as_it_is(cell: str) -> None:
+    assert rows_of(f"a;b\n{cell};2\n")[1][0] == cell
+
+
+def test_columns_parted_by_blanks_are_not_joined() -> None:
+    assert rows_of("X Y\n100 200\n") == [["X Y"], ["100 200"]]
