@@ -51,6 +51,7 @@ LENGTHS_MM = (
 """How many millimetres a unit of length of a foreign file is, as people spell it."""
 TIMES_S = (
     {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3, "min": 60.0}
+    | dict.fromkeys(("d", "day", "days", "tage"), 86_400.0)
     | dict.fromkeys(("s", "sec", "sek"), 1.0)
     | dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std"), 3600.0)
 )

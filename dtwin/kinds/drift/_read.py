@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from dtwin.acquire.foreign_columns import all_units, columns_of
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
@@ -30,14 +30,17 @@ _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
 _MOVED = re.compile(r"(displacement|deviation|verlagerung|([xyz])\d?)(_\w+)?_um", re.I)
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
-_STAMP = re.compile(r"(time ?_?stamp|date ?_?time|date|datum|zeitstempel|time|zeit)", re.I)
+_STAMP = re.compile(
+    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|(local |utc )?time|(uhr)?zeit|clock)",
+    re.I,
+)
+_DATED = re.compile(r"date|datum", re.I)
 _STEPS = "displacement_step"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
-_STAMPS = ("%Y/%m/%d-%H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%m/%d/%Y %I:%M:%S %p")
 _COLDEST_C = -60.0
 # Of a sensor that drops out: how many readings tell where it would be, how far off it is, and how seldom.
 _AROUND, _OFF_C, _TIMES_USUAL, _MOST_LOST = 9, 10.0, 20.0, 0.1
@@ -73,11 +76,13 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         # Day and time may stand apart.
         stamped = [i for i, name in enumerate(heads) if name == clock]
         cells = [" ".join(row[i].strip() for i in stamped) for row in body]
-    t_s = _seconds(cells, scales[clock], path, stamps=clock == _STAMPED)
-    if len(t_s) > 1 and t_s[0] > t_s[-1]:
+    named = " ".join(head for head, name in zip(rows[0], heads, strict=True) if name == clock)
+    t_s = _seconds(cells, scales[clock], path, named, stamps=clock == _STAMPED)
+    there = t_s[np.isfinite(t_s)]
+    if there.size > 1 and there[0] > there[-1]:
         # The newest reading first.
-        t_s, column = t_s[::-1], {name: values[::-1] for name, values in column.items()}
-    _require_rising(t_s, path)
+        t_s, there, column = t_s[::-1], there[::-1], {name: values[::-1] for name, values in column.items()}
+    _require_rising(there, path)
     shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: _numbers(column[name]) for name in temperatures}
     if "sample" in column:
@@ -225,22 +230,19 @@ def _numbers(cells: Sequence[str]) -> Floats:
     return out
 
 
-def _seconds(cells: Sequence[str], unit_s: float, path: Path, *, stamps: bool) -> Floats:
-    """Return times in seconds: numbers of ``unit_s``, ISO 8601, or a stamp of a known form; ``stamps``: numbers have no unit."""
+def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stamps: bool) -> Floats:
+    """Return times in seconds: numbers of ``unit_s``, or stamps; ``stamps``: numbers have no unit."""
     numbers = _numbers(cells)
     if np.isfinite(numbers).all() and not stamps:
         return numbers * unit_s
-    for form in (None, *_STAMPS):
-        try:
-            made = [datetime.fromisoformat(c) if form is None else datetime.strptime(c, form) for c in cells]
-            return np.array([(stamp - made[0]).total_seconds() for stamp in made])
-        # Of no such form; or some with a time zone and some without.
-        except (ValueError, TypeError):
-            continue
+    times = seconds_of(cells, f"{path} {head}", dated=_DATED.search(head) is not None)[0]
+    told = [time for time, cell in zip(times, cells, strict=True) if cell.strip()]
+    if 2 * np.isfinite(told).sum() > len(told):
+        return times
     raise InputError(
         "times tell no unit, or are of no known form",
         code="drift.time",
         where=str(path),
         got=cells[0][:40],
-        allowed="a head with a unit, such as time [s] or time [min]; or ISO 8601, or a stamp such as 31.12.2026 08:00",
+        allowed=f"a head with a unit, such as time [s], time [min] or time [d]; or {FORMS}",
     )

@@ -15,6 +15,7 @@ import numpy as np
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._heads import ANGLE, PATH, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
 from dtwin.schema import Floats
@@ -23,6 +24,7 @@ SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
 _MOST_TITLES = 20
 _MOST_PROBES = 64
+_UNIX_S = 1e9
 _LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
 
@@ -303,22 +305,16 @@ def _values(body: Sequence[Sequence[str]], n: int, factor: float) -> Floats:
 def _clock(cells: Sequence[str], factor: float, path: Path) -> tuple[Floats, str]:
     """Return times in seconds, NaN where there is none, and when they began, where stamps tell."""
     numbers = np.array([np.nan if (v := _number(c)) is None else v * factor for c in cells], dtype=np.float64)
-    if np.isfinite(numbers).any():
+    # Of numbers of this size the unit is told by it.
+    if np.isfinite(numbers).any() and not (factor == 1.0 and np.nanmin(numbers) > _UNIX_S):
         return numbers, ""
-    out, origin = np.full(len(cells), np.nan), None
-    for n, cell in enumerate(cells):
-        try:
-            at = datetime.fromisoformat(cell)
-            origin = origin or at
-            out[n] = (at - origin).total_seconds()
-        except (ValueError, TypeError):
-            continue
-    if origin is None:
+    times, started = seconds_of(cells, str(path))
+    if not np.isfinite(times).any():
         raise InputError(
             "times are of no known form",
             code="rotation.time",
             where=str(path),
             got=(cells[0] if cells else "nothing")[:40],
-            allowed="seconds, milliseconds, or ISO 8601",
+            allowed=f"seconds, milliseconds; or {FORMS}",
         )
-    return out, origin.isoformat()
+    return times, started

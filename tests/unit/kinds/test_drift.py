@@ -255,6 +255,48 @@ def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
     assert (refused.value.code, refused.value.got) == ("drift.clock", "-2340 s after the reading before")
 
 
+@pytest.mark.parametrize(
+    ("head", "stamps"),
+    [
+        ("Time", [f"11/25/2026 14:{n:02d}:05" for n in range(60)]),
+        ("Datum/Uhrzeit", [f'"25.11.2026 14:{n:02d}:05,250"' for n in range(60)]),
+        ("Datum", [f"25.11.26 14:{n:02d}" for n in range(60)]),
+        ("Uhrzeit", [f"{(23 + (n + 30) // 60) % 24}:{(n + 30) % 60:02d}:05" for n in range(60)]),
+        ("Time", [f"{11 + (n + 30) // 60}:{(n + 30) % 60:02d}:05.5 {'AM' if n < 30 else 'PM'}" for n in range(60)]),
+        ("Date", [f"{46351.58541 + n / 1440:.8f}" for n in range(60)]),
+        ("timestamp", [f"{1_795_000_000 + 60 * n}" for n in range(60)]),
+        ("timestamp", [f"{(1_795_000_000 + 60 * n) * 1000}" for n in range(60)]),
+        ("time [d]", [f"{0.58541 + n / 1440:.8f}" for n in range(60)]),
+        ("Time", [f"{1 + n // 1440}/12/2026 14:{n:02d}:05" for n in range(60)]),
+    ],
+)
+def test_stamps_of_spreadsheets_and_of_the_clock_alone_are_read(tmp_path: Path, head: str, stamps: list[str]) -> None:
+    run = read(log(tmp_path / "a.csv", stamps, head=head))
+    assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("head", "stamps", "code"),
+    [
+        ("Time", [f"{9 + n}/11/2026 08:00:00" for n in range(4)], "time.day_or_month"),
+        ("Time", [f"9-{1 + n}-2026" for n in range(12)], "time.day_or_month"),
+        ("Time", [f"{0.58541 + n / 1440:.8f}" for n in range(60)], "drift.time"),
+        ("Time", [f"{46351.58541 + n / 1440:.8f}" for n in range(60)], "drift.time"),
+        ("Time", [f"00:{n:02d}" for n in range(60)], "drift.time"),
+    ],
+)
+def test_stamps_of_two_meanings_are_refused(tmp_path: Path, head: str, stamps: list[str], code: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read(log(tmp_path / "a.csv", stamps, head=head))
+    assert refused.value.code == code
+
+
+@pytest.mark.parametrize("stamps", [[f"{n}/11/2026 08:00:00" for n in range(9, 21)], ["9/30/2026", "10/1/2026"]])
+def test_a_day_above_twelve_settles_the_order_of_a_file(tmp_path: Path, stamps: list[str]) -> None:
+    run = read(log(tmp_path / "a.csv", stamps, head="Time"))
+    assert run.samples["t_s"] == pytest.approx(86_400.0 * np.arange(len(stamps)))
+
+
 @pytest.mark.parametrize("head", ["Zeit [h]", "time [min]"])
 def test_a_unit_above_stamps_is_not_counted_twice(tmp_path: Path, head: str) -> None:
     run = read(log(tmp_path / "a.csv", [f"02.03.2026 08:{n:02d}" for n in range(60)], head=head))

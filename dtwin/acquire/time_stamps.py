@@ -1,0 +1,156 @@
+"""Times of rows as loggers and spreadsheets write them: dates, times of day, days of a spreadsheet, seconds of Unix."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from dtwin.acquire.foreign_columns import is_number
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+
+FORMS = (
+    "ISO 8601, 31.12.2026 08:00, 12/31/2026 8:00:00 PM, 14:03:05, a date as days of a spreadsheet, or seconds of Unix"
+)
+_OF_DAY = r"(\d{1,3}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([ap]\.?m\.?)?"
+_STAMP = re.compile(rf"(\d{{1,4}})([./-])(\d{{1,2}})\2(\d{{1,4}})(?:[ T,-]+{_OF_DAY})?", re.I)
+_CLOCK = re.compile(_OF_DAY, re.I)
+_DAY_S, _PIVOT = 86_400.0, 70
+# Days since the 30th December 1899, from 1995 to 2064.
+_SPREADSHEET = (34_700.0, 60_200.0)
+# From 2015 to 2033, in seconds and their thousandths.
+_UNIX = (1.42e9, 2e9)
+_UNIX_PARTS = (1.0, 1e3, 1e6, 1e9)
+_FIRST_DAY, _FIRST_SECOND = datetime(1899, 12, 30), datetime(1970, 1, 1)
+
+
+def seconds_of(cells: Sequence[str], where: str, *, dated: bool = False) -> tuple[Floats, str]:
+    """Return times (n,) in seconds after the first one, NaN where a cell holds none, and the first as ISO 8601; empty where no date tells.
+
+    Numbers are taken only for what they can be nothing else by their size. Of dates with strokes or hyphens the file must settle whether the
+    day or the month stands first, by a number above 12, unless it makes no difference.
+
+    Parameters
+    ----------
+    dated : bool
+        Whether the head says that a date stands there: numbers may be days of a spreadsheet.
+
+    Raises
+    ------
+    InputError
+        When days and months may be exchanged.
+    """
+    told = [cell.strip() for cell in cells]
+    numbers = np.array([float(cell) if is_number(cell) else math.nan for cell in told])
+    if np.isfinite(numbers).any():
+        return _of_numbers(numbers, dated=dated)
+    if (clock := _of_clock(told)) is not None:
+        return clock, ""
+    parted = [_STAMP.fullmatch(cell) for cell in told]
+    ways = [_of_dates(told, parted, day_first=first) for first in (True, False)]
+    # Every date of three numbers is one in the order of the file.
+    found = [
+        _after(times)
+        for times in ways
+        if any(time is not None for time in times)
+        and all(time is not None for time, match in zip(times, parted, strict=True) if match is not None)
+    ]
+    if not found:
+        return np.full(len(cells), math.nan), ""
+    if len(found) > 1 and not np.array_equal(found[0][0], found[1][0], equal_nan=True):
+        raise InputError(
+            "days and months cannot be told apart",
+            code="time.day_or_month",
+            where=where,
+            got=next(cell for cell in told if cell)[:40],
+            allowed="a date with a day above 12 in the file, or 2026-12-31, or 31.12.2026",
+            hint="write the dates as 2026-12-31",
+        )
+    return found[0][0], found[0][1] if len({start for _, start in found}) == 1 else ""
+
+
+def _of_numbers(numbers: Floats, *, dated: bool) -> tuple[Floats, str]:
+    """Return days of a spreadsheet or parts of seconds of Unix as seconds; NaN where their size does not tell."""
+    there = numbers[np.isfinite(numbers)]
+    low, high = float(there.min()), float(there.max())
+    if dated and _SPREADSHEET[0] < low and high < _SPREADSHEET[1]:
+        # To the microsecond, of which a day as a number has no more.
+        start = _FIRST_DAY + timedelta(days=float(there[0]))
+        return np.round((numbers - there[0]) * _DAY_S, 6), start.isoformat(timespec="seconds")
+    for parts in _UNIX_PARTS:
+        if _UNIX[0] * parts < low and high < _UNIX[1] * parts:
+            start = _FIRST_SECOND + timedelta(seconds=float(there[0] / parts))
+            return (numbers - there[0]) / parts, f"{start.isoformat(timespec='seconds')}+00:00"
+    return np.full(numbers.size, math.nan), ""
+
+
+def _of_clock(cells: Sequence[str]) -> Floats | None:
+    """Return times of day as seconds after the first, over midnight too; None when a cell is none. Without seconds ``08:15`` may be minutes."""
+    found = [_CLOCK.fullmatch(cell) for cell in cells]
+    told = [match for match in found if match is not None]
+    if not told or any(match is None and cell for match, cell in zip(found, cells, strict=True)):
+        return None
+    if any(match[3] is None and match[5] is None for match in told):
+        return None
+    times = np.array([math.nan if match is None else _second(match, 1) for match in found])
+    there = np.flatnonzero(np.isfinite(times))
+    times[there] += _DAY_S * np.cumsum(np.diff(times[there], prepend=times[there[0]]) < -_DAY_S / 2.0)
+    return times - times[there[0]]
+
+
+def _second(match: re.Match[str], at: int) -> float:
+    """Return the second of the day of groups from ``at`` on; NaN when it is none."""
+    hour, half = int(match[at]), (match[at + 4] or "").lower()
+    if half:
+        hour = hour % 12 + (12 if half.startswith("p") else 0) if 1 <= hour <= 12 else 1000
+    minute, second = int(match[at + 1]), int(match[at + 2] or 0)
+    if hour >= 1000 or minute > 59 or second > 60:
+        return math.nan
+    return hour * 3600.0 + minute * 60.0 + second + float(f"0.{match[at + 3] or 0}")
+
+
+def _of_dates(
+    cells: Sequence[str], parted: Sequence[re.Match[str] | None], *, day_first: bool
+) -> list[datetime | None]:
+    return [
+        _dated(match, day_first=day_first) if match is not None else _iso(cell)
+        for cell, match in zip(cells, parted, strict=True)
+    ]
+
+
+def _iso(cell: str) -> datetime | None:
+    try:
+        return datetime.fromisoformat(cell)
+    except ValueError:
+        return None
+
+
+def _dated(match: re.Match[str], *, day_first: bool) -> datetime | None:
+    """Return a date of three numbers; dots say that the day stands first, four digits where the year does."""
+    first, mark, second, third = match[1], match[2], int(match[3]), match[4]
+    if len(first) == 4:
+        year, month, day = int(first), second, int(third)
+    elif len(third) == 4 or (mark == "." and len(third) == 2):
+        year = int(third) if len(third) == 4 else int(third) + (2000 if int(third) < _PIVOT else 1900)
+        day, month = (int(first), second) if day_first or mark == "." else (second, int(first))
+    else:
+        return None
+    seconds = 0.0 if match[5] is None else _second(match, 5)
+    try:
+        return datetime(year, month, day) + timedelta(seconds=seconds)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _after(times: Sequence[datetime | None]) -> tuple[Floats, str]:
+    """Return seconds after the first, and that one; of some with a time zone and some without, NaN."""
+    first = next(time for time in times if time is not None)
+    out = np.full(len(times), math.nan)
+    for n, time in enumerate(times):
+        if time is not None and (time.tzinfo is None) == (first.tzinfo is None):
+            out[n] = (time - first).total_seconds()
+    return out, first.isoformat()
