@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import all_units, columns_of
+from dtwin.acquire.foreign_columns import all_units, columns_of, header_row
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -28,8 +28,15 @@ from dtwin.units import is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
-_MOVED = re.compile(r"(displacement|deviation|verlagerung|([xyz])\d?)(_\w+)?_um", re.I)
+_MOVED = re.compile(
+    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|([xyz])\d?)(_?\d+)?(_\w+)?_um",
+    re.I,
+)
+_AXIS_GROUP = 3
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
+_NO_PROBE = re.compile(
+    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear", re.I
+)
 _STAMP = re.compile(
     r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|(local |utc )?time|(uhr)?zeit|clock)",
     re.I,
@@ -54,20 +61,19 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     text = decoded(table_bytes(path, _MOST_BYTES))
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
-    units = rows[1] if len(rows) > 1 and all_units(rows[1]) else None
-    heads, factors = _named(rows[0] if rows else [], units, recipe)
-    body = [row for row in rows[1 if units is None else 2 :] if len(row) == len(heads)]
+    said, units, body = _parted(rows, path)
+    heads, factors = _named(said, units, recipe)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
     scales = dict(zip(heads, factors, strict=True))
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]
-    moved = [name for name in heads if name == _STEPS or _MOVED.fullmatch(name)]
+    moved = _displacements(heads)
     clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
     if not moved or not temperatures or not clock or not body:
         raise InputError(
             "a log of drift lacks columns",
             code="columns.missing",
             where=str(path),
-            got=", ".join(rows[0])[:200] if rows else "nothing",
+            got=", ".join(said)[:200] or "nothing",
             allowed=f"a time, a displacement in µm, mm or as {_STEPS}, and a temperature in °C: t_s, displacement_um, temperature_NAME_c",
             hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
@@ -76,7 +82,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         # Day and time may stand apart.
         stamped = [i for i, name in enumerate(heads) if name == clock]
         cells = [" ".join(row[i].strip() for i in stamped) for row in body]
-    named = " ".join(head for head, name in zip(rows[0], heads, strict=True) if name == clock)
+    named = " ".join(head for head, name in zip(said, heads, strict=True) if name == clock)
     t_s = _seconds(cells, scales[clock], path, named, stamps=clock == _STAMPED)
     there = t_s[np.isfinite(t_s)]
     if there.size > 1 and there[0] > there[-1]:
@@ -89,7 +95,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         shared["sample_1"] = _numbers(column["sample"])
     cold = [
         Finding("drift.left_out", "warning", f"{head} is left out: its unit is not known here")
-        for head in _unknown(rows[0], units, recipe)
+        for head in _unknown(said, units, recipe)
     ]
     for name in temperatures:
         if np.nanmax(shared[name], initial=-np.inf) < _COLDEST_C:
@@ -116,9 +122,10 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         kept["t_s"] = kept["t_s"] - kept["t_s"][0]
         kept["displacement_um"] = kept["displacement_um"] - kept["displacement_um"][0]
         # The axis that moved may stand in the header, where there are several.
-        letter = _MOVED.fullmatch(name)
+        matched = _MOVED.fullmatch(name)
+        letter = matched[_AXIS_GROUP] if matched else None
         several = len(moved) > 1
-        condition = {"axis": letter[2].upper()} if several and letter and letter[2] else {}
+        condition = {"axis": letter.upper()} if several and letter else {}
         run_id = name.removesuffix("_um") if several else "log"
         meta = RunMeta(run_id=run_id, kind="drift", condition=condition, sample_rate_hz=float("nan"))
         runs.append(Run(meta, kept, source=str(path), findings=tuple(findings)))
@@ -129,16 +136,37 @@ def is_drift_log(path: Path) -> bool:
     """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    rows = first_rows(path, _MOST_BYTES)
-    if len(rows) < 2:
-        return False
-    heads, _ = _named(rows[0], rows[1] if all_units(rows[1]) else None, {})
-    told = {name for name in heads if name == _STEPS or _MOVED.fullmatch(name)}
+    said, units, _ = _parted(first_rows(path, _MOST_BYTES), path)
+    heads, _ = _named(said, units, {})
+    told = _displacements(heads)
     # A log of something else may hold temperatures, too.
     others = any(_OF_OTHERS.match(name) for name in heads)
     return (
         bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
     )
+
+
+def _displacements(heads: Sequence[str]) -> list[str]:
+    """Return which columns are displacements: by their names, else the only length, whatever its name, which no other test has."""
+    moved = [name for name in heads if name == _STEPS or _MOVED.fullmatch(name)]
+    lengths = [name for name in heads if name.endswith("_um")]
+    lone = len(lengths) == 1 and not _NO_PROBE.search(lengths[0])
+    return moved or (lengths if lone else [])
+
+
+def _parted(
+    rows: Sequence[Sequence[str]], path: Path
+) -> tuple[Sequence[str], Sequence[str] | None, list[Sequence[str]]]:
+    """Return heads, which may stand below titles, units below them, and rows of as many cells."""
+    try:
+        begin = header_row(rows, path)
+    except InputError:
+        begin = 0
+    heads, rest = (rows[begin], rows[begin + 1 :]) if rows else ([], [])
+    units = rest[0] if rest and all_units(rest[0]) else None
+    padding = [""] * len(heads)
+    body = [[*row, *padding][: len(heads)] for row in rest[0 if units is None else 1 :]]
+    return heads, units, body
 
 
 def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> tuple[list[str], list[float]]:
@@ -232,12 +260,12 @@ def _numbers(cells: Sequence[str]) -> Floats:
 
 def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stamps: bool) -> Floats:
     """Return times in seconds: numbers of ``unit_s``, or stamps; ``stamps``: numbers have no unit."""
-    numbers = _numbers(cells)
-    if np.isfinite(numbers).all() and not stamps:
-        return numbers * unit_s
+    there = sum(bool(cell.strip()) for cell in cells)
+    numbers = _numbers(cells) * unit_s
+    if not stamps and 2 * np.isfinite(numbers).sum() > there:
+        return numbers
     times = seconds_of(cells, f"{path} {head}", dated=_DATED.search(head) is not None)[0]
-    told = [time for time, cell in zip(times, cells, strict=True) if cell.strip()]
-    if 2 * np.isfinite(told).sum() > len(told):
+    if 2 * np.isfinite(times).sum() > there:
         return times
     raise InputError(
         "times tell no unit, or are of no known form",

@@ -313,3 +313,24 @@ def test_a_sensor_that_drops_out_and_one_in_an_unknown_unit_are_told(tmp_path: P
     told = {f.code: f.message for f in run.findings}
     assert told["drift.dropout"].startswith("3 readings of temperature_spindle_c")
     assert told["drift.left_out"].startswith("air [°F]")
+
+
+@pytest.mark.parametrize("head", ["probe [µm]", "Messtaster 1 [µm]", "CH3 [mm]", "Gauge_um"])
+def test_a_lone_probe_beside_temperatures_is_a_log_also_below_titles(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "a.csv"
+    unit_um = 1e3 if "mm" in head else 1.0
+    rows = [f"{60 * n},{0.5 * n / unit_um},{20 + 0.1 * n}" for n in range(60)]
+    titles = ["Warm-up of spindle,,", "Serial no,4711,"]
+    path.write_text("\n".join([*titles, f"time [s],{head},spindle [°C]", *rows, "end of log"]), encoding="utf-8")
+    run = read(path)
+    assert run.meta.kind == "drift"
+    assert run.samples["displacement_um"] == pytest.approx(0.5 * np.arange(60))
+
+
+@pytest.mark.parametrize(
+    "heads", ["t_s,radius [mm],air [°C]", "t_s,a [µm],b [µm],air [°C]", "t_s,runout [µm],air [°C]"]
+)
+def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{heads}\n" + f"{','.join('1' for _ in heads.split(','))}\n" * 3, encoding="utf-8")
+    assert not is_drift_log(path)
