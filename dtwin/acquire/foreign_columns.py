@@ -20,7 +20,8 @@ _LEAST_MM = 0.01
 _UNITS: Mapping[str, tuple[str, float]] = {
     **{name: ("um", UM_PER_MM * mm) if mm < _LEAST_MM else ("mm", mm) for name, mm in LENGTHS_MM.items()},
     **{name: ("s", seconds) for name, seconds in TIMES_S.items()},
-    **dict.fromkeys(("°", "deg", "grad"), ("deg", 1.0)),
+    **dict.fromkeys(("°", "deg", "degree", "degrees"), ("deg", 1.0)),
+    **dict.fromkeys(("gon", "gons", "gradian", "gradians"), ("deg", 0.9)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),
     "mm/min": ("mm_min", 1.0),
@@ -30,6 +31,8 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }
+_GRAD = "grad"
+_GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
 _HEADS = (
     (re.compile(r"^(t|time|zeit)$", re.I), "t", "s"),
@@ -87,8 +90,10 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     shown, unit_below = unicodedata.normalize("NFKC", head), unicodedata.normalize("NFKC", unit_below)
     match = _WITH_UNIT.match(shown)
     base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
+    if unit.lower() == _GRAD and "winkel" not in base.lower():
+        return Column(head, unit, "", why_not=_GRAD_WHY_NOT)
     if unit:
-        here, factor = _UNITS.get(unit.lower(), ("", 1.0))
+        here, factor = _UNITS.get(unit.lower() if unit.lower() != _GRAD else "deg", ("", 1.0))
     else:
         unit = here = _ending(head)
         base, factor = head.removesuffix(f"_{here}"), 1.0
@@ -125,7 +130,7 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
 def all_units(row: Sequence[str]) -> bool:
     """Tell whether a row holds units, and nothing else but empty cells."""
     told = [unicodedata.normalize("NFKC", cell).strip("[]() \t").lower() for cell in row if cell.strip()]
-    return bool(told) and all(cell in _UNITS for cell in told)
+    return bool(told) and all(cell in _UNITS or cell == _GRAD for cell in told)
 
 
 def is_number(cell: str) -> bool:

@@ -12,6 +12,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
+_SAME_RADIUS = 0.01
 _MAX_DEVIATION_UM = 2_500.0
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
@@ -62,6 +63,11 @@ def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 def _radius(run: Run) -> list[Finding]:
     radius, (low, high) = run.meta.radius_mm, _BALL_BAR_MM
+    if radius is not None and "radius_mm" in run.samples:
+        read = float(np.median(run.samples["radius_mm"]))
+        if abs(read - radius) > _SAME_RADIUS * radius:
+            said = f"the file has a column of radii about {read:z.6g} mm, and a radius of {radius:g} mm is told: one of them is of another test"
+            return [Finding("radius.told", "error", said, {"read_mm": read, "told_mm": radius})]
     if radius is None or low <= radius <= high:
         return []
     return [

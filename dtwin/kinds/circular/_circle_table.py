@@ -92,9 +92,8 @@ def read_circle_runs(
     needed += [i for i, _ in (*form.ways, *form.pair)]
     for i in needed:
         if not columns[i].unit or columns[i].why_not:
-            raise _wrong(
-                "a column tells no unit that is known", path, columns[i].head, "such as ccw [µm], angle [deg], X [mm]"
-            )
+            got = f"{columns[i].head}: {columns[i].why_not}" if columns[i].unit else columns[i].head
+            raise _wrong("a column tells no unit that is known", path, got, "such as ccw [µm], angle [deg], X [mm]")
     values = {i: _numbers(body, i, columns[i]) for i in needed}
     beside = {i: c.name for i, c in enumerate(columns) if i not in needed and c.name}
     kept = {name: _numbers(body, i, columns[i], as_it_is=True) for i, name in beside.items()}
@@ -110,6 +109,8 @@ def read_circle_runs(
         angle, curves = _around(form, values, stated, float(radius_mm), path)
     else:
         angle = _unwrapped(np.radians(values[form.angle or 0]))
+        if form.radius is not None and (median := _median(values[form.radius])) is not None:
+            _require_near(median, float(radius_mm), "the column of radii is of another circle", path)
         curves = [(None, UM_PER_MM * (values[form.radius] - radius_mm))] if form.radius is not None else []
         curves += [(way, values[i]) for i, way in form.ways]
     runs: list[Run] = []
@@ -154,7 +155,7 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     )
     form = _Form(first[_ANGLE], first[_TIME], first[_RADIUS], ways, pair)
     known = len(ways) + len(pair) + sum(i is not None for i in first.values())
-    lengths = all(columns[i].name.endswith("_mm") or not columns[i].unit for i, _ in pair)
+    lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
     if (
         len({axis for _, axis in pair}) == len(pair) == 2
         and lengths
@@ -234,12 +235,19 @@ def _around(
     design = np.stack([u, v, np.ones_like(u)], axis=1)
     (a, b, c), *_ = np.linalg.lstsq(design, u**2 + v**2, rcond=None)
     found_mm = float(np.sqrt(max(c + (a**2 + b**2) / 4.0, 0.0)))
-    if not abs(found_mm - radius_mm) < _MOST_OFF * radius_mm:
-        raise _wrong(
-            "the coordinates lie on another circle", path, f"a radius of {found_mm:z.6g} mm", f"about {radius_mm:g} mm"
-        )
+    _require_near(found_mm, radius_mm, "the coordinates lie on another circle", path)
     u, v = first - first[good].mean() - a / 2.0, second - second[good].mean() - b / 2.0
     return _unwrapped(np.arctan2(v, u)), [(None, UM_PER_MM * (np.hypot(u, v) - radius_mm))]
+
+
+def _median(values: Floats) -> float | None:
+    there = values[np.isfinite(values)]
+    return float(np.median(there)) if there.size else None
+
+
+def _require_near(found_mm: float, radius_mm: float, message: str, path: Path) -> None:
+    if not abs(found_mm - radius_mm) < _MOST_OFF * radius_mm:
+        raise _wrong(message, path, f"a radius of {found_mm:z.6g} mm", f"about {radius_mm:g} mm, as it is told")
 
 
 def _unwrapped(angle_rad: Floats) -> Floats:

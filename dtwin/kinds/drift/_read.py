@@ -165,7 +165,7 @@ def _parted(
     heads, rest = (rows[begin], rows[begin + 1 :]) if rows else ([], [])
     units = rest[0] if rest and all_units(rest[0]) else None
     padding = [""] * len(heads)
-    body = [[*row, *padding][: len(heads)] for row in rest[0 if units is None else 1 :]]
+    body: list[Sequence[str]] = [[*row, *padding][: len(heads)] for row in rest[0 if units is None else 1 :]]
     return heads, units, body
 
 

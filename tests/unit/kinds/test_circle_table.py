@@ -71,7 +71,26 @@ def test_a_radius_is_told_from_the_programmed_one(tmp_path: Path) -> None:
     assert later.meta.repeat == 3
 
 
-@pytest.mark.parametrize(("heads", "name", "by"), [("X [mm] Y [mm]", "a.txt", " "), ("x_mm,y_mm", "a.csv", ",")])
+@pytest.mark.parametrize(
+    ("head", "per_deg"), [("Winkel [Grad]", 1.0), ("angle [gon]", 400.0 / 360.0), ("Winkel [gon]", 400.0 / 360.0)]
+)
+def test_degrees_in_german_and_gon(tmp_path: Path, head: str, per_deg: float) -> None:
+    (run,) = read(tmp_path / "a.csv", table(f"{head},radius [mm]", ANGLE * per_deg, 150.0 + error_um(ANGLE, 1.0) / 1e3))
+    assert run.samples["angle_deg"] == pytest.approx(ANGLE, abs=1e-5)
+
+
+def test_a_column_of_radii_that_is_not_the_one_that_is_told_is_an_error(tmp_path: Path) -> None:
+    text = table("t_s,angle_deg,deviation_um,radius_mm", ANGLE, ANGLE, error_um(ANGLE, 1.0), ANGLE * 0.0 + 100.0)
+    (run,) = read(tmp_path / "a.csv", text)
+    assert "radius.told" in {f.code for f in judge_run(run)}
+    (right,) = read(tmp_path / "b.csv", text, radius_mm=100.0)
+    assert "radius.told" not in {f.code for f in judge_run(right)}
+
+
+@pytest.mark.parametrize(
+    ("heads", "name", "by"),
+    [("X [mm] Y [mm]", "a.txt", " "), ("x_mm,y_mm", "a.csv", ","), ("x [um];y [µm]", "b.csv", ";")],
+)
 def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
     tmp_path: Path, heads: str, name: str, by: str
 ) -> None:
@@ -82,7 +101,8 @@ def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
         centre + r_mm * shape
         for centre, shape in ((812.5, np.cos(np.radians(angle))), (-40.0, np.sin(np.radians(angle))))
     )
-    runs = read(tmp_path / name, table(heads, x, y, by=by))
+    unit = 1e3 if "um" in heads else 1.0
+    runs = read(tmp_path / name, table(heads, unit * x, unit * y, by=by))
     assert [run.meta.direction for run in runs] == ["CCW", "CW"]
     for run, sign in zip(runs, (1.0, -1.0), strict=True):
         # The play is odd in direction: about their common centre it stays.
@@ -106,7 +126,9 @@ def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
             {"plane": "YZ"},
             "X and Y",
         ),
-        (table("angle [deg],radius [mm]", ANGLE[:30], ANGLE[:30]), {}, "30 rows"),
+        (table("angle [deg],radius [mm]", ANGLE[:30], ANGLE[:30] * 0.0 + 150.0), {}, "30 rows"),
+        (table("angle [deg],radius [mm]", ANGLE, ANGLE * 0.0 + 150.0), {"radius_mm": 100.0}, "a radius of 150 mm"),
+        (table("angle [grad],radius [mm]", ANGLE, ANGLE * 0.0 + 150.0), {}, "1/400 of a turn"),
         (table("x_mm,y_mm", ANGLE[:20], ANGLE[:20]), {}, "20 rows"),
     ],
 )
