@@ -81,14 +81,14 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if _TYPESET.search(text):
         # Of a lone cell a blank may part columns.
-        rows = [[_typed(cell) for cell in row] if len(row) > 1 else row for row in rows]
+        rows = [[typed(cell) for cell in row] if len(row) > 1 else row for row in rows]
     decimal = decimal or _grouped(rows)
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
     return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
 
 
-def _typed(cell: str) -> str:
+def typed(cell: str) -> str:
     """Return a number as a keyboard types it, with a hyphen for minus and without what parts its digits; anything else as it is."""
     if not _TYPESET.search(cell):
         return cell

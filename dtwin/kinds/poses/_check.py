@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from dtwin.kinds.poses._data import chain_in
 from dtwin.kinds.poses._iso9283 import axes, joints_of, measured_of
-from dtwin.kinds.poses._series import Series, series_of
+from dtwin.kinds.poses._orientation import QUATERNION
+from dtwin.kinds.poses._series import Series, series_of, series_of_targets
 from dtwin.schema import Finding, Floats, Run
 
 _FEWEST = 20
@@ -18,7 +20,16 @@ _ALIKE = 0.05
 
 
 def problem_of(run: Run) -> Series:
-    """Return a run as a problem to fit."""
+    """Return a run as a problem to fit; of a run without joints, with frame and tool alone."""
+    if not joints_of(run).size:
+        quaternion = [run.samples.get(f"target_{name}_1") for name in QUATERNION]
+        told = [part for part in quaternion if part is not None]
+        turned = (
+            Rotation.from_quat(np.stack(told, axis=1)).as_matrix()
+            if told
+            else np.tile(np.eye(3), (run.n_samples, 1, 1))
+        )
+        return series_of_targets(axes(run, "target"), turned, measured_of(run))
     return series_of(joints_of(run), measured_of(run), chain_in(run), run.samples.get("ambient_c"))
 
 
@@ -33,7 +44,7 @@ def judge_poses(run: Run) -> list[Finding]:
     typical = float(np.median(size))
     if typical > _FAR_MM:
         said = (
-            f"commanded joints and measured points do not belong together: {typical:z.0f} mm apart after frame and tool"
+            f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after frame and tool"
         )
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
     return [*_spoilt(size, typical), *_commanded(run, series), *_repeats(series)]
@@ -44,6 +55,8 @@ def _why(run: Run) -> str:
     joints, measured = joints_of(run), measured_of(run)
     if np.ptp(measured, axis=0).max() < 10.0:
         return "; the points span less than 10 mm: are they in metres?"
+    if not joints.size:
+        return "; do the rows of both belong together, and are both in mm?"
     tried: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
         ("joints are radians under a name of degrees", np.degrees),
         ("joints are degrees under a name of radians", np.radians),
@@ -69,8 +82,10 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
     """Compare the target with what joints and chain give, up to a frame and the tool that it was planned for."""
     if "target_x_mm" not in run.samples:
         return []
-    planned = series_of(joints_of(run), axes(run, "target"), chain_in(run), None)
-    size = np.linalg.norm(planned.error_mm, axis=1)
+    size = np.zeros(run.n_samples)
+    if joints_of(run).size:
+        planned = series_of(joints_of(run), axes(run, "target"), chain_in(run), None)
+        size = np.linalg.norm(planned.error_mm, axis=1)
     rows = np.flatnonzero(size > max(1.0, 20.0 * float(np.median(size))))
     findings = []
     if rows.size:

@@ -35,7 +35,9 @@ class Loaded:
 
 
 def with_chain(run: Run, campaign: Campaign) -> Run:
-    """Return a run that knows the chain of its robot; its condition carries it."""
+    """Return a run that knows the chain of its robot; its condition carries it. One without joints needs none."""
+    if not joints_of(run).size:
+        return run
     geometry = campaign.machine_geometry
     read = stated_chain(geometry, Path(run.source).parent)
     dh = chain_of(geometry, campaign.name) if read is None else read
@@ -79,6 +81,15 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
             hint="a campaign for each table; dtwin twin compare NAME CAMPAIGN tries the twin on another",
         )
     run = runs[0]
+    if not joints_of(run).size:
+        raise InputError(
+            "a twin of an arm needs joints",
+            code="poses.joints",
+            where=name,
+            got="commanded and measured places",
+            allowed="joint_1_deg … beside them, and a chain",
+            hint="dtwin check tells the figures of ISO 9283 without them",
+        )
     ambient = run.samples.get("ambient_c")
     series = series_of(joints_of(run), measured_of(run), chain_in(run), ambient, setup)
     digest = hashlib.sha256()

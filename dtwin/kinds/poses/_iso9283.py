@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.poses._chain import frames
-from dtwin.kinds.poses._series import mean_mm
-from dtwin.kinds.poses._setup import fitted, rigid
+from dtwin.kinds.poses._series import Series, mean_mm
+from dtwin.kinds.poses._setup import rigid
 from dtwin.schema import Floats, Run
 
 _FEWEST_REPEATS = 3
@@ -28,22 +27,15 @@ def measured_of(run: Run) -> Floats:
 
 
 def joints_of(run: Run) -> Floats:
-    """Return commanded joints (n, joints) in degrees."""
+    """Return commanded joints (n, joints) in degrees; (n, 0) where they are not told."""
     names = [f"joint_{j}_deg" for j in range(1, 1 + sum(n.startswith("joint_") for n in run.samples))]
-    return np.stack([run.samples[name] for name in names], axis=1)
+    return np.stack([run.samples[name] for name in names], axis=1) if names else np.zeros((run.n_samples, 0))
 
 
-def figures(run: Run, dh: Floats, place: Floats) -> dict[str, Any]:
-    """Return figures of one run, in mm; None for what its rows do not allow.
-
-    ``dh`` (joints, 4): the nominal chain.
-    ``place`` (n,): number of the commanded pose of every row.
-    """
-    measured = measured_of(run)
-    at = frames(np.radians(joints_of(run)), dh)
-    setup = fitted(at, measured)
-    base, point = setup.in_base(measured), at.tool_mm(setup.tool_mm)
-    error = base - point
+def figures(run: Run, series: Series) -> dict[str, Any]:
+    """Return figures of one run, in mm; None for what its rows do not allow."""
+    measured, setup, error, place = measured_of(run), series.setup, series.error_mm, series.poses.place
+    point = series.poses.at.tool_mm(setup.tool_mm)
     count = np.bincount(place)
     means = np.stack([np.bincount(place, error[:, i]) / count for i in range(3)], axis=1)
     accuracy = np.linalg.norm(means, axis=1)
@@ -58,7 +50,7 @@ def figures(run: Run, dh: Floats, place: Floats) -> dict[str, Any]:
         frame_alone = mean_mm((measured - shift) @ rotation - axes(run, "target"))
     return {
         "poses": len(count),
-        "readings": len(base),
+        "readings": len(error),
         "repeated_poses": int((count > 1).sum()),
         "mean_error_mm": mean_mm(error),
         "largest_error_mm": float(np.linalg.norm(error, axis=1).max()),

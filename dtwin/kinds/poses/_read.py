@@ -1,7 +1,7 @@
 """Tables of robot poses in the dialect and under the headers that they come with.
 
 ``[campaign.instrument.columns]`` names the house's column for a foreign header, with the unit that the file
-has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degrees.
+has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degrees. Without joints, commanded positions must be there.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ import numpy as np
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import decoded, mark_of
+from dtwin.acquire.table_dialect import decoded, mark_of, typed
 from dtwin.errors import InputError
+from dtwin.kinds.poses._foreign import joined, lines_for, of_ros
+from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
 _MOST_BYTES = 256 * 1024**2
 _SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
 _STAMP_DIGITS = 14
+_NEEDED = ("joint_", "measured_", "error_")
 
 
 def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -31,16 +34,18 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
 
     Raises ``InputError`` when a column is missing, with those that the file has.
     """
-    columns, heads = _columns(path, campaign)
+    columns, heads, unit = _columns(path, campaign)
     in_motion: list[dict[str, Any]] = []
     log = stated.get("condition", {}).get("joints_log")
     if log is not None:
         logged = inside(path.parent, log, "condition.joints_log")
         columns, moving = with_joints(columns, _columns(logged, campaign)[0], logged)
         in_motion = [{"row": int(r), "reason": "the robot moved", "values": {}} for r in np.flatnonzero(moving)]
-    _require(columns, path, heads)
-    findings = _timed(columns, len(next(iter(columns.values()))))
-    need = np.stack([v for n, v in columns.items() if n.startswith(("joint_", "measured_", "error_"))], axis=1)
+    _require(columns, path, heads, unit)
+    columns, findings = with_orientation(columns, path)
+    findings += _timed(columns, len(next(iter(columns.values()))))
+    needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
+    need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
     if not good.any():
         raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
@@ -58,26 +63,29 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
 
 
 def is_pose_table(path: Path) -> bool:
-    """Return whether a table has joints and measured places, or errors, under the house's names; its conditions are told elsewhere."""
+    """Return whether a table has joints or commanded places, and measured places or errors, under the house's names, or is one of cameras or
+    of ROS; its conditions are told elsewhere.
+    """
     if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
         return False
-    heads = next(iter(first_rows(path, _MOST_BYTES)), [])
-    return any(h.startswith("joint_1_") for h in heads) and any(
-        h.startswith(("measured_x_", "error_x_")) for h in heads
-    )
+    rows = first_rows(path, _MOST_BYTES)
+    heads = next(iter(rows), [])
+    if joined(rows) is not None or of_ros(heads):
+        return True
+    commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
+    return commanded and any(h.startswith(("measured_x_", "error_x_")) for h in heads)
 
 
-def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str]]:
-    """Return the columns of a table by the house's names, in mm and degrees, and its heads."""
+def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
+    """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     lines = decoded(table_bytes(path, _MOST_BYTES)).splitlines()
     rows = [row for row in csv.reader(lines, delimiter=mark_of(lines)) if any(row)]
+    heads, below, unit = joined(rows) or (list(rows[0]) if rows else [], rows[1:], "m")
     recipe = campaign.instrument.get("columns", {})
-    named = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
-    body = [row if len(row) == len(named) else [""] * len(named) for row in rows[1:]]
+    named = [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads]
+    body = [row if len(row) == len(named) else [""] * len(named) for row in below]
     wanted = {
-        n: i
-        for i, n in enumerate(named)
-        if n in ("t_s", "t_ns") or n.startswith(("joint_", "measured_", "error_", "target_", "ambient_"))
+        n: i for i, n in enumerate(named) if n in ("t_s", "t_ns") or n.startswith((*_NEEDED, "target_", "ambient_"))
     }
     twice = sorted(name for name in wanted if named.count(name) > 1)
     if twice:
@@ -93,7 +101,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     if "t_ns" in columns:
         # ROS tells whole seconds and the rest apart.
         columns["t_s"] = columns.get("t_s", 0.0) + 1e-9 * columns.pop("t_ns")
-    return columns, rows[0] if rows else []
+    return columns, heads, unit
 
 
 def _numbers(cells: list[str]) -> Floats:
@@ -101,26 +109,34 @@ def _numbers(cells: list[str]) -> Floats:
     out = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         try:
-            out[i] = float(cell.strip().replace(",", "."))
+            out[i] = float(typed(cell.strip()).replace(",", "."))
         except ValueError:
             continue
     return out
 
 
-def _require(columns: Mapping[str, Floats], path: Path, heads: list[str]) -> None:
-    measured = {f"measured_{a}_mm" for a in "xyz"}
-    by_error = {f"{what}_{a}_mm" for what in ("target", "error") for a in "xyz"}
+def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: str) -> None:
+    target, measured, error = ({f"{what}_{a}_mm" for a in "xyz"} for what in ("target", "measured", "error"))
+    there = set(columns)
     joints = {name for name in columns if name.startswith("joint_")}
     counted = joints == {f"joint_{j}_deg" for j in range(1, len(joints) + 1)}
-    if joints and counted and (measured <= set(columns) or by_error <= set(columns)):
+    if counted and (measured <= there or target | error <= there) and (joints or target <= there):
         return
+    known = lines_for(heads, unit)
+    commanded = "joints, joint_1_deg …, or commanded places, target_x_mm …"
+    if measured <= there and not joints:
+        hint = f"only measured places are told: add {commanded}; joints may be in a log of their own, condition = {{ joints_log = … }}"
+    elif known:
+        hint = f"[campaign.instrument.columns] with the lines {', '.join(known[:7])}; and {commanded}, in the same way"
+    else:
+        hint = 'other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"'
     raise InputError(
         "a table of poses lacks columns",
         code="columns.missing",
         where=str(path),
         got=", ".join(heads)[:200],
-        allowed="joint_1_deg, joint_2_deg …, without a gap, and measured_x_mm … or target_x_mm … with error_x_mm …",
-        hint='other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"',
+        allowed="joint_1_deg, joint_2_deg …, without a gap, or target_x_mm …; and measured_x_mm … or target_x_mm … with error_x_mm …",
+        hint=hint,
     )
 
 

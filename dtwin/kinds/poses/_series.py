@@ -10,14 +10,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dtwin.kinds.poses._chain import frames
+from dtwin.kinds.poses._chain import Frames, frames
 from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
 from dtwin.kinds.poses._setup import Setup, columns, fitted
 from dtwin.schema import Floats
 
 _BLOCKS = 64
 _FEWEST = 30
-_SAME_DEG = 0.03
+_SAME_DEG, _SAME_MM = 0.03, 0.05
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,22 @@ def series_of(
     return Series(poses, setup, error, np.concatenate(parts, axis=2), slots, _blocks(joints, place), floor, repeats)
 
 
+def series_of_targets(target_mm: Floats, rotation: Floats, measured_mm: Floats) -> Series:
+    """Return measured poses of a robot whose joints are not told: frame and tool, and no term of an arm.
+
+    ``target_mm``, ``measured_mm`` (n, 3): commanded, and measured in any frame.
+    ``rotation`` (n, 3, 3): commanded orientations; of equal ones the tool is part of the frame.
+    """
+    n = len(target_mm)
+    at = Frames(target_mm[None], rotation[None])
+    place = _places(np.concatenate([target_mm * (_SAME_DEG / _SAME_MM), np.degrees(rotation.reshape(n, 9))], axis=1))
+    setup = fitted(at, measured_mm)
+    error = setup.in_base(measured_mm) - at.tool_mm(setup.tool_mm)
+    poses = Poses(np.zeros((n, 0)), measured_mm, at, None, place)
+    floor, repeats = _floor(error, place)
+    return Series(poses, setup, error, columns(at, setup.tool_mm), {}, np.zeros(n), floor, repeats)
+
+
 def mean_mm(error_mm: Floats) -> float:
     """Return the mean distance of errors of shape (n, 3)."""
     return float(np.linalg.norm(error_mm, axis=1).mean())
@@ -82,10 +98,12 @@ def mean_mm(error_mm: Floats) -> float:
 
 def _places(joints_deg: Floats) -> Floats:
     """Return the number of the commanded pose of every row; poses within ``_SAME_DEG`` are one."""
-    n = len(joints_deg)
-    pairs = cKDTree(joints_deg).query_pairs(_SAME_DEG, output_type="ndarray")
+    # Thousands of readings of one pose would be millions of pairs.
+    different, number = np.unique(joints_deg, axis=0, return_inverse=True)
+    n = len(different)
+    pairs = cKDTree(different).query_pairs(_SAME_DEG, output_type="ndarray")
     linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return np.asarray(connected_components(linked, directed=False)[1])
+    return np.asarray(connected_components(linked, directed=False)[1][number])
 
 
 def _floor(error: Floats, place: Floats) -> tuple[float, int]:

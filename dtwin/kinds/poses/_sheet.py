@@ -88,9 +88,9 @@ def _taken_away(run: Run, series: Series) -> str:
         largest_um = 1000.0 * np.linalg.norm(_means(axes(run, "error"), series.poses.place), axis=1).max()
         said += f"; as the file has its errors, AP is {largest_um:z.4g} µm"
     if poses < _FEW_POSES:
-        said += (
-            f"; {poses} poses are few for the {_FRAME_AND_TOOL} numbers of frame and tool, and the figures too small"
-        )
+        # Where all poses are turned alike, the tool is a part of the frame.
+        numbers = np.linalg.matrix_rank(series.design[:, :, :_FRAME_AND_TOOL].reshape(-1, _FRAME_AND_TOOL))
+        said += f"; {poses} poses are few for the {numbers} numbers of frame and tool, and the figures too small"
     return f"{said}."
 
 

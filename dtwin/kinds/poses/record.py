@@ -29,6 +29,7 @@ class _Poses(Kind):
     campaign_columns = (
         *(f"joint_{j}_deg" for j in range(1, 10)),
         *(f"{what}_{a}_mm" for what in ("measured", "target", "error") for a in "xyz"),
+        *(f"target_q{a}_1" for a in "xyzw"),
         "ambient_c",
     )
     sheet_columns = campaign_columns
@@ -72,10 +73,9 @@ class _Poses(Kind):
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.poses._check import problem_of
-        from dtwin.kinds.poses._data import chain_in
         from dtwin.kinds.poses._iso9283 import figures
 
-        told = {run.meta.run_id: figures(run, chain_in(run), problem_of(run).poses.place) for run in runs}
+        told = {run.meta.run_id: figures(run, problem_of(run)) for run in runs}
         return {"iso9283": told}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:

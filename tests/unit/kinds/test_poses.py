@@ -9,18 +9,21 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from dtwin.acquire.ingest import open_source
+from dtwin.acquire.ingest import ingest, open_source
+from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._chain import KNOWN, frames
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
+from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.kinds.registry import kind_named
-from dtwin.schema import Floats
+from dtwin.lake.store import Lake
+from dtwin.schema import Floats, Run
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
 _AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
@@ -255,3 +258,105 @@ def test_joints_that_are_told_twice_or_with_a_gap_are_refused(tmp_path: Path, na
     with pytest.raises(InputError) as refused:
         _codes(folder)
     assert refused.value.code == code
+
+
+def without_joints(folder: Path, form: str, *, scalar: float = 1.0) -> Path:
+    """Thirty poses, thirty times, with an error of 0.3 mm in a direction of each pose's own, a scatter of 10 µm, another frame, and a tool."""
+    rng = np.random.default_rng(5)
+    place = np.tile(np.arange(30), 30)
+    target, turned = rng.uniform(-400.0, 400.0, (30, 3)), Rotation.random(30, rng=rng)
+    away = rng.standard_normal((30, 3))
+    error = (0.3 * away / np.linalg.norm(away, axis=1)[:, None])[place] + 0.01 * rng.standard_normal((900, 3))
+    tool = np.zeros(3) if form == "position" else np.array([0.0, 20.0, 90.0])
+    frame = Rotation.from_euler("xyz", [20.0, -40.0, 100.0], degrees=True)
+    measured = frame.apply(target[place] + turned[place].apply(tool) + error) + np.array([2000.0, -300.0, 900.0])
+    columns = {f"cmd {a}": target[place, i] for i, a in enumerate("xyz")}
+    columns |= {f"pose.position.{a}": measured[:, i] / 1e3 for i, a in enumerate("xyz")}
+    names = {f"cmd {a}": f"target_{a}_mm" for a in "xyz"}
+    names |= {f"pose.position.{a}": f"measured_{a}_m" for a in "xyz"}
+    if form == "matrix":
+        for i, a in enumerate("xyz"):
+            del names[f"cmd {a}"]
+            for j in range(3):
+                columns[f"r{i}{j}"], names[f"r{i}{j}"] = turned.as_matrix()[place, i, j], f"target_m{i + 1}{j + 1}"
+            names[f"cmd {a}"] = f"target_m{i + 1}4_mm"
+    if form == "quaternion":
+        for i, a in enumerate("xyzw"):
+            factor = scalar if a == "w" else 1.0
+            columns[f"cmd q{a}"], names[f"cmd q{a}"] = factor * turned.as_quat()[place, i], f"target_q{a}"
+            columns[f"pose.orientation.{a}"] = turned.as_quat()[place, i]
+            names[f"pose.orientation.{a}"] = f"measured_q{a}"
+    folder.mkdir()
+    rows = [",".join(f"{v:.9f}" for v in row) for row in zip(*columns.values(), strict=True)]
+    (folder / "poses.csv").write_text("\n".join([",".join(columns), *rows]), encoding="utf-8")
+    head = '[campaign]\nname = "mocap"\nmachine = "arm"\nkind = "poses"\n[campaign.instrument.columns]\n'
+    told = "".join(f'"{head}" = "{name}"\n' for head, name in names.items())
+    (folder / "campaign.toml").write_text(f'{head}{told}[[run]]\nid = "r"\nfile = "poses.csv"\n', encoding="utf-8")
+    return folder
+
+
+def first_run(folder: Path) -> Run:
+    (run,) = next(iter(open_source(folder)[1]))[0]
+    return run
+
+
+@pytest.mark.parametrize("form", ["position", "quaternion", "matrix"])
+def test_poses_without_joints_have_the_figures_of_the_standard(tmp_path: Path, form: str) -> None:
+    run = first_run(without_joints(tmp_path / "c", form))
+    told = {f.code for f in (*run.findings, *judge_run(run))}
+    assert told == {"poses.times", "poses.repeats"} | ({"poses.orientation"} if form == "quaternion" else set())
+    found = kind_named("poses").campaign_figures([run])["iso9283"][run.meta.run_id]
+    assert (found["poses"], found["readings"]) == (30, 900)
+    # A frame of six numbers, and a tool of three, take a part of the error of thirty poses.
+    assert found["pose_accuracy_mm"]["mean"] == pytest.approx(0.3, rel=0.12)
+    # Mean and three times the spread of the length of three normal directions of 10 µm.
+    assert found["pose_repeatability_mm"]["median"] == pytest.approx(0.0160 + 3 * 0.0067, rel=0.1)
+    home = Home(tmp_path / "home")
+    ingest(tmp_path / "c", Lake(home.lake))
+    with pytest.raises(InputError, match="needs joints"):
+        PoseTwins(home).fit("mocap", ["joint_zero@J2"], "arm")
+
+
+def test_a_quaternion_that_is_none_is_refused_with_its_pose(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        first_run(without_joints(tmp_path / "c", "quaternion", scalar=1.5))
+    assert refused.value.code == "poses.orientation"
+    assert "pose 1" in str(refused.value.where)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "first"),
+    [
+        (
+            "Format Version,1.23,Length Units,Meters\n\n,,Rigid Body,Rigid Body,Rigid Body,Rigid Body\n,,tool,tool,tool,tool\n"
+            ",,1,1,1,1\n,,Rotation,Position,Position,Position\nFrame,Time (Seconds),W,X,Y,Z\n0,0.0,1,0.1,0.2,0.3\n",
+            '"tool Position.X" = "measured_x_m"',
+            "0.1",
+        ),
+        (
+            "Format Version,1.25,Length Units,Millimeters\n\n,Type,Rigid Body,Rigid Body\n,Name,tool,tool\n,ID,a,a\n,Parent,,\n"
+            ",,Rotation,Position\nFrame,Time (Seconds),W,X\n0,0.0,1,0.1\n",
+            '"tool Position.X" = "measured_x_mm"',
+            "0.1",
+        ),
+        (
+            "Segments\n100\n,,arm:tool,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm\n1,0,0,0,0,7,8,9\n",
+            '"arm:tool TX" = "measured_x_mm"',
+            "7",
+        ),
+    ],
+)
+def test_exports_of_cameras_say_how_their_columns_are_named(tmp_path: Path, text: str, line: str, first: str) -> None:
+    found = joined([row.split(",") for row in text.splitlines() if row])
+    assert found is not None
+    heads, body, unit = found
+    assert line in lines_for(heads, unit)
+    assert body[0][heads.index(line.split('"')[1])] == first
+    table = tmp_path / "take.csv"
+    table.write_text(text, encoding="utf-8")
+    assert kind_named("poses").takes_alone(table)
+    head = '[campaign]\nname = "mocap"\nmachine = "arm"\nkind = "poses"\n[[run]]\nid = "r"\nfile = "take.csv"\n'
+    (tmp_path / "campaign.toml").write_text(head, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        first_run(tmp_path)
+    assert line in str(refused.value.hint)
