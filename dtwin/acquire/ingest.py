@@ -145,7 +145,8 @@ def open_source(
         where=str(path),
         got=path.suffix or "no ending",
         allowed="a campaign folder, campaign.toml, .b5r, .csv, .parquet or .xlsx; text or Markdown with a positioning table",
-        hint="save the table as .csv, or name the file in a campaign.toml: it says plane, radius, feed and direction",
+        hint="save the table as .csv, or name the file in a campaign.toml: it says plane, radius, feed and direction; "
+        "what to bring of the circularity test of a control is in docs/how-to/coming-from.md",
     )
 
 
