@@ -5,7 +5,8 @@ Four forms are known by their heads, in which, or in a row below them, units sta
 * an angle and a deviation under the house's names, without a time: ``angle_deg, deviation_um``;
 * an angle and a deviation for each direction: ``angle [deg], ccw [µm], cw [µm]``, with numbers behind them where a direction was repeated;
 * an angle and a measured radius: ``angle [deg], radius [mm]``;
-* two coordinates, as a grid encoder or a control records them: ``X [mm], Y [mm]``; the centre is that of the least-squares circle.
+* two coordinates, as a grid encoder or a control records them: ``X [mm], Y [mm]``; the centre is that of the least-squares circle. What was
+  commanded may stand beside, ``X cmd [mm]``, and is not used.
 
 Radii are told from the programmed one. Where no time is told, it follows from the programmed feed. Further columns with a unit
 stand beside, as of any table.
@@ -37,15 +38,28 @@ _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
 _MOST_OFF = 0.1
 """Of the programmed radius."""
+_SPELT = (
+    (
+        re.compile(
+            r"(counter|anti)[- ]?clockwise|gegen( ?den)? ?uhrzeigersinn|gegenuhrzeiger(sinn)?|anti ?horaire|antiorario|antihorario",
+            re.I,
+        ),
+        "ccw",
+    ),
+    (re.compile(r"clockwise|(im )?uhrzeigersinn|(sens )?horaire|\borario|\bhorario", re.I), "cw"),
+)
+"""How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta)$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
 _BESIDE = re.compile(
-    r"angle|winkel|phi|theta|time|zeit|temp|luft|air|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
+    r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
     re.I,
 )
 """What a head says whose column is no deviation of a run, though it names a direction."""
+_COMMANDED = re.compile(r"\b(cmd|command(ed)?|soll|nominal|target|demand(ed)?|programmed)\b|^soll", re.I)
+"""Of a control's log: coordinates that were commanded stand beside the actual ones."""
 _COORDINATE = re.compile(r"^(actual |ist|pos(ition)? )?([xyz])([ _]?(actual|act|ist|pos|position))?$", re.I)
 
 
@@ -85,6 +99,7 @@ def read_circle_runs(
     columns, body = _table(rows_of(decoded(table_bytes(path, _MAX_BYTES))), path)
     form = _form_of(columns)
     _require_one_meaning(columns, path)
+    _require_one_table(columns, body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
         raise _wrong("a table of a circle needs its programmed radius and feed", path, "radius_mm, feed_mm_min", "both")
@@ -95,7 +110,9 @@ def read_circle_runs(
             got = f"{columns[i].head}: {columns[i].why_not}" if columns[i].unit else columns[i].head
             raise _wrong("a column tells no unit that is known", path, got, "such as ccw [µm], angle [deg], X [mm]")
     values = {i: _numbers(body, i, columns[i]) for i in needed}
-    beside = {i: c.name for i, c in enumerate(columns) if i not in needed and c.name}
+    beside = {
+        i: c.name for i, c in enumerate(columns) if i not in needed and c.name and not _COMMANDED.search(_bare(c))
+    }
     kept = {name: _numbers(body, i, columns[i], as_it_is=True) for i, name in beside.items()}
     rejects = [
         {
@@ -136,8 +153,10 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
         # Parted by blanks, which may stand before a unit, too.
         rows = [re.sub(r"\s+(?=[\[(])", "", row[0]).split() for row in rows]
     begin = header_row(rows, path)
+    heads = [cell.strip() for cell in rows[begin]]
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
-    return columns_of([cell.strip() for cell in rows[begin]], units, {}), rows[begin + (1 if units is None else 2) :]
+    body = rows[begin + (1 if units is None else 2) :]
+    return columns_of(heads, units, {}), body
 
 
 def _form_of(columns: Sequence[Column]) -> _Form | None:
@@ -155,12 +174,9 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     )
     form = _Form(first[_ANGLE], first[_TIME], first[_RADIUS], ways, pair)
     known = len(ways) + len(pair) + sum(i is not None for i in first.values())
+    told = sum(not _COMMANDED.search(name) for name in names)
     lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
-    if (
-        len({axis for _, axis in pair}) == len(pair) == 2
-        and lengths
-        and known == 2 + (form.time is not None) == len(columns)
-    ):
+    if len({axis for _, axis in pair}) == len(pair) == 2 and lengths and known == 2 + (form.time is not None) == told:
         return _Form(None, form.time, None, (), pair)
     if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
         return None
@@ -184,6 +200,20 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
             raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")
 
 
+def _require_one_table(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own."""
+    heads = [column.head for column in columns]
+    rows = ([cell.strip() for cell in row] for row in body)
+    other = next((row for row in rows if row[0] and row[0] == heads[0] and row != heads), None)
+    if other is not None:
+        raise _wrong(
+            "a second table stands below the first",
+            path,
+            ", ".join(other),
+            "a file for each, or columns beside each other",
+        )
+
+
 def _bare(column: Column) -> str:
     """Return a head without its unit, in small letters, with blanks."""
     base = re.sub(r"[\[(].*?[\])]", "", column.head).strip()
@@ -191,6 +221,8 @@ def _bare(column: Column) -> str:
 
 
 def _way(name: str) -> Direction | None:
+    for spelt, short in _SPELT:
+        name = spelt.sub(f" {short} ", name)
     words = [re.sub(r"\d+$", "", word) if not re.fullmatch(r"g0?[23]", word) else word for word in name.split()]
     told = {_WAYS[word] for word in words if word in _WAYS}
     way = told.pop() if len(told) == 1 else None

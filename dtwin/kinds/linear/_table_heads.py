@@ -25,9 +25,11 @@ _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
-_TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt)", re.I)
-_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel)", re.I)
-_DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
+_TARGET = re.compile(
+    r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)", re.I
+)
+_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I)
+_DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
 _REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
@@ -36,9 +38,11 @@ _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
 _WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"},
+    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"}
+    | {"aller", "andata", "ida", "正向", "往路", "正方向"},
     "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
-    | {"rück", "rückwärts", "zurück", "her"},
+    | {"rück", "rückwärts", "zurück", "her"}
+    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向"},
 }
 _SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
@@ -199,8 +203,10 @@ def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> 
 def way_of(text: str) -> str | None:
     """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both."""
     told = text.strip().lower()
-    words = set(re.findall(r"[a-zäöü]+", told))
+    words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
+    # A unit may stand behind the sign.
+    told = _IN_BRACKETS.sub("", told).strip()
     if not named and told:
         named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
     return named.pop() if len(named) == 1 else None

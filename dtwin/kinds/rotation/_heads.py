@@ -22,7 +22,7 @@ RADIAL = "radial"
 _LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     TIME: TIMES_S,
-    ANGLE: {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232, "rev": 360.0, "turns": 360.0},
+    ANGLE: {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232, "gon": 0.9, "rev": 360.0, "turns": 360.0},
     SPEED: {"rpm": 1.0, "1/min": 1.0, "min-1": 1.0, "min^-1": 1.0, "u/min": 1.0, "rev/min": 1.0, "r/min": 1.0}
     | {"1_min": 1.0, "hz": 60.0, "rps": 60.0, "rev/s": 60.0, "1/s": 60.0, "deg/s": 1.0 / 6.0, "deg_s": 1.0 / 6.0},
     PULSE: {"1": 1.0, "v": 1.0},
@@ -78,6 +78,9 @@ def column_of(head: str, unit_below: str = "") -> Column:
         # Of 1000 rpm it is the last word only.
         found = None
     told = unit_below.strip().strip("[]()").lower() or (found[1] if found else "")
+    if "winkel" in text and "grad" in (told, inside and inside[1]):
+        # Elsewhere than in German it may be 1/400 of a turn.
+        told = "deg"
     words = (
         text if found is None else text[: len(text) - len(found[0].strip().replace("_", " ").strip())].strip(" [(/,")
     )

@@ -222,3 +222,36 @@ def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads:
     deviation = error_um(ANGLE, 1.0)
     with pytest.raises(InputError, match=r"is no deviation|more than one column"):
         read(tmp_path / "a.csv", table(heads, ANGLE, deviation, deviation, deviation))
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("counterclockwise", "clockwise"),
+        ("counter-clockwise run", "clockwise run"),
+        ("Abweichung gegen den Uhrzeigersinn", "Abweichung im Uhrzeigersinn"),
+        ("Gegenuhrzeigersinn", "Uhrzeigersinn"),
+        ("antihoraire", "horaire"),
+        ("senso antiorario", "senso orario"),
+    ],
+)
+def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) -> None:
+    text = table(f"angle [deg],{right} [µm],{left} [µm]", ANGLE, error_um(ANGLE, -1.0), error_um(ANGLE, 1.0))
+    cw, ccw = read(tmp_path / "a.csv", text)
+    assert (cw.meta.direction, ccw.meta.direction) == ("CW", "CCW")
+    assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
+
+
+def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: Path) -> None:
+    x, y = 150.0 * np.cos(np.radians(ANGLE)), 150.0 * np.sin(np.radians(ANGLE))
+    grow = 1.0 + error_um(ANGLE, 0.0) / 150e3
+    heads = "time [s],X cmd [mm],Y cmd [mm],X act [mm],Y act [mm]"
+    (run,) = read(tmp_path / "a.csv", table(heads, ANGLE, x, y, grow * x, grow * y))
+    assert set(run.samples) == {"t_s", "angle_deg", "deviation_um"}
+    assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 0.0), abs=0.05)
+
+
+def test_a_second_table_below_the_first_is_refused(tmp_path: Path) -> None:
+    first = table("angle [deg],cw [µm]", ANGLE[::-1], error_um(ANGLE, -1.0))
+    with pytest.raises(InputError, match="second table"):
+        read(tmp_path / "a.csv", first + table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)))

@@ -403,3 +403,25 @@ def test_what_was_read_is_no_channel_of_its_own_error(tmp_path: Path) -> None:
     assert "read_mm" in runs[0].samples
     assert "oil_c" in rows[0].columns
     assert "read_mm" not in rows[0].columns
+
+
+@pytest.mark.parametrize(
+    ("target", "forward", "reverse"),
+    [
+        ("Posizione [mm]", "Andata {} [µm]", "Ritorno {} [µm]"),
+        ("Cible (mm)", "Écart aller {} (µm)", "Écart retour {} (µm)"),
+        ("Posición [mm]", "Ida {} [µm]", "Vuelta {} [µm]"),
+        ("目标位置(mm)", "正向{}(μm)", "反向{}(μm)"),
+        ("目標位置[mm]", "往路{}[μm]", "復路{}[μm]"),
+        ("Target [mm]", "Run {} + [µm]", "Run {} - [µm]"),
+    ],
+)
+def test_directions_in_other_languages_and_signs_before_units(
+    tmp_path: Path, target: str, forward: str, reverse: str
+) -> None:
+    path = tmp_path / "a.csv"
+    heads = [target, *(form.format(n) for n in (1, 2) for form in (forward, reverse))]
+    path.write_text("\n".join([",".join(heads), *(f"{100 * n},{n},5,{n},5" for n in range(5))]), encoding="utf-8")
+    found = read_position_table(path)
+    assert found.forward_um.T.tolist() == [[0, 1, 2, 3, 4]] * 2
+    assert set(found.reverse_um.ravel()) == {5.0}

@@ -248,6 +248,7 @@ UM = Target().read(ANGLE, 9)
         table({"Zeit [ms]": 1000.0 * TIME, "Winkel [rad]": np.radians(ANGLE), "radial x [µm]": UM}, ";").replace(
             ".", ","
         ),
+        table({"Zeit [ms]": 1000.0 * TIME, "Winkel [Grad]": ANGLE, "radial x [µm]": UM}, ";"),
         table(
             {"time (s)": TIME, "angle [rev]": ANGLE / 360.0, "radial x [mm]": UM / 1000.0}, "\t", lambda v: f"{v:.9f}"
         ),
