@@ -43,17 +43,19 @@ UNITS: dict[str, str] = {
 UM_PER_MM = 1000.0
 LENGTHS_MM = (
     {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
-    | dict.fromkeys(("um", "µm", "μm", "micron", "microns"), 1e-3)
+    | dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "mikrometer"), 1e-3)
+    | dict.fromkeys(("millimeter", "millimeters"), 1.0)
     | dict.fromkeys(("in", "inch", "inches"), 25.4)
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)
     | dict.fromkeys(("uin", "µin", "μin", "microinch"), 25.4e-6)
 )
 """How many millimetres a unit of length of a foreign file is, as people spell it."""
 TIMES_S = (
-    {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3, "min": 60.0}
+    {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3}
+    | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), 60.0)
     | dict.fromkeys(("d", "day", "days", "tage"), 86_400.0)
-    | dict.fromkeys(("s", "sec", "sek"), 1.0)
-    | dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std"), 3600.0)
+    | dict.fromkeys(("s", "sec", "secs", "sek", "second", "seconds", "sekunden"), 1.0)
+    | dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std", "stunden"), 3600.0)
 )
 """The same of times, in seconds."""
 G_MM_S2 = 9806.65

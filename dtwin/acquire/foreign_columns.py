@@ -23,7 +23,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("°", "deg", "degree", "degrees"), ("deg", 1.0)),
     **dict.fromkeys(("gon", "gons", "gradian", "gradians"), ("deg", 0.9)),
     "rad": ("deg", 180.0 / math.pi),
-    **dict.fromkeys(("°c", "c", "degc"), ("c", 1.0)),
+    **dict.fromkeys(("°c", "c", "degc", "c°", "celsius", "gradc", "gradcelsius"), ("c", 1.0)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
     "hz": ("hz", 1.0),
@@ -41,7 +41,9 @@ _HEADS = (
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
-_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_WITH_UNIT = re.compile("^(.*?)\\s*[\\[(\uff08\uff3b]\\s*([^\\])\uff09\uff3d]*?)\\s*[\\])\uff09\uff3d]\\s*$")
+# Weg in µm, Weg / µm; a lone letter may be the name of a channel.
+_SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![agv]$)\S+)$", re.I)
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,15 @@ def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mappi
 
 
 def _column(head: str, unit_below: str, answer: str | None) -> Column:
-    # Units that are one letter, and brackets of another width, as in Chinese and Japanese.
-    shown, unit_below = unicodedata.normalize("NFKC", head), unicodedata.normalize("NFKC", unit_below)
-    match = _WITH_UNIT.match(shown)
+    match = _WITH_UNIT.match(head) or _SAID.match(head)
+    if match and match.re is _SAID and _plain(match[2]) not in _UNITS:
+        match = None
     base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
-    if unit.lower() == _GRAD and "winkel" not in base.lower():
+    plain = _plain(unit)
+    if plain == _GRAD and "winkel" not in base.lower():
         return Column(head, unit, "", why_not=_GRAD_WHY_NOT)
     if unit:
-        here, factor = _UNITS.get(unit.lower() if unit.lower() != _GRAD else "deg", ("", 1.0))
+        here, factor = _UNITS.get(plain if plain != _GRAD else "deg", ("", 1.0))
     else:
         unit = here = _ending(head)
         base, factor = head.removesuffix(f"_{here}"), 1.0
@@ -108,7 +111,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     if not here:
         return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
     for pattern, stem, wanted in _HEADS:
-        if pattern.match(base.replace("_", " ").strip()):
+        # T in °C is a temperature.
+        if pattern.match(base.replace("_", " ").strip()) and (stem, here) != ("t", "c"):
             return _scaled(head, unit, f"{stem}_{wanted}", here, wanted, factor)
     stem = re.sub(r"\W+", "_", base.strip().lower()).strip("_") or "column"
     return Column(head, unit, f"{stem}_{here}", factor)
@@ -129,8 +133,13 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
 
 def all_units(row: Sequence[str]) -> bool:
     """Tell whether a row holds units, and nothing else but empty cells."""
-    told = [unicodedata.normalize("NFKC", cell).strip("[]() \t").lower() for cell in row if cell.strip()]
+    told = [_plain(cell) for cell in row if cell.strip()]
     return bool(told) and all(cell in _UNITS or cell == _GRAD for cell in told)
+
+
+def _plain(unit: str) -> str:
+    """Return a unit in small letters without blanks and brackets; a sign such as ℃ as its letters."""
+    return re.sub(r"\s", "", unicodedata.normalize("NFKC", unit)).strip("[]()").lower()
 
 
 def is_number(cell: str) -> bool:

@@ -24,6 +24,7 @@ _TYPESET = re.compile("['\u2019\u2212\u2013\u00a0\u2009\u202f]|\\d \\d")
 _MINUS = {ord("\u2212"): "-", ord("\u2013"): "-"}
 _PARTED = re.compile("(?<=\\d)['\u2019\u00a0\u2009\u202f ](?=\\d{3}(?!\\d))")
 _HUNDREDS = re.compile(r"[+-]?[1-9]\d\d")
+_SEPARATOR = re.compile(r'\A"?sep=."?[;,\t]*\r?\n', re.I)
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -56,8 +57,8 @@ def _is_of(data: bytes, strict: str, leads: range) -> bool:
 
 
 def decoded(data: bytes) -> str:
-    """Return a text of any of the encodings; a letter that is none becomes a question mark."""
-    return data.decode(encoding_of(data), errors="replace")
+    """Return a text of any of the encodings; a letter that is none becomes a question mark. A spreadsheet's line ``sep=;`` is left away."""
+    return _SEPARATOR.sub("", data.decode(encoding_of(data), errors="replace"), count=1)
 
 
 def mark_of(lines: list[str]) -> str:

@@ -2,7 +2,7 @@
 
 Four forms are known by their heads, in which, or in a row below them, units stand:
 
-* an angle and a deviation under the house's names, without a time: ``angle_deg, deviation_um``;
+* an angle and a deviation under the house's names, without a time: ``angle_deg, deviation_um``; a radius beside it is no measurement;
 * an angle and a deviation for each direction: ``angle [deg], ccw [µm], cw [µm]``, with numbers behind them where a direction was repeated;
 * an angle and a measured radius: ``angle [deg], radius [mm]``;
 * two coordinates, as a grid encoder or a control records them: ``X [mm], Y [mm]``; the centre is that of the least-squares circle. What was
@@ -53,6 +53,7 @@ _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2":
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta)$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
+_DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)
 _BESIDE = re.compile(
     r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
     re.I,
@@ -172,7 +173,8 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     pair = tuple(
         (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
     )
-    form = _Form(first[_ANGLE], first[_TIME], first[_RADIUS], ways, pair)
+    # Beside deviations a radius is the programmed one, or says the same again.
+    form = _Form(first[_ANGLE], first[_TIME], None if ways else first[_RADIUS], ways, pair)
     known = len(ways) + len(pair) + sum(i is not None for i in first.values())
     told = sum(not _COMMANDED.search(name) for name in names)
     lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
@@ -180,7 +182,9 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
         return _Form(None, form.time, None, (), pair)
     if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
         return None
-    if form.angle is not None and not pair and bool(ways) != (form.radius is not None):
+    # Deviations under another name are imported, column by column.
+    foreign = not ways and any(map(_DEVIATION.match, names))
+    if form.angle is not None and not pair and not foreign and (ways or form.radius is not None):
         return form
     return None
 
@@ -194,7 +198,7 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
             raise _wrong(
                 "a column names a direction and is no deviation", path, column.head, "deviations: ccw [µm], cw [µm]"
             )
-    for pattern in (_ANGLE, _TIME, _RADIUS):
+    for pattern in (_ANGLE, _TIME, _RADIUS, _DEVIATION):
         alike = [column.head for column in columns if pattern.match(_bare(column))]
         if len(alike) > 1:
             raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")

@@ -148,10 +148,9 @@ def is_drift_log(path: Path) -> bool:
 
 def _displacements(heads: Sequence[str]) -> list[str]:
     """Return which columns are displacements: by their names, else the only length, whatever its name, which no other test has."""
-    moved = [name for name in heads if name == _STEPS or _MOVED.fullmatch(name)]
-    lengths = [name for name in heads if name.endswith("_um")]
-    lone = len(lengths) == 1 and not _NO_PROBE.search(lengths[0])
-    return moved or (lengths if lone else [])
+    lengths = [name for name in heads if name == _STEPS or (name.endswith("_um") and not _NO_PROBE.search(name))]
+    moved = [name for name in lengths if name == _STEPS or _MOVED.fullmatch(name)]
+    return moved or (lengths if sum(name.endswith("_um") for name in heads) == 1 else [])
 
 
 def _parted(

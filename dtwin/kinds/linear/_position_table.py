@@ -8,7 +8,7 @@ Four forms are known by what stands in them:
   each cycle, which may lie on its side, as the table of ISO 230-2 does;
 * assignments: ``TGT_DATA[1]=15``, ``REF_DATA_FWD[1,1]=15.01``, ``REF_DATA_BWD[1,1]=...``, ``UNIT=mm``.
 
-In a report in Markdown the tables of these forms are read; what their heads leave out, direction or target, the heading above says.
+In a report in Markdown the tables of these forms are read; direction or target may stand in the heading above.
 
 A column is in the unit that its head or a row of units states (mm, um, µm, in). It holds deviations when its head says so
 (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away. Targets and positions without
@@ -160,12 +160,12 @@ def _read(text: str, path: Path) -> PositionTable:
 
 
 def _require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table whose title says that it is of another test along an axis."""
-    titles = [row[0].strip() for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
-    other = next((title for title in titles if OTHER_TEST.search(title)), None)
+    """Refuse a table whose title or heads say that it is of another test along an axis."""
+    titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
+    other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
     if other is not None:
         raise InputError(
-            "the title says that this is no test of positioning",
+            "title or heads say that this is no test of positioning",
             code="position_table.test",
             where=str(path),
             got=other[:60],
@@ -304,7 +304,7 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         lost = told in MISSING
         target = _cell(row, long.target, where) * scales[0]
         value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
-        way = way_of(row[long.way]) if long.way < len(row) else None
+        way = way_of(row[long.way], ones=True) if long.way < len(row) else None
         if way is None:
             raise _wrong("a reading without a direction", Path(where), str(row)[:80])
         seen[target, way] = seen.get((target, way), 0) + 1

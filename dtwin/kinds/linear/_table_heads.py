@@ -12,7 +12,7 @@ from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
-_STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung"
+_STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
 """First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
@@ -26,9 +26,10 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(
-    r"^(i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)", re.I
+    r"^(i\b|[px]_?i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)", re.I
 )
-_SURELY_TARGET = re.compile(r"^(target|tgt|nominal|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I)
+_SURELY_TARGET = re.compile(r"^([px]_?i\b|target|tgt|nominal|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I)
+_INDEX = re.compile(r"i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
 _REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
@@ -63,7 +64,8 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
     names = [head.strip() for head in heads]
     targets = [i for i, name in enumerate(names) if _TARGET.match(name)]
-    targets = [i for i in targets if not is_index(names[i])] or targets
+    targets = [i for i in targets if not is_index(names[i])]
+    targets.sort(key=lambda i: _SURELY_TARGET.match(names[i]) is None)
     told = [(i, way_of(name), re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
@@ -79,8 +81,8 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
 
 
 def is_index(head: str) -> bool:
-    """Return whether a column counts its rows: ``i``, ``i-th``."""
-    return re.match(r"i\b", head.strip(), re.I) is not None
+    """Return whether a column counts its rows: ``i``, ``i-th``, ``Pos No.``."""
+    return _INDEX.match(head.strip()) is not None
 
 
 def is_opposite(head: str) -> bool:
@@ -116,11 +118,13 @@ def long_of(heads: Sequence[str]) -> Long | None:
     way, cycle = first(_WAY), first(_CYCLE)
     deviation = first(_DEVIATION, way, cycle)
     value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
-    target = first(_TARGET, way, cycle, value)
+    indices = [i for i, name in enumerate(names) if is_index(name)]
+    target = first(_SURELY_TARGET, way, cycle, value, *indices)
+    target = first(_TARGET, way, cycle, value, *indices) if target is None else target
     if value is None and target is not None:
         # Two columns of places: the one that says so is the target.
         target = first(_SURELY_TARGET, way, cycle)
-        value = None if target is None else first(_TARGET, way, cycle, target)
+        value = None if target is None else first(_TARGET, way, cycle, target, *indices)
     if way is None or target is None or value is None:
         return None
     return Long(target, way, cycle, value)
@@ -200,9 +204,12 @@ def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> 
     return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
 
 
-def way_of(text: str) -> str | None:
-    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both."""
-    told = text.strip().lower()
+def way_of(text: str, *, ones: bool = False) -> str | None:
+    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both.
+
+    ``ones``: a bare 1 is forward, as beside -1.
+    """
+    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
     # A unit may stand behind the sign.

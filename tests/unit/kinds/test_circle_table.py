@@ -255,3 +255,12 @@ def test_a_second_table_below_the_first_is_refused(tmp_path: Path) -> None:
     first = table("angle [deg],cw [µm]", ANGLE[::-1], error_um(ANGLE, -1.0))
     with pytest.raises(InputError, match="second table"):
         read(tmp_path / "a.csv", first + table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)))
+
+
+def test_a_radius_beside_deviations_is_no_measurement(tmp_path: Path) -> None:
+    text = table("angle_deg,radius_mm,deviation_um", ANGLE, ANGLE * 0.0 + 150.0, error_um(ANGLE, 1.0))
+    (run,) = read(tmp_path / "a.csv", text)
+    assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
+    path = tmp_path / "b.csv"
+    path.write_text(text.replace("deviation_um", "deviation [µm]"), encoding="utf-8")
+    assert not is_circle_table(path)

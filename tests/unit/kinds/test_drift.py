@@ -334,3 +334,28 @@ def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, head
     path = tmp_path / "a.csv"
     path.write_text(f"{heads}\n" + f"{','.join('1' for _ in heads.split(','))}\n" * 3, encoding="utf-8")
     assert not is_drift_log(path)
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "Zeit in min;Taster in µm;Temperatur in °C",
+        "Zeit / min;Taster / µm;Temperatur / °C",
+        "Time (minutes);Probe (microns);Temp (deg C)",
+        "sep=;\nTime [min];Z [µm];T [°C]",
+    ],
+)
+def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(f"{n};{n / 2};{20 + n / 10}" for n in range(60))]), encoding="utf-8")
+    run = read(path)
+    assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
+    assert run.samples["displacement_um"] == pytest.approx(0.5 * np.arange(60))
+    assert any(name.startswith("temperature_") for name in run.samples)
+
+
+def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{60 * n},0,{n / 2},{20 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["time [s],Z target [µm],Z [µm],T [°C]", *rows]), encoding="utf-8")
+    assert read(path).samples["displacement_um"][-1] == pytest.approx(29.5)

@@ -425,3 +425,32 @@ def test_directions_in_other_languages_and_signs_before_units(
     found = read_position_table(path)
     assert found.forward_um.T.tolist() == [[0, 1, 2, 3, 4]] * 2
     assert set(found.reverse_um.ravel()) == {5.0}
+
+
+@pytest.mark.parametrize("heads", ["i,Xi [mm]", "Pos No.,Nominal (mm)", "Point Nr,P_i [mm]", "Nr.,Position"])
+def test_a_column_that_counts_is_no_target(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n + 1},{100 * n},{n},5,{n},5" for n in range(5)]
+    path.write_text("\n".join([f"{heads},fwd 1 [µm],rev 1 [µm],fwd 2 [µm],rev 2 [µm]", *rows]), encoding="utf-8")
+    assert read_position_table(path).target_mm.tolist() == [0, 100, 200, 300, 400]
+    rows = [f"{n + 1},{100 * n},{way},5" for way in ("+", "-") for n in range(5)]
+    path.write_text("\n".join([f"{heads},Direction,Error [µm]", *rows]), encoding="utf-8")
+    assert read_position_table(path).target_mm.tolist() == [0, 100, 200, 300, 400]
+
+
+def test_heads_of_another_test_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Position [mm],Straightness 1 + [µm],Straightness 1 - [µm]\n0,1,2\n100,1,2\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no test of positioning"):
+        read_position_table(path)
+
+
+def test_directions_as_one_and_minus_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{100 * n};{way};1;{n if way > 0 else 5}" for way in (1, -1) for n in range(5)]
+    path.write_text("\n".join(["Target;Direction;Cycle;Deviation [µm]", *rows]), encoding="utf-8")
+    found = read_position_table(path)
+    assert found.forward_um.ravel().tolist() == [0, 1, 2, 3, 4]
+    path.write_text(path.read_text("utf-8").replace(";-1;", ";2;"), encoding="utf-8")
+    with pytest.raises(InputError, match="without a direction"):
+        read_position_table(path)
