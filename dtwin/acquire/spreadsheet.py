@@ -9,12 +9,12 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from datetime import date, datetime, time, timedelta
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
 from dtwin.acquire.foreign_columns import is_number
-from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
@@ -163,8 +163,8 @@ def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
             raise _refused(
                 path, f"{len(rows)} rows of {len(texts)} cells", f"up to {_MOST_ROWS} rows and {_MOST_COLUMNS} columns"
             )
-    used = [i for i in range(max(map(len, rows), default=0)) if any(i < len(row) and row[i] for row in rows)]
-    return [[row[i] if i < len(row) else "" for i in used] for row in rows]
+    columns = (points_of(column) for column in zip_longest(*rows, fillvalue=""))
+    return [list(row) for row in zip(*(column for column in columns if any(column)), strict=True)]
 
 
 def _text(cell: object) -> str:

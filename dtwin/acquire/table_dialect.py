@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from collections.abc import Sequence
 from itertools import zip_longest
 
 _SNIFFED_LINES = 100
@@ -16,6 +17,7 @@ DECIMALS = ("comma", "point")
 _NUMBER = re.compile(r"[+-]?\d[\d.,]*(e[+-]?\d+)?", re.I)
 # Both signs in one number leave no doubt.
 _GROUPS = {"comma": re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+"), "point": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d+")}
+_SIMPLE = re.compile(r"[+-]?\d+[.,]\d+")
 # A whole number in groups, by the decimal sign of its table; and one that needs none.
 _WHOLE = {"comma": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+"), "point": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")}
 _WHOLE_EITHER = re.compile("|".join(form.pattern for form in _WHOLE.values()))
@@ -107,7 +109,11 @@ def _grouped(rows: list[list[str]]) -> str:
     cells = [cell.strip() for row in rows for cell in row]
     told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
     if told:
-        return told.pop() if len(told) == 1 else ""
+        sign = told.pop()
+        # A number such as 20.5 beside 1.234,5 says that the other sign parts decimals, too.
+        other = "." if sign == "comma" else ","
+        both = any(_SIMPLE.fullmatch(cell) and other in cell and not _WHOLE[sign].fullmatch(cell) for cell in cells)
+        return "" if told or both else sign
     numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
     for sign, form in _WHOLE.items():
         mark, other = (",", ".") if sign == "comma" else (".", ",")
@@ -123,8 +129,27 @@ def _grouped(rows: list[list[str]]) -> str:
     return ""
 
 
+def points_of(column: Sequence[str]) -> list[str]:
+    """Return a column of a spreadsheet, whose numbers have points, with the numbers that were typed as text in the same form.
+
+    A text such as ``1,234`` stays as it is where no other text of the column tells its decimal sign.
+    """
+    texts = [typed(cell) for cell in column]
+    commas = [text for text in texts if "," in text and _NUMBER.fullmatch(text)]
+    comma = any(
+        _GROUPS["comma"].fullmatch(text) or (_SIMPLE.fullmatch(text) and not _WHOLE["point"].fullmatch(text))
+        for text in commas
+    )
+    point = any(_GROUPS["point"].fullmatch(text) for text in commas)
+    if comma == point:
+        return texts
+    return [_plain(text, "comma" if comma else "point") if "," in text else text for text in texts]
+
+
 def _plain(cell: str, decimal: str) -> str:
-    """Return a number with a point and without groups; anything else as it is."""
-    if not _NUMBER.fullmatch(cell.strip()):
+    """Return a number with a point and without groups; anything else as it is, a date or a number of the other sign, too."""
+    text, (mark, other) = cell.strip(), (",", ".") if decimal == "comma" else (".", ",")
+    grouped = _GROUPS[decimal].fullmatch(text) or _WHOLE[decimal].fullmatch(text)
+    if not _NUMBER.fullmatch(text) or (other in text and not grouped):
         return cell
-    return cell.replace(".", "").replace(",", ".") if decimal == "comma" else cell.replace(",", "")
+    return text.replace(other, "").replace(mark, ".")

@@ -253,3 +253,12 @@ def test_what_is_no_number_stays_as_it_is(cell: str) -> None:
 
 def test_columns_parted_by_blanks_are_not_joined() -> None:
     assert rows_of("X Y\n100 200\n") == [["X Y"], ["100 200"]]
+
+
+def test_groups_of_digits_leave_dates_and_numbers_of_the_other_sign_as_they_are() -> None:
+    assert rows_of("d;a;b\n25.11.2026;1.234,5;0,5\n26.11.2026;1.200;7\n")[1:] == [
+        ["25.11.2026", "1234.5", "0.5"],
+        ["26.11.2026", "1200", "7"],
+    ]
+    # One number of each sign: neither is taken for groups.
+    assert rows_of("a;b\n1.234,5;20.5\n3;1.234\n")[1:] == [["1.234.5", "20.5"], ["3", "1.234"]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from datetime import datetime, time, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -174,3 +175,17 @@ def test_a_formula_whose_saved_value_is_an_empty_text_is_an_empty_cell(tmp_path:
     lines = table_bytes(tmp_path / "saved.xlsx", 1 << 20).decode().splitlines()
     assert lines[7].endswith(",")
     assert len(lines) == 51
+
+
+def test_numbers_that_were_typed_as_text_are_those_of_their_column(tmp_path: Path) -> None:
+    rows: list[list[object]] = [["a", "b", "c", "d"]]
+    rows += [[1.234, "0,5", "1,234", 800], [20.5, "1.234,5", "5", 1200.125], [3.5, "\u22121,250", "7", 2.5]]
+    lines = table_bytes(write(tmp_path / "a.xlsx", rows), 1 << 20).decode().splitlines()
+    assert lines == ["a,b,c,d", '1.234,0.5,"1,234",800', "20.5,1234.5,5,1200.125", "3.5,-1.250,7,2.5"]
+
+
+def test_days_and_times_of_cells_are_stamps(tmp_path: Path) -> None:
+    rows: list[list[object]] = [["Date", "Time", "Elapsed", "Z [µm]"]]
+    rows += [[datetime(2026, 11, 25), time(14, 3, n), timedelta(hours=25, seconds=n), 0.5] for n in range(3)]
+    lines = table_bytes(write(tmp_path / "a.xlsx", rows), 1 << 20).decode().splitlines()
+    assert lines[2] == "2026-11-25,14:03:01,25:00:01.000000,0.5"
