@@ -26,6 +26,10 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("°c", "c", "degc", "c°", "celsius", "gradc", "gradcelsius"), ("c", 1.0)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
+    **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
+    **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
+    "kpa": ("kpa", 1.0),
+    **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
     "hz": ("hz", 1.0),
     "g": ("g", 1.0),
     "v": ("v", 1.0),
@@ -36,7 +40,7 @@ _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
 _HEADS = (
     (re.compile(r"^(t|time|zeit)$", re.I), "t", "s"),
-    (re.compile(r"^(path )?(angle|winkel|phi)$", re.I), "angle", "deg"),
+    (re.compile(r"^(path )?(angle|winkel|phi|[φθ])$", re.I), "angle", "deg"),
     (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),

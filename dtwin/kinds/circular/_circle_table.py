@@ -50,7 +50,7 @@ _SPELT = (
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
-_ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta)$", re.I)
+_ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
 _DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)

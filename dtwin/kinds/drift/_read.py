@@ -29,10 +29,11 @@ from dtwin.units import is_number
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
 _MOVED = re.compile(
-    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|([xyz])\d?)(_?\d+)?(_\w+)?_um",
+    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|[d\u03b4]?([xyz])\d?)(_?\d+)?(_\w+)?_um",
     re.I,
 )
 _AXIS_GROUP = 3
+_SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
     r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear", re.I
@@ -136,14 +137,25 @@ def is_drift_log(path: Path) -> bool:
     """Return whether the heads of a table are a time, displacements and temperatures; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    said, units, _ = _parted(first_rows(path, _MOST_BYTES), path)
-    heads, _ = _named(said, units, {})
+    said, units, body = _parted(first_rows(path, _MOST_BYTES), path)
+    heads, factors = _named(said, units, {})
     told = _displacements(heads)
     # A log of something else may hold temperatures, too.
-    others = any(_OF_OTHERS.match(name) for name in heads)
+    others = any(_OF_OTHERS.match(name) or name.endswith("_deg") for name in heads) or _turns(
+        said, body, heads, factors
+    )
     return (
         bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
     )
+
+
+def _turns(said: Sequence[str], body: Sequence[Sequence[str]], heads: Sequence[str], factors: Sequence[float]) -> bool:
+    """Return whether readings beside a speed follow faster than a log of drift is read: those are of a turning axis."""
+    if "t_s" not in heads or not any(map(_SPEED.search, said)):
+        return False
+    clock = list(heads).index("t_s")
+    steps = np.diff(_numbers([row[clock] for row in body]) * factors[clock])
+    return bool(np.isfinite(steps).any() and np.nanmedian(steps) < _DRIFT_S)
 
 
 def _displacements(heads: Sequence[str]) -> list[str]:

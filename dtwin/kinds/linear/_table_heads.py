@@ -15,10 +15,10 @@ MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", 
 _STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
 """First cell of a row that sums up the rows above it."""
-ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
+ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°(?!\s*[CF])|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
-_SUMS_UP = re.compile(rf"\b({_STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3", re.I)
-"""Words of a column that sums up the readings beside it."""
+_SUMS_UP = re.compile(rf"\b({_STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
+"""Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(r"^(axis|achse|axe|asse|eje)$", re.I)
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)

@@ -14,6 +14,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._model import Series, Term, fitted, missing, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log
+from dtwin.kinds.registry import kind_named
 from dtwin.schema import Run
 
 HEAD = """[campaign]
@@ -359,3 +360,23 @@ def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
     rows = [f"{60 * n},0,{n / 2},{20 + n / 10}" for n in range(60)]
     path.write_text("\n".join(["time [s],Z target [µm],Z [µm],T [°C]", *rows]), encoding="utf-8")
     assert read(path).samples["displacement_um"][-1] == pytest.approx(29.5)
+
+
+@pytest.mark.parametrize(
+    ("heads", "drift"),
+    [
+        ("time [ms],spindle angle [deg],X disp [µm],air [°C]", False),
+        ("time [ms],RPM,X disp [µm],air [°C]", False),
+        ("time [min],spindle speed [rpm],X [µm],air [°C]", True),
+        ("Zeit [min],Drehzahl [1/min],dX [µm],Luft [°C]", True),
+    ],
+)
+def test_a_turning_axis_beside_a_thermometer_is_no_drift_and_a_warm_up_at_a_speed_is(
+    tmp_path: Path, heads: str, drift: bool
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(f"{n},{n},{n / 2},{20 + n / 10}" for n in range(60))]), encoding="utf-8")
+    assert is_drift_log(path) is drift
+    assert kind_named("rotation").takes_alone(path) is (not drift)
+    if drift:
+        assert not any(f.code == "drift.left_out" for f in read(path).findings)

@@ -454,3 +454,11 @@ def test_directions_as_one_and_minus_one(tmp_path: Path) -> None:
     path.write_text(path.read_text("utf-8").replace(";-1;", ";2;"), encoding="utf-8")
     with pytest.raises(InputError, match="without a direction"):
         read_position_table(path)
+
+
+def test_temperatures_beside_readings_are_neither_angles_nor_readings(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "Target [mm],Fwd 1 [µm],Rev 1 [µm],Fwd temp 1 [°C],Temp 2 [°C]"
+    path.write_text("\n".join([heads, *(f"{100 * n},{n},5,20,21" for n in range(5))]), encoding="utf-8")
+    found = read_position_table(path)
+    assert (found.forward_um.ravel().tolist(), found.reverse_um.ravel().tolist()) == ([0, 1, 2, 3, 4], [5] * 5)
