@@ -17,6 +17,7 @@ _FEWEST = 20
 _FAR_MM = 50.0
 _WILD = 8.0
 _ALIKE = 0.05
+_MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 def problem_of(run: Run) -> Series:
@@ -43,9 +44,7 @@ def judge_poses(run: Run) -> list[Finding]:
     size = np.linalg.norm(series.error_mm, axis=1)
     typical = float(np.median(size))
     if typical > _FAR_MM:
-        said = (
-            f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after frame and tool"
-        )
+        said = f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after {series.taken_away}"
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
     return [*_spoilt(size, typical), *_commanded(run, series), *_repeats(series)]
 
@@ -56,7 +55,13 @@ def _why(run: Run) -> str:
     if np.ptp(measured, axis=0).max() < 10.0:
         return "; the points span less than 10 mm: are they in metres?"
     if not joints.size:
-        return "; do the rows of both belong together, and are both in mm?"
+        target = axes(run, "target")
+        if not _ALIKE < (ratio := float(np.ptp(target, axis=0).max() / np.ptp(measured, axis=0).max())) < 1.0 / _ALIKE:
+            return f"; targets span {ratio:.3g} times what the points do: are they in another unit?"
+        mirrored = series_of_targets(target, np.tile(np.eye(3), (len(target), 1, 1)), measured * _MIRROR).error_mm
+        if np.median(np.linalg.norm(mirrored, axis=1)) < _FAR_MM:
+            return "; one of both frames is left-handed: turn the sign of one axis"
+        return "; do the rows of both belong together?"
     tried: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
         ("joints are radians under a name of degrees", np.degrees),
         ("joints are degrees under a name of radians", np.radians),

@@ -61,6 +61,7 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
         "distance_accuracy_mm": {"rms": float(np.sqrt((apart**2).mean())), "max": float(np.abs(apart).max())},
         "as_written_mm": as_is,
         "frame_alone_mm": frame_alone if as_is is not None else None,
+        "taken_away": series.taken_away,
         "tool_mm": setup.tool_mm.tolist(),
     }
 
@@ -87,7 +88,7 @@ def lines(run_id: str, found: dict[str, Any]) -> list[str]:
         )
     accuracy, distance = found["pose_accuracy_mm"], found["distance_accuracy_mm"]
     out += [
-        f"  frame and tool leave {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
+        f"  left by {found['taken_away']}: {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
         f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most",
         f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most",
     ]

@@ -39,7 +39,12 @@ def with_orientation(columns: dict[str, Floats], path: Path) -> tuple[dict[str, 
 
     Raises ``InputError`` when numbers are missing, or are no rotation.
     """
-    out, findings = dict(columns), []
+    known = re.compile(rf"(target|measured)_([xyz]_mm|({'|'.join((*QUATERNION, *_ROTATION, *_BOTTOM))})_1)")
+    unused = [name for name in columns if name.startswith(("target_", "measured_")) and not known.fullmatch(name)]
+    out, findings = dict(columns), list[Finding]()
+    if unused:
+        said = f"{', '.join(unused)[:80]}: not used; an orientation is told as target_qx … target_qw, or target_m11 … target_m33"
+        findings.append(Finding("poses.orientation", "info", said))
     for what in ("target", "measured"):
         parts = {name: out.pop(f"{what}_{name}_1", None) for name in (*QUATERNION, *_ROTATION, *_BOTTOM)}
         there = {name: values for name, values in parts.items() if values is not None}

@@ -25,7 +25,7 @@ from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
 _MOST_BYTES = 256 * 1024**2
 _SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
-_STAMP_DIGITS = 14
+_STAMP_DIGITS, _MOST_TITLES = 14, 20
 _NEEDED = ("joint_", "measured_", "error_")
 
 
@@ -80,8 +80,10 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     lines = decoded(table_bytes(path, _MOST_BYTES)).splitlines()
     rows = [row for row in csv.reader(lines, delimiter=mark_of(lines)) if any(row)]
-    heads, below, unit = joined(rows) or (list(rows[0]) if rows else [], rows[1:], "m")
     recipe = campaign.instrument.get("columns", {})
+    named_in = (n for n, row in enumerate(rows[:_MOST_TITLES]) if any(cell.strip() in recipe for cell in row))
+    begin = next(named_in, 0)
+    heads, below, unit = joined(rows) or (list(rows[begin]) if rows else [], rows[begin + 1 :], "m")
     named = [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads]
     body = [row if len(row) == len(named) else [""] * len(named) for row in below]
     wanted = {

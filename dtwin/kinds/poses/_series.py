@@ -42,6 +42,12 @@ class Series:
     floor_mm: float
     repeats: int
 
+    @property
+    def taken_away(self) -> str:
+        """What was fitted before errors are told: where all poses are turned alike, a tool is part of the frame."""
+        turned = self.poses.at.rotation[-1]
+        return "frame" if np.allclose(turned, turned[0]) else "frame and tool"
+
     def chosen(self, terms: Sequence[Term]) -> list[int]:
         """Return the numbers of the parameters of some terms, the set-up's first."""
         return [*range(9), *(i for term in terms for i in range(self.slots[term].start, self.slots[term].stop))]

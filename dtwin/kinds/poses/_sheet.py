@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _AGAIN = 200
 _FEWEST_REPEATS = 3
-_FRAME_AND_TOOL, _FEW_POSES = 9, 20
+_NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
@@ -83,14 +83,13 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
 def _taken_away(run: Run, series: Series) -> str:
     """Return what frame and tool took away before the figures: of few poses it is much of the error."""
     poses = int(series.poses.place.max()) + 1
-    said = f"{run.meta.run_id}: AP and AD are of what the best frame and tool leave"
+    said = f"{run.meta.run_id}: AP and AD are of what is left by the best {series.taken_away}"
     if "error_x_mm" in run.samples:
         largest_um = 1000.0 * np.linalg.norm(_means(axes(run, "error"), series.poses.place), axis=1).max()
         said += f"; as the file has its errors, AP is {largest_um:z.4g} µm"
     if poses < _FEW_POSES:
-        # Where all poses are turned alike, the tool is a part of the frame.
-        numbers = np.linalg.matrix_rank(series.design[:, :, :_FRAME_AND_TOOL].reshape(-1, _FRAME_AND_TOOL))
-        said += f"; {poses} poses are few for the {numbers} numbers of frame and tool, and the figures too small"
+        numbers = _NUMBERS[series.taken_away]
+        said += f"; {poses} poses are few for the {numbers} numbers of {series.taken_away}, and the figures too small"
     return f"{said}."
 
 
@@ -133,4 +132,4 @@ def pose_figure(runs: Sequence[Run]) -> go.Figure:
     for run in runs:
         size = 1000.0 * np.linalg.norm(problem_of(run).error_mm, axis=1)
         curves[run.meta.run_id] = (np.arange(1.0, size.size + 1.0), size)
-    return error_figure(curves, title="Distance from the commanded pose, frame and tool taken away", x_title="reading")
+    return error_figure(curves, title="Distance from the commanded pose, as the set-up leaves it", x_title="reading")

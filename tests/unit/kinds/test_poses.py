@@ -307,6 +307,7 @@ def test_poses_without_joints_have_the_figures_of_the_standard(tmp_path: Path, f
     assert told == {"poses.times", "poses.repeats"} | ({"poses.orientation"} if form == "quaternion" else set())
     found = kind_named("poses").campaign_figures([run])["iso9283"][run.meta.run_id]
     assert (found["poses"], found["readings"]) == (30, 900)
+    assert found["taken_away"] == ("frame" if form == "position" else "frame and tool")
     # A frame of six numbers, and a tool of three, take a part of the error of thirty poses.
     assert found["pose_accuracy_mm"]["mean"] == pytest.approx(0.3, rel=0.12)
     # Mean and three times the spread of the length of three normal directions of 10 µm.
@@ -315,6 +316,26 @@ def test_poses_without_joints_have_the_figures_of_the_standard(tmp_path: Path, f
     ingest(tmp_path / "c", Lake(home.lake))
     with pytest.raises(InputError, match="needs joints"):
         PoseTwins(home).fit("mocap", ["joint_zero@J2"], "arm")
+
+
+@pytest.mark.parametrize(
+    ("name", "other", "said"),
+    [("measured_z_m", "measured_z_mm", ""), ("target_x_mm", "target_x_m", "in another unit"), ("", "", "left-handed")],
+)
+def test_what_keeps_commanded_and_measured_places_apart_is_said(
+    tmp_path: Path, name: str, other: str, said: str
+) -> None:
+    folder = without_joints(tmp_path / "c", "position")
+    told = (folder / "campaign.toml").read_text("utf-8")
+    (folder / "campaign.toml").write_text(told.replace(f'"{name}"', f'"{other}"'), encoding="utf-8")
+    table = folder / "poses.csv"
+    lines = table.read_text("utf-8").splitlines()
+    if not name:
+        turned = (",".join([*row.split(",")[:5], str(-float(row.split(",")[5]))]) for row in lines[1:])
+        lines = [lines[0], *turned]
+    table.write_text("\n".join(["a title", *lines]), encoding="utf-8")
+    (found,) = (f.message for f in judge_run(first_run(folder)) if f.severity == "error")
+    assert said in found
 
 
 def test_a_quaternion_that_is_none_is_refused_with_its_pose(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_the_page_of_a_campaign_says_where_its_uncertainty_comes_from(tmp_path: 
 
 def test_the_sheet_of_poses_says_what_frame_and_tool_took_away() -> None:
     (note,) = check_source(ROOT / "data/poses/ur5-random", tolerances=lambda machine: {})["sheet"]["notes"]
-    assert "best frame and tool leave; as the file has its errors, AP is 3379 µm" in note
+    assert "left by the best frame and tool; as the file has its errors, AP is 3379 µm" in note
     few = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [_first(poses(300.0), 15)], {})
     assert "5 poses are few for the 9 numbers" in few["notes"][-1]
 
