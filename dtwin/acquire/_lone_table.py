@@ -38,6 +38,16 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             + " ".join(f"--{name.split('_')[0]} {_EXAMPLE[name]}" for name in needed)
             + " --machine NAME",
         )
+    stray = [] if kind_named(kind).goes_round else [n for n in ("plane", "radius_mm") if told.get(n) is not None]
+    if stray:
+        raise InputError(
+            f"the table is taken for one of a {kind} test, which has no {' and no '.join(stray)}",
+            code="ingest.kind",
+            where=str(path),
+            got=", ".join(f"{name} {told[name]}" for name in stray),
+            allowed=f"a {kind} test without them, or a table of a circle",
+            hint="columns that belong to no circle, such as temperatures beside coordinates, may have to be left away",
+        )
     run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
     if kind_named(kind).goes_round and "direction" not in run and kind_named(kind).reader_of(path) is None:
         angle = read_columns(path, kind)[0]["angle_deg"]

@@ -14,6 +14,7 @@ from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
+_MOST_GAPS = 20
 # Lengths of smaller units become µm.
 _LEAST_MM = 0.01
 # What a foreign unit is here, and how many of it.
@@ -64,7 +65,7 @@ class Column:
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
     """Return which row holds the heads: the first before a row of as many cells with numbers, or with units."""
     for n, row in enumerate(rows[:MOST_PREAMBLE]):
-        after = next((r for r in rows[n + 1 : n + 3] if not all_units(r)), [])
+        after = next((r for r in rows[n + 1 : n + _MOST_GAPS] if not all_units(r) and not _has_gaps(r)), [])
         named = sum(bool(cell.strip()) and not is_number(cell) for cell in row)
         if 2 <= len(row) <= MOST_COLUMNS and 2 * named > len(row) and len(after) == len(row):
             numbers = sum(is_number(cell) for cell in after)
@@ -78,6 +79,12 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
         hint="dtwin check FILE reads the forms of instruments",
     )
+
+
+def _has_gaps(row: Sequence[str]) -> bool:
+    """Tell whether a row holds one number and empty cells, as where an instrument read nothing."""
+    told = [cell for cell in row if cell.strip()]
+    return len(told) == 1 and is_number(told[0])
 
 
 def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mapping[str, str]) -> tuple[Column, ...]:

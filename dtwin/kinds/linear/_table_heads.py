@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
+from dtwin.acquire.foreign_columns import is_number
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
@@ -77,7 +79,16 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     whole = all(names[: cells[-1][0]]) if cells else False
     if sorted(way for _, way, _ in cells) == ["forward", "reverse"] and whole and (cycle is not None or not numbered):
         return Wide(targets[0], tuple((i, way, 0) for i, way, _ in cells), cycle)
+    if whole and not numbered and cycle is None and _alike(names, cells):
+        seen: Counter[str] = Counter()
+        return Wide(targets[0], tuple((i, way, seen.update([way]) or seen[way]) for i, way, _ in cells))
     return Wide(targets[0], tuple(numbered)) if len(numbered) >= 2 else None
+
+
+def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bool:
+    """Return whether several columns of either way are called alike: cycles that are not numbered."""
+    heads = {way: [names[i] for i, told, _ in cells if told == way] for way in ("forward", "reverse")}
+    return len(heads["forward"]) == len(heads["reverse"]) > 1 and all(len(set(told)) == 1 for told in heads.values())
 
 
 def is_index(head: str) -> bool:
@@ -187,7 +198,10 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
                 filled.append(last)
             joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
             lying = any(cell.strip()[:1].isalpha() for line in below[1:2] for cell in line[:1])
-            if wide_of(joined) is not None and not way_of(filled[0]) and not lying:
+            wide = wide_of(joined)
+            # A number below the target's head is a target, and its row no second row of heads.
+            target = below[0][wide.target : wide.target + 1] if wide is not None else []
+            if wide is not None and not any(map(is_number, target)) and not way_of(filled[0]) and not lying:
                 return [[_unit_last(head) for head in joined], *below[1:]]
     return None
 

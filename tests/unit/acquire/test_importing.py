@@ -262,3 +262,19 @@ def test_groups_of_digits_leave_dates_and_numbers_of_the_other_sign_as_they_are(
     ]
     # One number of each sign: neither is taken for groups.
     assert rows_of("a;b\n1.234,5;20.5\n3;1.234\n")[1:] == [["1.234.5", "20.5"], ["3", "1.234"]]
+
+
+def test_first_rows_without_a_reading_hide_no_heads(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{0.9 * n},{'' if n < 3 else 0.1 * n}" for n in range(400)]
+    path.write_text("\n".join(["angle [deg],deviation [µm]", *rows]), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), CIRCLE, {}).runs == (("a-ccw1", 397),)
+
+
+def test_conditions_of_another_kind_of_test_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{100 * np.cos(n / 50)},{100 * np.sin(n / 50)},20.1" for n in range(400)]
+    path.write_text("\n".join(["time [s],X [mm],Y [mm],air [°C]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        open_source(path, CIRCLE)
+    assert refused.value.code == "ingest.kind"

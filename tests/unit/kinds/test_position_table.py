@@ -462,3 +462,16 @@ def test_temperatures_beside_readings_are_neither_angles_nor_readings(tmp_path: 
     path.write_text("\n".join([heads, *(f"{100 * n},{n},5,20,21" for n in range(5))]), encoding="utf-8")
     found = read_position_table(path)
     assert (found.forward_um.ravel().tolist(), found.reverse_um.ravel().tolist()) == ([0, 1, 2, 3, 4], [5] * 5)
+
+
+@pytest.mark.parametrize("heads", ["Target,Fwd,Rev,Fwd,Rev\nmm,µm,µm,µm,µm", "Target [mm],+ [µm],- [µm],+ [µm],- [µm]"])
+def test_cycles_that_are_not_numbered_are_counted(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(f"{100 * n},{n},5,{n + 1},6" for n in range(5))]), encoding="utf-8")
+    found = read_position_table(path)
+    assert found.forward_um.T.tolist() == [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]]
+    assert found.reverse_um[0].tolist() == [5, 6]
+    # A place and a deviation of each way are no two cycles, and the first row is no second row of heads.
+    path.write_text("Target,Place fwd,Dev fwd,Place rev,Dev rev\n-5,0,1,0,2\n100,100,1,100,2\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no known form"):
+        read_position_table(path)
