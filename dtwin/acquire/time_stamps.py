@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -13,12 +14,13 @@ from dtwin.acquire.foreign_columns import is_number
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-FORMS = (
-    "ISO 8601, 31.12.2026 08:00, 12/31/2026 8:00:00 PM, 14:03:05, a date as days of a spreadsheet, or seconds of Unix"
-)
+FORMS = "ISO 8601, 31.12.2026 08:00, 12/31/2026 8:00:00 PM, 31-Dec-2026 08:00:00, 14:03:05, a date as days of a spreadsheet, or seconds of Unix"
 _OF_DAY = r"(\d{1,3}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([ap]\.?m\.?)?"
 _STAMP = re.compile(rf"(\d{{1,4}})([./-])(\d{{1,2}})\2(\d{{1,4}})(?:[ T,-]+{_OF_DAY})?", re.I)
 _CLOCK = re.compile(_OF_DAY, re.I)
+_DATED, _ORDER = re.compile(r"date|datum", re.I), re.compile(r"(?<![a-z])(dd?\W?mm?|mm?\W?dd?)\W?yy", re.I)
+_HOURS = re.compile(r"uhr|clock|of day|h:mm", re.I)
+_NAMED = ("%d-%b-%Y %H:%M:%S", "%d %b %Y %H:%M:%S", "%d-%b-%Y %H:%M", "%b %d, %Y %I:%M:%S %p")
 _DAY_S, _PIVOT = 86_400.0, 70
 # Days since the 30th December 1899, from 1995 to 2064.
 _SPREADSHEET = (34_700.0, 60_200.0)
@@ -28,16 +30,16 @@ _UNIX_PARTS = (1.0, 1e3, 1e6, 1e9)
 _FIRST_DAY, _FIRST_SECOND = datetime(1899, 12, 30), datetime(1970, 1, 1)
 
 
-def seconds_of(cells: Sequence[str], where: str, *, dated: bool = False) -> tuple[Floats, str]:
+def seconds_of(cells: Sequence[str], where: str, head: str = "") -> tuple[Floats, str]:
     """Return times (n,) in seconds after the first one, NaN where a cell holds none, and the first as ISO 8601; empty where no date tells.
 
     Numbers are taken only for what they can be nothing else by their size. Of dates with strokes or hyphens the file must settle whether the
-    day or the month stands first, by a number above 12, unless it makes no difference.
+    day or the month stands first, by a number above 12 or in its head, unless it makes no difference.
 
     Parameters
     ----------
-    dated : bool
-        Whether the head says that a date stands there: numbers may be days of a spreadsheet.
+    head : str
+        Where it says that a date stands there, numbers may be days of a spreadsheet; ``dd/mm/yyyy`` in it tells the order.
 
     Raises
     ------
@@ -47,11 +49,13 @@ def seconds_of(cells: Sequence[str], where: str, *, dated: bool = False) -> tupl
     told = [cell.strip() for cell in cells]
     numbers = np.array([float(cell) if is_number(cell) else math.nan for cell in told])
     if np.isfinite(numbers).any():
-        return _of_numbers(numbers, dated=dated)
-    if (clock := _of_clock(told)) is not None:
+        return _of_numbers(numbers, dated=_DATED.search(head) is not None)
+    if (clock := _of_clock(told, hours=_HOURS.search(head) is not None)) is not None:
         return clock, ""
     parted = [_STAMP.fullmatch(cell) for cell in told]
-    ways = [_of_dates(told, parted, day_first=first) for first in (True, False)]
+    said = _ORDER.search(head)
+    orders = (True, False) if said is None else (said[0][0].lower() == "d",)
+    ways = [_of_dates(told, parted, day_first=first) for first in orders]
     # Every date of three numbers is one in the order of the file.
     found = [
         _after(times)
@@ -88,13 +92,16 @@ def _of_numbers(numbers: Floats, *, dated: bool) -> tuple[Floats, str]:
     return np.full(numbers.size, math.nan), ""
 
 
-def _of_clock(cells: Sequence[str]) -> Floats | None:
-    """Return times of day as seconds after the first, over midnight too; None when a cell is none. Without seconds ``08:15`` may be minutes."""
+def _of_clock(cells: Sequence[str], *, hours: bool) -> Floats | None:
+    """Return times of day as seconds after the first, over midnight too; None when a cell is none.
+
+    ``hours``: whether the head says that ``08:15`` are hours and minutes; else it may be minutes and seconds.
+    """
     found = [_CLOCK.fullmatch(cell) for cell in cells]
     told = [match for match in found if match is not None]
     if not told or any(match is None and cell for match, cell in zip(found, cells, strict=True)):
         return None
-    if any(match[3] is None and match[5] is None for match in told):
+    if not hours and any(match[3] is None and match[5] is None for match in told):
         return None
     times = np.array([math.nan if match is None else _second(match, 1) for match in found])
     there = np.flatnonzero(np.isfinite(times))
@@ -123,10 +130,12 @@ def _of_dates(
 
 
 def _iso(cell: str) -> datetime | None:
-    try:
+    with suppress(ValueError):
         return datetime.fromisoformat(cell)
-    except ValueError:
-        return None
+    for form in _NAMED if any(letter.isalpha() for letter in cell) else ():
+        with suppress(ValueError):
+            return datetime.strptime(cell, form)
+    return None
 
 
 def _dated(match: re.Match[str], *, day_first: bool) -> datetime | None:

@@ -42,7 +42,8 @@ _STAMP = re.compile(
     r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|(local |utc )?time|(uhr)?zeit|clock)",
     re.I,
 )
-_DATED = re.compile(r"date|datum", re.I)
+_FORM = re.compile(r"\s*[\[(]\s*(utc|local|[hdmsyt:./ -]*[:./-][hdmsyt:./ -]*)\s*[\])]\s*$", re.I)
+"""Behind the head of stamps: their form, such as hh:mm:ss."""
 _STEPS = "displacement_step"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
@@ -190,7 +191,7 @@ def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str,
             name, factor = column.name, column.factor
         if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
             name = f"temperature_{name}"
-        elif _STAMP.fullmatch(name):
+        elif _STAMP.fullmatch(_FORM.sub("", name)):
             name = _STAMPED
         elif name.endswith("_mm"):
             name, factor = f"{name.removesuffix('_mm')}_um", factor * 1e3
@@ -202,7 +203,8 @@ def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str,
 def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[str]:
     """Return heads that tell a unit which is not known."""
     plain = [cell.strip() for cell in row]
-    return [c.head for c in columns_of(plain, units, {}) if c.unit and c.why_not and c.head not in recipe]
+    told = columns_of(plain, units, {})
+    return [c.head for c in told if c.unit and c.why_not and c.head not in recipe and not _FORM.search(c.head)]
 
 
 def _require_rising(t_s: Floats, path: Path) -> None:
@@ -275,7 +277,7 @@ def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stam
     numbers = _numbers(cells) * unit_s
     if not stamps and 2 * np.isfinite(numbers).sum() > there:
         return numbers
-    times = seconds_of(cells, f"{path} {head}", dated=_DATED.search(head) is not None)[0]
+    times = seconds_of(cells, f"{path} {head}", head)[0]
     if 2 * np.isfinite(times).sum() > there:
         return times
     raise InputError(

@@ -269,6 +269,10 @@ def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
         ("timestamp", [f"{(1_795_000_000 + 60 * n) * 1000}" for n in range(60)]),
         ("time [d]", [f"{0.58541 + n / 1440:.8f}" for n in range(60)]),
         ("Time", [f"{1 + n // 1440}/12/2026 14:{n:02d}:05" for n in range(60)]),
+        ("Time [hh:mm:ss]", [f"{n // 60}:{n % 60:02d}:00" for n in range(60)]),
+        ("Date (dd-mm-yyyy),Time (UTC)", [f"9-11-2026,08:{n:02d}:00" for n in range(60)]),
+        ("Uhrzeit", [f"{8 + n // 60:02d}:{n % 60:02d}" for n in range(60)]),
+        ("timestamp", [f"25-Nov-2026 14:{n:02d}:05" for n in range(60)]),
     ],
 )
 def test_stamps_of_spreadsheets_and_of_the_clock_alone_are_read(tmp_path: Path, head: str, stamps: list[str]) -> None:
@@ -380,3 +384,9 @@ def test_a_turning_axis_beside_a_thermometer_is_no_drift_and_a_warm_up_at_a_spee
     assert kind_named("rotation").takes_alone(path) is (not drift)
     if drift:
         assert not any(f.code == "drift.left_out" for f in read(path).findings)
+
+
+@pytest.mark.parametrize(("order", "step_days"), [("dd/mm/yyyy", 1.0), ("MM/DD/YYYY", 31.0)])
+def test_a_head_settles_the_order_of_day_and_month(tmp_path: Path, order: str, step_days: float) -> None:
+    run = read(log(tmp_path / "a.csv", ["7/8/2026", "8/8/2026"], head=f"Date ({order})"))
+    assert run.samples["t_s"][1] == pytest.approx(86_400.0 * step_days)
