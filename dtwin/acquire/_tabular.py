@@ -36,7 +36,7 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
     Returns ``columns`` (n,): columns without the rejected rows.
     Returns ``rejects``: rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
     """
-    table = _read_table(path)
+    table = _with_names(_read_table(path), path)
     columns: dict[str, NDArray[Any]] = {}
     for name in table.column_names:
         columns[name] = _as_array(table, name, path)
@@ -97,6 +97,22 @@ def _read_table(path: Path) -> pa.Table:
             return opened.read_all()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _malformed(path, error) from error
+
+
+def _with_names(table: pa.Table, path: Path) -> pa.Table:
+    """Return a table without empty columns that have no name, such as separators at the ends of lines make; refuse one name for two."""
+    filled = [i for i, name in enumerate(table.column_names) if name or table.column(i).null_count < table.num_rows]
+    table = table.select(filled)
+    twice = sorted({name for name in table.column_names if table.column_names.count(name) > 1})
+    if twice:
+        raise InputError(
+            "two columns have one name",
+            code="columns.twice",
+            where=str(path),
+            got=", ".join(twice)[:80] or "columns without a name",
+            allowed="a name for each column",
+        )
+    return table
 
 
 def _names(path: Path) -> list[str]:

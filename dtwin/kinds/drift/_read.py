@@ -32,7 +32,7 @@ _MOVED = re.compile(
     r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|[d\u03b4]?([xyz])\d?)(_?\d+)?(_\w+)?_um",
     re.I,
 )
-_AXIS_GROUP = 3
+_AXIS_GROUP, _TRAVEL_UM = 3, 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
@@ -142,8 +142,10 @@ def is_drift_log(path: Path) -> bool:
     heads, factors = _named(said, units, {})
     told = _displacements(heads)
     # A log of something else may hold temperatures, too.
-    others = any(_OF_OTHERS.match(name) or name.endswith("_deg") for name in heads) or _turns(
-        said, body, heads, factors
+    others = (
+        any(_OF_OTHERS.match(name) or name.endswith("_deg") for name in heads)
+        or _turns(said, body, heads, factors)
+        or any(_travels([row[i] for row in body], factors[i]) for i, name in enumerate(heads) if name in told)
     )
     return (
         bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
@@ -157,6 +159,12 @@ def _turns(said: Sequence[str], body: Sequence[Sequence[str]], heads: Sequence[s
     clock = list(heads).index("t_s")
     steps = np.diff(_numbers([row[clock] for row in body]) * factors[clock])
     return bool(np.isfinite(steps).any() and np.nanmedian(steps) < _DRIFT_S)
+
+
+def _travels(cells: Sequence[str], factor: float) -> bool:
+    """Return whether a column moves farther than heat moves a machine: it is a position."""
+    moved = _numbers(cells) * factor
+    return bool(np.isfinite(moved).any() and np.nanmax(moved) - np.nanmin(moved) > _TRAVEL_UM)
 
 
 def _displacements(heads: Sequence[str]) -> list[str]:

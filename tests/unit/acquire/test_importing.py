@@ -273,7 +273,7 @@ def test_first_rows_without_a_reading_hide_no_heads(tmp_path: Path) -> None:
 
 def test_conditions_of_another_kind_of_test_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    rows = [f"{n},{100 * np.cos(n / 50)},{100 * np.sin(n / 50)},20.1" for n in range(400)]
+    rows = [f"{n},{0.1 * np.cos(n / 50)},{0.1 * np.sin(n / 50)},20.1" for n in range(400)]
     path.write_text("\n".join(["time [s],X [mm],Y [mm],air [°C]", *rows]), encoding="utf-8")
     with pytest.raises(InputError) as refused:
         open_source(path, CIRCLE)

@@ -163,7 +163,7 @@ def test_a_table_must_say_its_directions(tmp_path: Path) -> None:
     table = "t_s,position_mm,direction,error_um\n0,1,forward,2\n1,2,forward,3\n2,2,{},4\n"
     (folder / "z.csv").write_text(table.format("reverse"))
     assert list(runs_of(folder)[0].samples["direction"]) == ["forward", "forward", "reverse"]
-    (folder / "z.csv").write_text(table.format("up"))
+    (folder / "z.csv").write_text(table.format("sideways"))
     with pytest.raises(InputError, match="from which side"):
         runs_of(folder)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dtwin.acquire._tabular import read_columns
+from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
 
@@ -46,3 +47,22 @@ def test_the_hash_of_words_is_that_of_one_json_array(size: int) -> None:
     words = np.array([("forward", 'rück"wärts', None)[n % 3] for n in range(size)], dtype=object)
     whole = f"way |O {size};".encode() + json.dumps(words.tolist()).encode()
     assert columns_sha256({"way": words}) == hashlib.sha256(whole).hexdigest()
+
+
+def test_separators_at_the_ends_of_lines_are_no_columns_and_one_name_for_two_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t_s,angle_deg,deviation_um,,\n0,0,1,,\n1,1,2,,\n", encoding="utf-8")
+    columns, rejects = read_columns(path, "circular")
+    assert (set(columns), rejects) == ({"t_s", "angle_deg", "deviation_um"}, [])
+    path.write_text("t_s,angle_deg,deviation_um,deviation_um\n0,0,1,3\n", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_columns(path, "circular")
+    assert (refused.value.code, refused.value.got) == ("columns.twice", "deviation_um")
+
+
+def test_directions_of_a_positioning_run_may_be_written_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{n},{'Forward' if n < 5 else '-1'},0.1" for n in range(10)]
+    path.write_text("\n".join(["t_s,position_mm,direction,error_um", *rows]), encoding="utf-8")
+    (run,) = next(iter(open_source(path, {"axis": "X"})[1]))[0]
+    assert run.samples["direction"].tolist() == ["forward"] * 5 + ["reverse"] * 5

@@ -390,3 +390,10 @@ def test_a_turning_axis_beside_a_thermometer_is_no_drift_and_a_warm_up_at_a_spee
 def test_a_head_settles_the_order_of_day_and_month(tmp_path: Path, order: str, step_days: float) -> None:
     run = read(log(tmp_path / "a.csv", ["7/8/2026", "8/8/2026"], head=f"Date ({order})"))
     assert run.samples["t_s"][1] == pytest.approx(86_400.0 * step_days)
+
+
+def test_positions_beside_temperatures_are_no_displacements(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{100 * (n % 5)},{n / 10},20.1" for n in range(60)]
+    path.write_text("\n".join(["time [s],X [mm],dX [µm],T1 [°C]", *rows]), encoding="utf-8")
+    assert not is_drift_log(path)
