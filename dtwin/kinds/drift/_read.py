@@ -29,10 +29,11 @@ from dtwin.units import is_number
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
 _MOVED = re.compile(
-    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|[d\u03b4]?([xyz])\d?)(_?\d+)?(_\w+)?_um",
+    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|[d\u03b4]?[xyz]\d?)(_?\d+)?(_\w+)?_um",
     re.I,
 )
-_AXIS_GROUP, _TRAVEL_UM = 3, 10_000.0
+_AXIS = re.compile(r"(?:^|_)[d\u03b4]?([xyz])\d?(?=_)", re.I)
+_TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
@@ -124,8 +125,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         kept["t_s"] = kept["t_s"] - kept["t_s"][0]
         kept["displacement_um"] = kept["displacement_um"] - kept["displacement_um"][0]
         # The axis that moved may stand in the header, where there are several.
-        matched = _MOVED.fullmatch(name)
-        letter = matched[_AXIS_GROUP] if matched else None
+        matched = _AXIS.search(name)
+        letter = matched[1] if matched else None
         several = len(moved) > 1
         condition = {"axis": letter.upper()} if several and letter else {}
         run_id = name.removesuffix("_um") if several else "log"

@@ -72,6 +72,10 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
+    # Positions and their deviations may stand beside each other.
+    deviations = [cell for cell in numbered if is_deviation(names[cell[0]])]
+    if 2 * len(deviations) == len(numbered) and {cell[1:] for cell in deviations} == {cell[1:] for cell in numbered}:
+        numbered = deviations
     # Targets that lie on their side: a minus of theirs is no way back.
     if not targets or any(_VALUE.fullmatch(name) for name in names):
         return None

@@ -397,3 +397,11 @@ def test_positions_beside_temperatures_are_no_displacements(tmp_path: Path) -> N
     rows = [f"{n},{100 * (n % 5)},{n / 10},20.1" for n in range(60)]
     path.write_text("\n".join(["time [s],X [mm],dX [µm],T1 [°C]", *rows]), encoding="utf-8")
     assert not is_drift_log(path)
+
+
+def test_the_axis_of_a_displacement_is_told_by_its_head_and_elapsed_is_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{n / 2},{n},{20 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["Elapsed time [min],Verlagerung X [µm],dZ [µm],T [°C]", *rows]), encoding="utf-8")
+    runs = next(iter(open_source(path, {"machine": "m"})[1]))[0]
+    assert [run.meta.condition for run in runs] == [{"axis": "X"}, {"axis": "Z"}]

@@ -475,3 +475,11 @@ def test_cycles_that_are_not_numbered_are_counted(tmp_path: Path, heads: str) ->
     path.write_text("Target,Place fwd,Dev fwd,Place rev,Dev rev\n-5,0,1,0,2\n100,100,1,100,2\n", encoding="utf-8")
     with pytest.raises(InputError, match="no known form"):
         read_position_table(path)
+
+
+def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "Soll [mm],Ist hin 1 [mm],Ist rück 1 [mm],Abw. hin 1 [µm],Abw. rück 1 [µm]"
+    path.write_text("\n".join([heads, *(f"{100 * n},{100 * n},{100 * n},{n},5" for n in range(5))]), encoding="utf-8")
+    found = read_position_table(path)
+    assert (found.by_position, found.forward_um.ravel().tolist()) == (False, [0, 1, 2, 3, 4])
