@@ -25,7 +25,7 @@ from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
 _MOST_BYTES = 256 * 1024**2
 _SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
-_STAMP_DIGITS, _MOST_TITLES = 14, 20
+_STAMP_DIGITS, _MOST_TITLES, _LARGEST = 14, 20, 1e9
 _NEEDED = ("joint_", "measured_", "error_")
 
 
@@ -97,6 +97,9 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     columns: dict[str, Floats] = {}
     for name, place in wanted.items():
         column = _numbers([row[place] for row in body])
+        if not name.startswith("t_"):
+            # Their squares would be infinite, and a decomposition of them never ends.
+            column[~(np.abs(column) < _LARGEST)] = np.nan
         ending = next((e for e in _SCALES if name.endswith(e)), "")
         new, scale = _SCALES.get(ending, (ending, 1.0))
         columns[name.removesuffix(ending) + new] = column * scale

@@ -381,3 +381,13 @@ def test_exports_of_cameras_say_how_their_columns_are_named(tmp_path: Path, text
     with pytest.raises(InputError) as refused:
         first_run(tmp_path)
     assert line in str(refused.value.hint)
+
+
+def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:
+    folder = without_joints(tmp_path / "c", "position")
+    lines = (folder / "poses.csv").read_text("utf-8").splitlines()
+    lines[3] = ",".join([*lines[3].split(",")[:5], "1e300"])
+    (folder / "poses.csv").write_text("\n".join(lines), encoding="utf-8")
+    (run,), (rejected,) = next(iter(open_source(folder)[1]))
+    assert ([row["row"] for row in rejected.rows], run.n_samples) == ([2], 899)
+    assert not any(f.severity == "error" for f in judge_run(run))
