@@ -245,7 +245,7 @@ def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     page = (ROOT / "docs/how-to/positioning-table.md").read_text(encoding="utf-8")
-    table, command, told = re.findall(r"```(?:csv title=\"axis-x.csv\"|sh|text)\n(.*?)```", page, re.S)
+    table, command, told, *_ = re.findall(r"```(?:csv title=\"axis-x.csv\"|sh|text)\n(.*?)```", page, re.S)
     (tmp_path / "axis-x.csv").write_text(table, encoding="utf-8")
     done = CliRunner().invoke(app, command.split()[1:], catch_exceptions=False)
     assert done.exit_code == 0
