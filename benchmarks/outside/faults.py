@@ -86,6 +86,9 @@ class Fault:
     drive: Callable[[Axis, float], Axis] = field(default=_drive_as_it_is, repr=False)
     push: Callable[[Motion], dict[str, Floats]] = field(default=_pushes_nothing, repr=False)
 
+    def __str__(self) -> str:
+        return f"{self.kind} {self.axis}".rstrip()
+
 
 def _labels(axis: str, *effects: str) -> frozenset[str]:
     return frozenset(f"{effect} {axis}" for effect in effects)

@@ -62,6 +62,7 @@ def test_none_is_left_out() -> None:
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
+        "outside_axis.py",
         "outside_machine.py",
         "plant_year.py",
         "sister_machines.py",
@@ -240,6 +241,21 @@ def test_outside_machine() -> None:
     assert (null["faults that show"], null["named"]) == (0, 0)
     assert (null["false names per machine"], null["something unresolved"]) == (0.0, 0)
     assert 0 < everyday["named"] <= everyday["faults that show"] == 3
+
+
+def test_outside_axis() -> None:
+    found = short("outside_axis.py")
+    full, null = found["rows"]
+    assert (full["row"], null["row"]) == ("full", "null")
+    # Nothing is wrong, and nothing is said to be.
+    assert (null["faults that show"], null["named"], null["good runs left out"]) == (0, 0, 0)
+    assert (null["false names per machine"], null["something unresolved"]) == (0.0, 0)
+    # The first machine has play, and waves of a screw whose pitch is not stated.
+    shown = {row["mechanism"]: row["shows"] for row in found["mechanisms"]}
+    assert shown == {"backlash": 1, "periodic": 1}
+    assert 0 < full["named"] <= full["faults that show"] == 2
+    assert full["named"] == sum(row["named"] for row in found["mechanisms"])
+    assert full["false names per machine"] == sum(row["times"] for row in found["false names"])
 
 
 @pytest.mark.long
