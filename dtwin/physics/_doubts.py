@@ -45,6 +45,7 @@ def doubted(found: Search, late: bool, tests: Tests) -> list[Found]:
         or at_its_end(f.top.term)
         or _hangs_untested(f, tests[f.label][f.label], found)
         or f.gain <= 0.0
+        or f.size_um <= 0.0
         or _is_local(f, found.plain.obs)
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
