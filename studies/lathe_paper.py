@@ -26,7 +26,7 @@ from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear._small_net import new_net
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
-from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
+from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -121,8 +121,8 @@ def exact_averages(network: LatheNetwork, plan: LinearPlan) -> Averages:
     """Return the printed error at a plan's targets, without drift or noise."""
     position = np.array(plan.targets)
     ways = (np.zeros(len(position)), np.ones(len(position)))
-    forward, reverse = (network.error_in(way, position) for way in ways)
-    return Averages(position, forward, reverse)
+    forward, reverse = (UM_PER_IN * network.error_in(way, position) for way in ways)
+    return Averages(MM_PER_IN * position, forward, reverse)
 
 
 def table_steps(network: LatheNetwork) -> list[dict[str, Any]]:
@@ -148,7 +148,7 @@ def table_steps(network: LatheNetwork) -> list[dict[str, Any]]:
 
 def _left(model: PositionModel, truth: Averages) -> dict[str, float]:
     direction, position, error = truth.stacked()
-    rest = ((error - model.error_in(direction, position)) * UM_PER_IN).reshape(2, -1)
+    rest = (error - model.error_um(direction, position)).reshape(2, -1)
     return {
         "max_average_error_um": float(np.ptp(rest)),
         "max_reversal_error_um": float(np.abs(rest[1] - rest[0]).max()),
@@ -185,7 +185,7 @@ def _campaigns(size: Size, seed: int) -> list[Line]:
         models: dict[str, PositionModel] = {
             "table": Bidirectional(averages),
             "network": pair,
-            "flanks": flanks_of(pair.full, averages, PITCH_IN, 4, MAPPED_IN),
+            "flanks": flanks_of(pair.full, averages, MM_PER_IN * PITCH_IN, 4, MAPPED_MM),
         }
         other = virtual_lathe("published", seed + 100_000 + number)
         for name, model in models.items():
@@ -307,9 +307,9 @@ def _reached(target: str, what: str, goal: float, epochs: int, found: Sequence[T
 def _single(exact: Averages, size: Size) -> list[Line]:
     single = fit_single(exact, PITCH_IN, 0, epochs=size.single_epochs)
     direction, position, error = exact.stacked()
-    worst_in = float(np.max(np.abs(single.error_in(direction, position) - error)))
+    worst_in = float(np.max(np.abs(single.error_um(direction, position) - error))) / UM_PER_IN
     dual = fit_dual(exact, PITCH_IN, 0)
-    dual_error = dual.error_in(direction, position) - error
+    dual_error = (dual.error_um(direction, position) - error) / UM_PER_IN
     dual_s = sum(t.seconds for t in dual.trained)
     level = float(dual_error @ dual_error)
     equal = fit_single(exact, PITCH_IN, 0, epochs=size.single_epochs, goal=level).trained

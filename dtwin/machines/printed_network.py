@@ -19,6 +19,7 @@ from dtwin.schema import Floats
 
 PITCH_IN = 0.25
 MAPPED_IN = (1.0, 40.0)
+MAPPED_MM = (25.4 * MAPPED_IN[0], 25.4 * MAPPED_IN[1])
 
 
 @dataclass(frozen=True)

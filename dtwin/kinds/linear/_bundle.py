@@ -14,19 +14,20 @@ import numpy as np
 from dtwin import __version__
 from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN, Averages, DualNet
 from dtwin.kinds.linear._small_net import SmallNet
-from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, Layer
+from dtwin.machines.printed_network import MAPPED_MM, PITCH_IN, LatheNetwork, Layer
 from dtwin.schema import Floats
 from dtwin.serve.band import COVARIANCE, Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
+from dtwin.units import UM_PER_MM
 
 RATE_HZ = 100.0
 # Beyond the map the ends are held; the axis may go this much further while it turns round.
-ROOM_IN = 1.0
+ROOM_MM = 25.0
 # Below every place that an axis can start from.
-_FAR_IN = 100.0
+_FAR_MM = 2500.0
 POSITION, _DIRECTION = "position_mm", "direction_1"
 # What bundles from before 2026-12 ask for.
 _INCHES = "position_in"
@@ -53,9 +54,8 @@ def _output(axis: str) -> Output:
     return Output(f"error_{axis.lower()}_um", f"base_{axis.lower()}")
 
 
-def _position(travel_in: tuple[float, float]) -> Input:
-    low, high = (end * MM_PER_IN for end in travel_in)
-    return Input(POSITION, "mm", "none", RATE_HZ, "controller", low, high)
+def _position(travel_mm: tuple[float, float]) -> Input:
+    return Input(POSITION, "mm", "none", RATE_HZ, "controller", *travel_mm)
 
 
 def printed_pair(network: LatheNetwork) -> DualNet:
@@ -64,19 +64,19 @@ def printed_pair(network: LatheNetwork) -> DualNet:
 
 
 def deployed_bundle(
-    pair: DualNet, name: str, machine: str, reach_in: tuple[float, float] = MAPPED_IN, axis: str = "Z"
+    pair: DualNet, name: str, machine: str, reach_mm: tuple[float, float] = MAPPED_MM, axis: str = "Z"
 ) -> Bundle:
     """Return the equation as the published program evaluates it, to the error instead of its negative.
 
     The remainder of the position by the pitch is taken by subtracting halved lengths, which is exact.
     Like C's it has the sign of the position.
 
-    ``reach_in``: validity box of the position.
+    ``reach_mm``: validity box of the position.
     """
     builder = GraphBuilder()
     direction, position = builder.input(_DIRECTION), builder.input(POSITION) / MM_PER_IN
     reverse = builder.apply("step", direction - 0.5)
-    turned = _remainder(builder, position, pair.pitch_in, reach_in[1])
+    turned = _remainder(builder, position, pair.pitch_in, reach_mm[1] / MM_PER_IN)
     slow = pair.full.expression(builder, (reverse, position))
     fast = pair.cyclic.expression(builder, (reverse, turned))
     output = _output(axis)
@@ -86,7 +86,7 @@ def deployed_bundle(
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(Input(_DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
+        inputs=(Input(_DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_mm)),
         outputs=(output,),
         tick_graph=graph,
         safety=SAFETY,
@@ -96,7 +96,7 @@ def deployed_bundle(
 
 @dataclass(frozen=True)
 class _Harmonics:
-    """A cyclic error over one turn of the screw that closes, in inches.
+    """A cyclic error over one turn of the screw that closes, in um.
 
     ``constant``: mean.
     ``sine``, ``cosine``, (orders,): amplitudes of orders 1, 2 ...
@@ -106,9 +106,9 @@ class _Harmonics:
     sine: Floats
     cosine: Floats
 
-    def evaluate(self, position_in: Floats, pitch_in: float) -> Floats:
-        """Return the cyclic error in inches, shape (n,)."""
-        angle = np.outer(2.0 * np.pi * np.asarray(position_in) / pitch_in, self._orders())
+    def evaluate(self, position_mm: Floats, pitch_mm: float) -> Floats:
+        """Return the cyclic error in um, shape (n,)."""
+        angle = np.outer(2.0 * np.pi * np.asarray(position_mm) / pitch_mm, self._orders())
         waves: Floats = np.sin(angle) @ self.sine + np.cos(angle) @ self.cosine
         return waves + self.constant
 
@@ -123,14 +123,14 @@ class _Harmonics:
         return np.arange(1.0, len(self.sine) + 1.0)
 
 
-def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders: int) -> _Harmonics:
+def fit_harmonics(position_mm: Floats, error_um: Floats, pitch_mm: float, orders: int) -> _Harmonics:
     """Fit a cyclic error by least squares.
 
-    ``position_in``, ``error_in``, (n,): positions at enough angles of the screw, and what is left at them.
+    ``position_mm``, ``error_um``, (n,): positions at enough angles of the screw, and what is left at them.
     """
-    angle = np.outer(2.0 * np.pi * position_in / pitch_in, np.arange(1.0, orders + 1.0))
-    design = np.hstack([np.ones((len(position_in), 1)), np.sin(angle), np.cos(angle)])
-    found = np.linalg.lstsq(design, error_in, rcond=None)[0]
+    angle = np.outer(2.0 * np.pi * position_mm / pitch_mm, np.arange(1.0, orders + 1.0))
+    design = np.hstack([np.ones((len(position_mm), 1)), np.sin(angle), np.cos(angle)])
+    found = np.linalg.lstsq(design, error_um, rcond=None)[0]
     return _Harmonics(float(found[0]), found[1 : orders + 1], found[orders + 1 :])
 
 
@@ -138,57 +138,62 @@ def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders
 class Flanks:
     """Both limits of slide minus screw: a slow network and a closing cyclic error for each.
 
-    ``full``: inputs are direction and position.
+    ``full``: inputs are direction and position, in inches.
     ``forward``, ``reverse``: of the flank that pushes up, and of the other.
-    ``reach_in``: mapped travel; beyond it the ends are held.
+    ``reach_mm``: mapped travel; beyond it the ends are held.
     """
 
     full: SmallNet
     forward: _Harmonics
     reverse: _Harmonics
-    pitch_in: float
-    reach_in: tuple[float, float]
+    pitch_mm: float
+    reach_mm: tuple[float, float]
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches once the slide rests on a flank, shape (n,)."""
-        x = np.clip(position_in, *self.reach_in)
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error once the slide rests on a flank, shape (n,)."""
+        x = np.clip(position_mm, *self.reach_mm)
         cyclic = np.where(
             np.asarray(direction) >= 0.5,
-            self.reverse.evaluate(x, self.pitch_in),
-            self.forward.evaluate(x, self.pitch_in),
+            self.reverse.evaluate(x, self.pitch_mm),
+            self.forward.evaluate(x, self.pitch_mm),
         )
-        return self.full.evaluate(np.column_stack([direction, x])) + cyclic
+        return _slow_um(self.full, direction, x) + cyclic
+
+
+def _slow_um(full: SmallNet, direction: Floats, position_mm: Floats) -> Floats:
+    """Return what a network says of direction and position, shape (n,)."""
+    return UM_PER_IN * full.evaluate(np.column_stack([direction, position_mm / MM_PER_IN]))
 
 
 def flanks_of(
-    full: SmallNet, averages: Averages, pitch_in: float, orders: int, reach_in: tuple[float, float]
+    full: SmallNet, averages: Averages, pitch_mm: float, orders: int, reach_mm: tuple[float, float]
 ) -> Flanks:
     """Return a slow network with the closing cyclic error that the averages ask for.
 
-    ``full``: inputs are direction and position.
+    ``full``: inputs are direction and position, in inches.
     ``averages``: mean errors at enough angles of the screw.
     ``orders``: harmonics of the turn.
     """
-    x = averages.position_in
+    x = averages.position_mm
     rest = [
-        error - full.evaluate(np.column_stack([np.full(len(x), way), x]))
-        for way, error in ((0.0, averages.forward_in), (1.0, averages.reverse_in))
+        error - _slow_um(full, np.full(len(x), way), x)
+        for way, error in ((0.0, averages.forward_um), (1.0, averages.reverse_um))
     ]
-    forward, reverse = (fit_harmonics(x, r, pitch_in, orders) for r in rest)
-    return Flanks(full, forward, reverse, pitch_in, reach_in)
+    forward, reverse = (fit_harmonics(x, r, pitch_mm, orders) for r in rest)
+    return Flanks(full, forward, reverse, pitch_mm, reach_mm)
 
 
-def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float], axis: str = "Z") -> Bundle:
+def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_mm: tuple[float, float], axis: str = "Z") -> Bundle:
     """Return the equation of two fitted flanks, with a memory for the play.
 
-    ``travel_in``: travel of the axis, the validity box.
+    ``travel_mm``: travel of the axis, the validity box.
     """
     builder = GraphBuilder()
     limits = [
         lambda position, way=way, cyclic=cyclic: _flank(builder, flanks, way, cyclic, position)
         for way, cyclic in ((0.0, flanks.forward), (1.0, flanks.reverse))
     ]
-    return remembering_bundle(builder, limits, name, machine, travel_in, axis=axis)
+    return remembering_bundle(builder, limits, name, machine, travel_mm, axis=axis)
 
 
 Limit = Callable[[Expression], Expression]
@@ -199,7 +204,7 @@ def remembering_bundle(
     limits: Sequence[Limit],
     name: str,
     machine: str,
-    travel_in: tuple[float, float],
+    travel_mm: tuple[float, float],
     safety: SafetyLimits = SAFETY,
     table_versions: Mapping[str, int] | None = None,
     axis: str = "Z",
@@ -213,25 +218,25 @@ def remembering_bundle(
     corrected screw stands elsewhere, so each flank is taken where the correction puts the screw. Before
     the first motion the slide is taken to rest as after coming from below.
 
-    ``limits``: lower and upper limit of slide minus screw in inches, as a term of the graph, at a position of the screw
-    in inches. They hold their ends.
-    ``travel_in``: travel of the axis, the validity box.
+    ``limits``: lower and upper limit of slide minus screw in um, as a term of the graph, at a position of the screw
+    in mm. They hold their ends.
+    ``travel_mm``: travel of the axis, the validity box.
     ``half_um``: half width (k = 2) of the error, as a term of the graph; None when it is not known.
     """
-    position = builder.input(POSITION) / MM_PER_IN
+    position = builder.input(POSITION)
     output = _output(axis)
-    lower, upper = (position + limit(position - limit(position)) for limit in limits)
-    lifted = builder.apply("max", builder.state("slide_in"), lower)
+    lower, upper = (position + limit(position - limit(position) / UM_PER_MM) / UM_PER_MM for limit in limits)
+    lifted = builder.apply("max", builder.state("slide_mm"), lower)
     slide = builder.apply("min", lifted, upper)
-    graph = builder.graph({output.name: (slide - position) * UM_PER_IN}, {"slide_in": slide})
+    graph = builder.graph({output.name: (slide - position) * UM_PER_MM}, {"slide_mm": slide})
     return create_bundle(
         corrects="linear",
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(_position(travel_in),),
+        inputs=(_position(travel_mm),),
         outputs=(output,),
-        states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
+        states=(State("slide_mm", "mm", travel_mm[0] - _FAR_MM),),
         tick_graph=graph,
         safety=safety,
         provenance=Provenance(code_version=__version__, evidence="none", table_versions=dict(table_versions or {})),
@@ -239,20 +244,20 @@ def remembering_bundle(
     )
 
 
-def held(builder: GraphBuilder, position: Expression, reach_in: tuple[float, float]) -> Expression:
+def held(builder: GraphBuilder, position: Expression, reach_mm: tuple[float, float]) -> Expression:
     """Return a position that stays at the end of the mapped travel beyond it."""
-    low, high = reach_in
+    low, high = reach_mm
     return builder.apply("min", builder.apply("max", position, low), high)
 
 
 def _flank(builder: GraphBuilder, flanks: Flanks, way: float, cyclic: _Harmonics, position: Expression) -> Expression:
-    """Return one flank's limit at a position of the screw."""
-    x = held(builder, position, flanks.reach_in)
+    """Return one flank's limit in um at a position of the screw in mm."""
+    x = held(builder, position, flanks.reach_mm)
     waves = []
     for order in range(1, len(cyclic.sine) + 1):
-        angle = x * (2.0 * np.pi * order / flanks.pitch_in)
+        angle = x * (2.0 * np.pi * order / flanks.pitch_mm)
         waves.append((builder.apply("sin", angle), builder.apply("cos", angle)))
-    slow = flanks.full.expression(builder, (builder.constant(way), x))
+    slow = flanks.full.expression(builder, (builder.constant(way), x / MM_PER_IN)) * UM_PER_IN
     return slow + cyclic.expression(builder, waves)
 
 

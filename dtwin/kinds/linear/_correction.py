@@ -8,7 +8,8 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.linear._freeze import flanks_twin_bundle, pitch_in, reach_in
+from dtwin.kinds.linear._freeze import flanks_twin_bundle, pitch_mm, reach_mm
+from dtwin.kinds.linear._gates import screw_metrics
 from dtwin.kinds.linear._judging import (
     HELD_OUT,
     explained_share,
@@ -19,7 +20,6 @@ from dtwin.kinds.linear._judging import (
     table_rms_um,
 )
 from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear._models import MM_PER_IN
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
@@ -53,7 +53,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
     left = runs_left_out(test, lambda run: _foretold_um(frozen, twin, obs, run))
     error = stacked(test)[2]
     floor = noise_floor_um(test)
-    low, high = reach_in(obs)
+    reach = reach_mm(obs)
     rest = frozen_residual_um(frozen.twin, obs)
     bundle = frozen.bundle
     candidate = Candidate(
@@ -68,14 +68,12 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
         exports={"tick.txt": to_text(bundle.tick_graph)},
         bundle=bundle.to_dict(),
         numbers={
-            "screw_pitch_in": pitch_in(obs),
-            "mapped_from_in": low,
-            "mapped_to_in": high,
+            **screw_metrics(pitch_mm(obs), reach),
             "explained_share": explained_share(error, left, floor),
             "table_rms_um": table_rms_um(test),
         },
     )
-    return Judged(candidate, floor, rms(error), ((obs.axes[0], low, high),))
+    return Judged(candidate, floor, rms(error), ((obs.axes[0], *reach),))
 
 
 def test_of_runs(obs: Observations) -> LinearTest:
@@ -101,7 +99,7 @@ def test_of_runs(obs: Observations) -> LinearTest:
         errors[1.0],
         errors[-1.0],
         int(np.count_nonzero(~everywhere)),
-        pitch_in(obs) * MM_PER_IN,
+        pitch_mm(obs),
         obs.axes[0],
     )
 

@@ -11,7 +11,6 @@ from dtwin.kinds.linear._bundle import axis_number, told
 from dtwin.kinds.linear._gates import along
 from dtwin.kinds.linear._judging import HELD_OUT, noise_floor_um
 from dtwin.kinds.linear._matrix import linear_test
-from dtwin.kinds.linear._models import MM_PER_IN
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
@@ -53,7 +52,7 @@ def _served(bundle: Bundle, run: Run) -> tuple[Floats, Any]:
     """Return the error that serving takes away at each reading of a run, and where it takes none."""
     place = np.asarray(run.samples["position_mm"], float)
     way = (run.samples["direction"] == "reverse").astype(float)
-    return as_served(bundle, told(place, way), along(bundle, place / MM_PER_IN))
+    return as_served(bundle, told(place, way), along(bundle, place))
 
 
 def _without_zero(errors: Sequence[Floats], setups: Sequence[str]) -> Floats:

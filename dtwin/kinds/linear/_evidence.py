@@ -11,8 +11,10 @@ import numpy as np
 from dtwin.acquire.virtual import EPOCH
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import axis_number, is_positioning_bundle
+from dtwin.kinds.linear._gates import screw_logged
 from dtwin.kinds.linear._loop import PERIOD_S, exact_correction, looped, measured
 from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._models import MM_PER_IN
 from dtwin.kinds.linear._plan import LinearPlan, better_step
 from dtwin.kinds.linear._simulate import verification_plan, virtual_lathe
 from dtwin.progress import Progress
@@ -37,9 +39,9 @@ def measured_days(
     """
     if not is_positioning_bundle(bundle):
         raise InputError("the bundle does not correct a position", code="lathe.bundle", got=bundle.name)
-    reach = logged["mapped_from_in"], logged["mapped_to_in"]
+    pitch_mm, low_mm, high_mm = screw_logged(logged)
     axis = "XYZ"[axis_number(bundle)]
-    plan = evidence_plan(reach, logged["screw_pitch_in"], bundle.machine, axis)
+    plan = evidence_plan((low_mm, high_mm), pitch_mm, bundle.machine, axis)
     runs: list[Run] = []
     oracle: list[Run] = []
     guards: list[Mapping[str, int]] = []
@@ -88,12 +90,12 @@ def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") ->
     return Run(meta, samples, source="virtual lathe")
 
 
-def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str, axis: str = "Z") -> LinearPlan:
-    """Return a test over the mapped travel whose step meets the screw at many angles.
+def evidence_plan(reach_mm: tuple[float, float], pitch_mm: float, machine: str, axis: str = "Z") -> LinearPlan:
+    """Return a test, in inches as the virtual lathe's, over the mapped travel, whose step meets the screw at many angles.
 
-    ``pitch_in``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw.
     """
-    low, high = (round(end, 4) for end in reach_in)
+    low, high = (round(end / MM_PER_IN, 4) for end in reach_mm)
     span = round(high - low, 4)
     head = replace(
         verification_plan(),
@@ -106,7 +108,7 @@ def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str, 
         step=span / _TARGETS,
         axis_low=low - 1.0,
         axis_high=high + 1.0,
-        pitch=pitch_in,
+        pitch=pitch_mm / MM_PER_IN,
     )
     step = better_step(head, span / 8.0) or head.step
     return replace(head, step=step, window=min(head.window, step / 4.0))

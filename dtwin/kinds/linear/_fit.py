@@ -12,9 +12,9 @@ import numpy as np
 from dtwin.kinds.linear._bundle import deployed_bundle, printed_pair
 from dtwin.kinds.linear._gates import positioning_gates
 from dtwin.kinds.linear._loop import campaign_test
-from dtwin.kinds.linear._models import UM_PER_IN, Averages, PositionModel, averages_of
+from dtwin.kinds.linear._models import MM_PER_IN, Averages, PositionModel, averages_of
 from dtwin.kinds.linear._training import fit_pair, flanks_from, screw_of, serving_bundle
-from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.machines.printed_network import MAPPED_MM, PITCH_IN, read_network
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle
@@ -26,12 +26,12 @@ from dtwin.train.gates import Verdict
 class _Fitted:
     """A fitted equation.
 
-    ``pitch_in``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw.
     """
 
     bundle: Bundle
-    pitch_in: float
-    reach_in: tuple[float, float]
+    pitch_mm: float
+    reach_mm: tuple[float, float]
     figures: Mapping[str, Any]
 
 
@@ -53,7 +53,7 @@ def fitted(campaign: Path | None, model: str, seed: int) -> _Fitted:
     if campaign is None or model == "printed":
         network = read_network()
         bundle = deployed_bundle(printed_pair(network), "lathe-printed", "published-lathe")
-        return _Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
+        return _Fitted(bundle, PITCH_IN * MM_PER_IN, MAPPED_MM, {"from": network.source})
     machine, test = campaign_test(campaign)
     averages = averages_of(test)
     screw = screw_of(test, str(campaign))
@@ -62,12 +62,12 @@ def fitted(campaign: Path | None, model: str, seed: int) -> _Fitted:
     equation = serving_bundle(chosen, machine, screw, test.axis)
     assert equation is not None
     figures = _figures(chosen, averages, screw.phases)
-    return _Fitted(equation, screw.pitch_in, screw.reach_in, figures)
+    return _Fitted(equation, screw.pitch_mm, screw.reach_mm, figures)
 
 
 def judged(made: _Fitted) -> list[Verdict]:
     """Return what the gates say of a fitted equation."""
-    return positioning_gates(made.bundle, made.pitch_in, made.reach_in)
+    return positioning_gates(made.bundle, made.pitch_mm, made.reach_mm)
 
 
 def write_judged(made: _Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
@@ -86,9 +86,9 @@ def write_judged(made: _Fitted, verdicts: Sequence[Verdict], out: Path, *, force
 
 def _figures(model: PositionModel, averages: Averages, phases: int) -> dict[str, Any]:
     direction, position, error = averages.stacked()
-    rest: Floats = (error - model.error_in(direction, position)) * UM_PER_IN
+    rest: Floats = error - model.error_um(direction, position)
     return {
-        "targets": len(averages.position_in),
+        "targets": len(averages.position_mm),
         "screw_phases": phases,
         "rms_left_um": round(rms(rest), 3),
         "largest_left_um": round(float(np.max(np.abs(rest))), 3),

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._bundle import POSITION, ROOM_IN, SAFETY, held, remembering_bundle
+from dtwin.kinds.linear._bundle import POSITION, ROOM_MM, SAFETY, held, remembering_bundle
 from dtwin.kinds.linear._check import FEWEST_PHASES, phases_of
 from dtwin.kinds.linear._grid import WAYS, Stroke
-from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.screw import PITCH
@@ -39,19 +38,19 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
     ``obs``: the runs that it was fitted to: their targets are the mapped travel.
     """
     _require_both_ways(twin, obs)
-    pitch_in(obs)
+    pitch_mm(obs)
     builder = GraphBuilder()
     flanks = _Flanks(builder, twin, obs)
     kept = carried(twin, flanks.require)
     flanks = replace(flanks, twin=kept.twin)
     _require_play(kept.twin, obs)
-    low, high = reach_in(obs)
+    low, high = reach_mm(obs)
     bundle = remembering_bundle(
         builder,
-        [partial(flanks.limit_in, way=way) for way in WAYS],
+        [partial(flanks.limit_um, way=way) for way in WAYS],
         f"twin-{twin.name}",
         twin.machine,
-        (low - ROOM_IN, high + ROOM_IN),
+        (low - ROOM_MM, high + ROOM_MM),
         _safety(kept.twin, obs),
         {k: v for k, v in twin.data.items() if isinstance(v, int)},
         obs.axes[0],
@@ -69,20 +68,20 @@ def flank_graph(twin: Twin, obs: Observations) -> Graph:
     """
     builder = GraphBuilder()
     flanks = _Flanks(builder, twin, obs)
-    position = builder.input(POSITION) / MM_PER_IN
-    return builder.graph({way: flanks.limit_in(position, way) * UM_PER_IN for way in WAYS})
+    position = builder.input(POSITION)
+    return builder.graph({way: flanks.limit_um(position, way) for way in WAYS})
 
 
-def reach_in(obs: Observations) -> tuple[float, float]:
-    """Return the mapped travel in inches."""
-    return float(obs.grid.points[0]) / MM_PER_IN, float(obs.grid.points[-1]) / MM_PER_IN
+def reach_mm(obs: Observations) -> tuple[float, float]:
+    """Return the mapped travel."""
+    return float(obs.grid.points[0]), float(obs.grid.points[-1])
 
 
-def pitch_in(obs: Observations) -> float:
-    """Return the travel in one turn of the screw, in inches."""
+def pitch_mm(obs: Observations) -> float:
+    """Return the travel in one turn of the screw."""
     told = obs.campaign.machine_geometry.get(PITCH)
-    pitch_mm = float(told) if isinstance(told, int | float) else 0.0
-    phases = phases_of(obs.grid.points, pitch_mm) if pitch_mm > 0.0 else 0
+    pitch = float(told) if isinstance(told, int | float) else 0.0
+    phases = phases_of(obs.grid.points, pitch) if pitch > 0.0 else 0
     if phases < FEWEST_PHASES:
         raise InputError(
             "the targets do not show the screw",
@@ -92,7 +91,7 @@ def pitch_in(obs: Observations) -> float:
             allowed=f"{PITCH} under [campaign.machine_geometry], and at least {FEWEST_PHASES} angles",
             hint="a step that does not divide the pitch: dtwin plan says what a step can show",
         )
-    return pitch_mm / MM_PER_IN
+    return pitch
 
 
 @dataclass(frozen=True)
@@ -108,16 +107,15 @@ class _Flanks:
         if term.instance.effect.needs:
             needs = ", ".join(term.instance.effect.needs)
             raise NotTraceable(f"it needs {needs}, and the loop of an axis is told its position only")
-        position = self.builder.input(POSITION) / MM_PER_IN
+        position = self.builder.input(POSITION)
         for way in WAYS:
             slow, fast = (self._effect_um(term, position, way, faster) for faster in (1.0, 2.0))
             if slow.index != fast.index:
                 raise NotTraceable("it changes with the feed, and the loop of an axis is told its position only")
 
-    def limit_in(self, position: Expression, way: str) -> Expression:
-        """Return slide minus screw in inches with the screw at a position in inches."""
-        terms = [self._effect_um(term, position, way) for term in self.twin.terms]
-        return self.builder.total(terms) * (1.0 / UM_PER_IN)
+    def limit_um(self, position: Expression, way: str) -> Expression:
+        """Return slide minus screw in um with the screw at a position in mm."""
+        return self.builder.total([self._effect_um(term, position, way) for term in self.twin.terms])
 
     def half_um(self, factor: Floats | None) -> Expression | None:
         """Return the half width (k = 2) of the error at a position: that of the less certain flank.
@@ -126,7 +124,7 @@ class _Flanks:
         """
         if factor is None:
             return None
-        position = self.builder.input(POSITION) / MM_PER_IN
+        position = self.builder.input(POSITION)
         squares = []
         for way in WAYS:
             state = _traced_state(self.builder, position, self.obs, way, 1.0)
@@ -139,7 +137,7 @@ class _Flanks:
         return weighted(term, state, self.builder, self.twin.values(term))
 
 
-def _traced_state(builder: GraphBuilder, position_in: Expression, obs: Observations, way: str, faster: float) -> Any:
+def _traced_state(builder: GraphBuilder, position: Expression, obs: Observations, way: str, faster: float) -> Any:
     """Return the state of a sweep with a stand-in for the position."""
     number, condition = next((i, c) for i, c in enumerate(obs.conditions) if c.direction == way)
     row = int(np.flatnonzero(obs.condition_of == number)[0])
@@ -148,7 +146,7 @@ def _traced_state(builder: GraphBuilder, position_in: Expression, obs: Observati
     (axis,) = real.axes
     points = real.position_mm[axis]
     centre_mm = float(obs.grid.points[0] - points[0])
-    x: Any = TracedAlong(held(builder, position_in, reach_in(obs)) * MM_PER_IN - centre_mm, points)
+    x: Any = TracedAlong(held(builder, position, reach_mm(obs)) - centre_mm, points)
     one: Floats = np.ones(1)
     untold: Any = NotTold("its place among the targets")
     return replace(

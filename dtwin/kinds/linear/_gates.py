@@ -12,15 +12,15 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
+from dtwin.units import UM_PER_MM
 
 _SEAM_UM = 0.25
 # What a correction may change while the axis moves by less than this.
 _STANDSTILL_UM = 1.0
 _OUTSIDE_UM = 1.0
 _LEAST_EXPLAINED = 0.9
-_CLOSE_IN = 1e-7
-_COUNT_IN = 6.23e-6
-_UM_PER_IN = 25_400.0
+_CLOSE_MM = 2.5e-6
+_COUNT_MM = 1.58e-4
 _PLACES = 41
 
 
@@ -34,47 +34,47 @@ class _PathAnswers:
         self._inputs = bundle.tick_inputs
         self._compiled = CompiledBundle(bundle)
 
-    def along(self, position_in: Floats, standing: float | None = None) -> Floats:
+    def along(self, position_mm: Floats, standing: float | None = None) -> Floats:
         """Return the predicted error in um along successive positions, shape (n,).
 
         A bundle that asks for a direction gets the sign of the newest motion, as the published
         program computes it.
 
-        ``position_in``, (n,): positions, tick by tick; the axis is taken to come from below.
+        ``position_mm``, (n,): positions, tick by tick; the axis is taken to come from below.
         ``standing``: direction that is told while the axis stands still; that of the newest motion without.
         """
-        step = np.sign(np.diff(position_in, prepend=position_in[0] - 1.0))
+        step = np.sign(np.diff(position_mm, prepend=position_mm[0] - 1.0))
         if standing is None:
             last = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
             step = step[last]
         way = np.where(step < 0.0, 1.0, 0.0)
         if standing is not None:
             way = np.where(step == 0.0, standing, way)
-        named = told(position_in * MM_PER_IN, way)
+        named = told(position_mm, way)
         self._compiled.reset()
         error: Floats = self._compiled.run(np.column_stack([named[name] for name in self._inputs]))
         return error[:, 0]
 
 
-def along(bundle: Bundle, position_in: Floats) -> Floats:
+def along(bundle: Bundle, position_mm: Floats) -> Floats:
     """Return the predicted error in um of a bundle along successive positions, shape (n,).
 
     ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
-    ``position_in``, (n,): positions, tick by tick.
+    ``position_mm``, (n,): positions, tick by tick.
     """
-    return _PathAnswers(bundle).along(position_in)
+    return _PathAnswers(bundle).along(position_mm)
 
 
-def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> list[Verdict]:
+def positioning_gates(bundle: Bundle, pitch_mm: float, reach_mm: tuple[float, float]) -> list[Verdict]:
     """Judge the equation of a positioning error by everything that needs no machine.
 
-    ``pitch_in``: travel in one turn of the screw.
+    ``pitch_mm``: travel in one turn of the screw.
     """
-    places = np.linspace(reach_in[0] + 0.3 * pitch_in, reach_in[1] - 0.3 * pitch_in, _PLACES)
+    places = np.linspace(reach_mm[0] + 0.3 * pitch_mm, reach_mm[1] - 0.3 * pitch_mm, _PLACES)
     answers = _PathAnswers(bundle)
     return [
-        _seam(answers, pitch_in, reach_in),
-        _outside(answers, reach_in),
+        _seam(answers, pitch_mm, reach_mm),
+        _outside(answers, reach_mm),
         _reversal(answers, places),
         _standstill(answers, places),
     ]
@@ -85,11 +85,11 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
 
     ``metrics``: what training logged: scores of runs left out, the screw, latency.
     """
-    known = {name: metrics.get(name, float("nan")) for name in _LOGGED}
-    pitch, low, high, share, rms, table, worst = known.values()
+    pitch_mm, *reach_mm = screw_logged(metrics)
+    share, rms, table, worst = (metrics.get(name, float("nan")) for name in _LOGGED)
     shape = (
-        positioning_gates(bundle, pitch, (low, high))
-        if pitch > 0.0 and low < high
+        positioning_gates(bundle, pitch_mm, (reach_mm[0], reach_mm[1]))
+        if pitch_mm > 0.0 and reach_mm[0] < reach_mm[1]
         else [Verdict("the screw is known", False, "training logged no pitch or no mapped travel")]
     )
     return [
@@ -116,25 +116,34 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
     ]
 
 
-_LOGGED = (
-    "screw_pitch_in",
-    "mapped_from_in",
-    "mapped_to_in",
-    "explained_share",
-    "leave_run_out.rms_um",
-    "table_rms_um",
-    "leave_run_out.worst_slice_ratio",
-)
+_SCREW = ("screw_pitch", "mapped_from", "mapped_to")
+_LOGGED = ("explained_share", "leave_run_out.rms_um", "table_rms_um", "leave_run_out.worst_slice_ratio")
 
 
-def _seam(served: _PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
-    turns = np.arange(np.ceil(reach_in[0] / pitch_in) + 1, np.floor(reach_in[1] / pitch_in))
+def screw_metrics(pitch_mm: float, reach_mm: tuple[float, float]) -> dict[str, float]:
+    """Return what training logs of the screw and the mapped travel."""
+    return dict(zip((f"{name}_mm" for name in _SCREW), (pitch_mm, *reach_mm), strict=True))
+
+
+def screw_logged(metrics: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return pitch, begin and end of the mapped travel in mm; NaN where training logged none.
+
+    Versions from before 2026-12 logged inches.
+    """
+    pitch, low, high = (
+        metrics.get(f"{name}_mm", MM_PER_IN * metrics.get(f"{name}_in", float("nan"))) for name in _SCREW
+    )
+    return pitch, low, high
+
+
+def _seam(served: _PathAnswers, pitch_mm: float, reach_mm: tuple[float, float]) -> Verdict:
+    turns = np.arange(np.ceil(reach_mm[0] / pitch_mm) + 1, np.floor(reach_mm[1] / pitch_mm))
     worst = {}
     for name, sign in (("forward", 1.0), ("reverse", -1.0)):
-        seams = turns[:: int(sign)] * pitch_in
-        path = np.column_stack([seams - sign * _CLOSE_IN, seams + sign * _CLOSE_IN]).ravel()
+        seams = turns[:: int(sign)] * pitch_mm
+        path = np.column_stack([seams - sign * _CLOSE_MM, seams + sign * _CLOSE_MM]).ravel()
         # The axis arrives from well before the first seam, so that it rests on this flank.
-        start = path[0] - sign * pitch_in / 2.0
+        start = path[0] - sign * pitch_mm / 2.0
         error = served.along(np.concatenate([[start], path]))[1:]
         jumps = error[1::2] - error[::2]
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
@@ -143,9 +152,9 @@ def _seam(served: _PathAnswers, pitch_in: float, reach_in: tuple[float, float]) 
     return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} µm")
 
 
-def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
-    low, high = reach_in
-    beyond = {low - 0.3: low, -0.1: low, -1.0: low, high + 0.3: high, high + 5.0: high}
+def _outside(served: _PathAnswers, reach_mm: tuple[float, float]) -> Verdict:
+    low, high = reach_mm
+    beyond = {low - 8.0: low, -2.54: low, -25.4: low, high + 8.0: high, high + 125.0: high}
     off: dict[float, float] = {}
     for place, end in beyond.items():
         # Both from the same side, so that both rest on the same flank.
@@ -156,30 +165,30 @@ def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     return Verdict(
         "ends held outside of the mapped travel",
         passed,
-        f"{off[worst]:z.1f} µm away from the end's value at {worst:g} in; at most {_OUTSIDE_UM:g} µm",
+        f"{off[worst]:z.1f} µm away from the end's value at {worst:.4g} mm; at most {_OUTSIDE_UM:g} µm",
     )
 
 
 def _reversal(served: _PathAnswers, places: Floats) -> Verdict:
     worst, where = 0.0, float(places[0])
     for place in places.tolist():
-        answers = served.along(np.array([place - 0.05, place, place - _COUNT_IN]))
+        answers = served.along(np.array([place - 1.3, place, place - _COUNT_MM]))
         change = abs(float(answers[2] - answers[1]))
         if change > worst:
             worst, where = change, place
     return Verdict(
         "no step at reversal",
         worst <= _STANDSTILL_UM,
-        f"{worst:z.2f} µm at {where:z.3f} in when the axis turns back by one count "
-        f"({_COUNT_IN * _UM_PER_IN:z.2f} µm); at most {_STANDSTILL_UM:g} µm",
+        f"{worst:z.2f} µm at {where:z.1f} mm when the axis turns back by one count "
+        f"({_COUNT_MM * UM_PER_MM:z.2f} µm); at most {_STANDSTILL_UM:g} µm",
     )
 
 
 def _standstill(served: _PathAnswers, places: Floats) -> Verdict:
     worst = 0.0
     for place in places.tolist():
-        jitter = place + _COUNT_IN * np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0])
-        path = np.concatenate([[place - 0.05, place], jitter])
+        jitter = place + _COUNT_MM * np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0])
+        path = np.concatenate([[place - 1.3, place], jitter])
         answers = np.concatenate([served.along(path, way)[1:] for way in (0.0, 1.0)])
         worst = max(worst, float(np.ptp(answers)))
     return Verdict(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN, Unidirectional, averages_of
+from dtwin.kinds.linear._models import Unidirectional, averages_of
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 from dtwin.train.results import Scores
@@ -41,7 +41,7 @@ def table_rms_um(test: LinearTest) -> float:
 
     def table(run: int) -> Floats:
         averages = averages_of(without_run(test, run))
-        return Unidirectional(averages).error_in(direction, position) * UM_PER_IN
+        return Unidirectional(averages).error_um(direction, position)
 
     return rms(runs_left_out(test, table))
 
@@ -63,7 +63,7 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
     for k in np.unique(part):
         # The laser was zeroed at the first target: near it there is nothing but noise to take away.
         without = np.hypot(rms(error[part == k]), _spread_um(error[part == k]))
-        inside = position[part == k] * MM_PER_IN
+        inside = position[part == k]
         where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
         ratios[where] = rms(left[part == k]) / without
     worst = max(ratios, key=lambda name: ratios[name])
@@ -85,7 +85,7 @@ def explained_share(error: Floats, left: Floats, floor: float) -> float:
 
 
 def stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
-    """Return direction and position in inches, (2 targets,), and errors in um, (2 targets, runs)."""
+    """Return direction and position in mm, (2 targets,), and errors in um, (2 targets, runs)."""
     direction, position, _ = averages_of(test).stacked()
     return direction, position, np.vstack([test.forward_um, test.reverse_um])
 

@@ -17,10 +17,11 @@ from dtwin.kinds.linear._models import PositionModel
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
-from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
+from dtwin.machines.lathe import LatheRecording, VirtualLathe, Wander
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.safety import Guard
+from dtwin.units import UM_PER_MM
 
 PERIOD_S = 1.0 / RATE_HZ
 Figures = dict[str, float | None]
@@ -94,7 +95,7 @@ def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None 
     motion = motion_of_plan(plan)
     if model is None:
         return _test_of(lathe.measure(motion, laser_setup(plan)), plan)
-    screw = motion.position_mm - 25.4 * model.error_in(_direction(motion.position_mm), motion.position_mm / MM_PER_IN)
+    screw = motion.position_mm - model.error_um(_direction(motion.position_mm), motion.position_mm) / UM_PER_MM
     return _test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
 
 
@@ -108,13 +109,13 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
     commanded = motion.at(ticks)
     wanted = np.zeros((len(ticks), 3))
     moved = axis_number(bundle)
-    wanted[:, moved] = -along(bundle, commanded / MM_PER_IN)
+    wanted[:, moved] = -along(bundle, commanded)
     named = told(commanded, np.zeros(len(ticks)))
     guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
     box = np.column_stack([named[i.name] for i in bundle.inputs])
     sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, moved]
     applied = np.concatenate([[0.0], sent[:-1]])
-    recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
+    recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / UM_PER_MM)
     test = _test_of(recording, plan)
     return _LoopRun(
         test=test,
@@ -164,13 +165,13 @@ class _Exact:
 
     lathe: VirtualLathe
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        there = position_in - self._flank_in(direction, position_in)
-        return self._flank_in(direction, there)
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        there = position_mm - self._flank_um(direction, position_mm) / UM_PER_MM
+        return self._flank_um(direction, there)
 
-    def _flank_in(self, direction: Floats, position_in: Floats) -> Floats:
-        lower, upper = self.lathe.screw.flanks_um(position_in * MM_PER_IN)
-        return np.where(direction >= 0.5, upper, lower) / UM_PER_IN
+    def _flank_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        lower, upper = self.lathe.screw.flanks_um(position_mm)
+        return np.where(direction >= 0.5, upper, lower)
 
 
 def _direction(position: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """What a control can hold of a positioning error: tables, networks, and a play of two flanks.
 
-All in inches and with direction 0 forward, 1 reverse, as the published networks are.
+Direction is 0 forward, 1 reverse. Networks take and give inches inside, as the published ones do.
 """
 
 from __future__ import annotations
@@ -22,52 +22,50 @@ MM_PER_IN, UM_PER_IN = 25.4, 25_400.0
 class PositionModel(Protocol):
     """Predicts the error of an axis."""
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches, shape (n,)."""
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
 
 
 @dataclass(frozen=True)
 class Averages:
     """Mean error at each target of a bidirectional test.
 
-    ``position_in`` (targets,): ascending.
-    ``forward_in``, ``reverse_in`` (targets,): mean errors.
+    ``position_mm`` (targets,): ascending.
+    ``forward_um``, ``reverse_um`` (targets,): mean errors.
     """
 
-    position_in: Floats
-    forward_in: Floats
-    reverse_in: Floats
+    position_mm: Floats
+    forward_um: Floats
+    reverse_um: Floats
 
     def stacked(self) -> tuple[Floats, Floats, Floats]:
         """Return direction, position and error of both directions, each (2 targets,)."""
-        n = len(self.position_in)
+        n = len(self.position_mm)
         return (
             np.repeat([0.0, 1.0], n),
-            np.tile(self.position_in, 2),
-            np.concatenate([self.forward_in, self.reverse_in]),
+            np.tile(self.position_mm, 2),
+            np.concatenate([self.forward_um, self.reverse_um]),
         )
 
-    def every(self, step_in: float) -> Averages:
+    def every(self, step_mm: float) -> Averages:
         """Return the targets that are whole steps from the first one."""
-        offset = (self.position_in - self.position_in[0]) / step_in
+        offset = (self.position_mm - self.position_mm[0]) / step_mm
         kept = np.abs(offset - np.round(offset)) < 1e-6
-        return Averages(self.position_in[kept], self.forward_in[kept], self.reverse_in[kept])
+        return Averages(self.position_mm[kept], self.forward_um[kept], self.reverse_um[kept])
 
 
 def averages_of(test: LinearTest) -> Averages:
-    """Return the mean errors of a test in inches."""
-    return Averages(
-        test.position_mm / MM_PER_IN, test.forward_um.mean(axis=1) / UM_PER_IN, test.reverse_um.mean(axis=1) / UM_PER_IN
-    )
+    """Return the mean errors of a test."""
+    return Averages(test.position_mm, test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1))
 
 
 @dataclass(frozen=True)
 class Uncorrected:
     """No correction: an error of zero everywhere."""
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
         """Return zeros, shape (n,)."""
-        return np.zeros(np.broadcast(direction, position_in).shape)
+        return np.zeros(np.broadcast(direction, position_mm).shape)
 
 
 @dataclass(frozen=True)
@@ -76,11 +74,11 @@ class Bidirectional:
 
     averages: Averages
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches, shape (n,)."""
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
         a = self.averages
-        forward = np.interp(position_in, a.position_in, a.forward_in)
-        reverse = np.interp(position_in, a.position_in, a.reverse_in)
+        forward = np.interp(position_mm, a.position_mm, a.forward_um)
+        reverse = np.interp(position_mm, a.position_mm, a.reverse_um)
         return np.where(np.asarray(direction) >= 0.5, reverse, forward)
 
 
@@ -93,11 +91,11 @@ class Unidirectional:
 
     averages: Averages
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches, shape (n,)."""
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
         a = self.averages
-        backlash = float(np.mean(a.reverse_in - a.forward_in))
-        forward = np.interp(position_in, a.position_in, a.forward_in)
+        backlash = float(np.mean(a.reverse_um - a.forward_um))
+        forward = np.interp(position_mm, a.position_mm, a.forward_um)
         return forward + backlash * (np.asarray(direction) >= 0.5)
 
 
@@ -105,7 +103,8 @@ class Unidirectional:
 class DualNet:
     """One network for the travel, one for a turn of the screw, added.
 
-    ``full``, ``cyclic``: inputs are direction and position; direction and position within the turn.
+    ``full``, ``cyclic``: inputs are direction and position; direction and position within the turn; in inches.
+    ``pitch_in``: travel in one turn of the screw, as the published program has it.
     """
 
     full: SmallNet
@@ -113,11 +112,12 @@ class DualNet:
     pitch_in: float
     trained: tuple[Trained, ...] = ()
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches, shape (n,)."""
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
+        position_in = _in_inches(position_mm)
         turned = np.fmod(position_in, self.pitch_in)
         slow = self.full.evaluate(np.column_stack([direction, position_in]))
-        return slow + self.cyclic.evaluate(np.column_stack([direction, turned]))
+        return UM_PER_IN * (slow + self.cyclic.evaluate(np.column_stack([direction, turned])))
 
 
 @dataclass(frozen=True)
@@ -128,19 +128,31 @@ class SingleNet:
     pitch_in: float
     trained: Trained
 
-    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
-        """Return the error in inches, shape (n,)."""
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
+        position_in = _in_inches(position_mm)
         turned = np.fmod(position_in, self.pitch_in)
-        return self.net.evaluate(np.column_stack([direction, position_in, turned]))
+        return UM_PER_IN * self.net.evaluate(np.column_stack([direction, position_in, turned]))
 
 
 def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
-    """Return inputs (n, 2) and errors (n,) at whole turns of the screw, where the cyclic error is zero.
+    """Return inputs (n, 2) and errors (n,) in inches at whole turns of the screw, where the cyclic error is zero.
 
     ``averages``: its first target must lie at a whole turn.
     """
-    direction, position, error = averages.every(pitch_in).stacked()
+    direction, position, error = _inches(averages.every(pitch_in * MM_PER_IN))
     return np.column_stack([direction, position]), error
+
+
+def _inches(averages: Averages) -> tuple[Floats, Floats, Floats]:
+    """Return direction, position and error of both directions as networks take them."""
+    direction, position_mm, error_um = averages.stacked()
+    return direction, _in_inches(position_mm), error_um / UM_PER_IN
+
+
+def _in_inches(position_mm: Floats) -> Floats:
+    """Return positions for networks: a whole turn of the screw is one, whatever the conversion rounds."""
+    return np.asarray(np.round(position_mm / MM_PER_IN, 9))
 
 
 def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
@@ -148,7 +160,7 @@ def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floa
 
     ``averages``: several targets in each turn.
     """
-    direction, position, error = averages.stacked()
+    direction, position, error = _inches(averages)
     rest = error - full.evaluate(np.column_stack([direction, position]))
     phase = np.mod(np.round(np.mod(position, pitch_in), 6), pitch_in)
     cells, place = np.unique(np.column_stack([direction, phase]), axis=0, return_inverse=True)
@@ -173,7 +185,7 @@ def fit_dual(
     """
     rng = np.random.default_rng(seed)
     inputs, target = whole_turns(averages, pitch_in)
-    reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
+    reach = (float(averages.position_mm[0]) / MM_PER_IN, float(averages.position_mm[-1]) / MM_PER_IN)
     slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
     cells, rest = _one_turn(averages, slow.net, pitch_in)
     fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
@@ -188,7 +200,7 @@ def fit_single(
     ``averages``: mean errors.
     ``epochs``, ``goal``, ``hidden``: as for :func:`fit_dual`.
     """
-    direction, position, error = averages.stacked()
+    direction, position, error = _inches(averages)
     turned = np.fmod(position, pitch_in)
     reach = (float(position.min()), float(position.max()))
     net = new_net(hidden, ((0.0, 1.0), reach, (0.0, pitch_in)), np.random.default_rng(seed))

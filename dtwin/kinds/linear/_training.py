@@ -9,14 +9,13 @@ from typing import Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._bundle import ROOM_IN, Flanks, deployed_bundle, flanks_bundle, flanks_of
+from dtwin.kinds.linear._bundle import ROOM_MM, Flanks, deployed_bundle, flanks_bundle, flanks_of
 from dtwin.kinds.linear._check import phases_of
-from dtwin.kinds.linear._gates import positioning_gates
+from dtwin.kinds.linear._gates import positioning_gates, screw_metrics
 from dtwin.kinds.linear._judging import HELD_OUT, explained_share, noise_floor_um, scores_of, stacked, without_run
 from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.kinds.linear._models import (
     MM_PER_IN,
-    UM_PER_IN,
     Averages,
     Bidirectional,
     DualNet,
@@ -50,8 +49,8 @@ _FAMILIES: dict[str, _Family] = {"pair": "neural", "flanks": "symbolic"}
 class Screw:
     """What the targets of a campaign show of a screw."""
 
-    pitch_in: float
-    reach_in: tuple[float, float]
+    pitch_mm: float
+    reach_mm: tuple[float, float]
     phases: int
 
 
@@ -64,10 +63,9 @@ def screw_of(test: LinearTest, where: str) -> Screw:
             where=where,
             hint="screw_pitch_mm under [campaign.machine_geometry]",
         )
-    pitch = test.pitch_mm / MM_PER_IN
     averages = averages_of(test)
     phases = phases_of(test.position_mm, test.pitch_mm)
-    turns = len(averages.every(pitch).position_in)
+    turns = len(averages.every(test.pitch_mm).position_mm)
     if phases < _FEWEST_PHASES or turns < _FEWEST_TURNS:
         raise InputError(
             "the targets do not show the screw",
@@ -77,8 +75,8 @@ def screw_of(test: LinearTest, where: str) -> Screw:
             allowed=f"at least {_FEWEST_PHASES} angles and {_FEWEST_TURNS} whole turns",
             hint="a step of a tenth of the pitch: dtwin plan says what a step can show",
         )
-    ends = float(averages.position_in[0]), float(averages.position_in[-1])
-    return Screw(pitch, ends, phases)
+    ends = float(averages.position_mm[0]), float(averages.position_mm[-1])
+    return Screw(test.pitch_mm, ends, phases)
 
 
 def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
@@ -86,9 +84,9 @@ def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
 
     ``averages``: mean errors.
     """
-    turns = len(averages.every(screw.pitch_in).position_in)
+    turns = len(averages.every(screw.pitch_mm).position_mm)
     slow = min(_NEURONS[0], max(_FEWEST_NEURONS, turns // _TURNS_PER_NEURON))
-    return fit_dual(averages, screw.pitch_in, seed, hidden=(slow, _NEURONS[1]))
+    return fit_dual(averages, screw.pitch_mm / MM_PER_IN, seed, hidden=(slow, _NEURONS[1]))
 
 
 def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
@@ -98,16 +96,16 @@ def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
     ``screw``: says how many harmonics can be told.
     """
     orders = min(_MOST_ORDERS, (screw.phases - 1) // 2)
-    return flanks_of(pair.full, averages, screw.pitch_in, orders, screw.reach_in)
+    return flanks_of(pair.full, averages, screw.pitch_mm, orders, screw.reach_mm)
 
 
 def serving_bundle(model: PositionModel, machine: str, screw: Screw, axis: str = "Z") -> Bundle | None:
     """Return the equation of a model, None when it is none."""
     if isinstance(model, DualNet):
-        return deployed_bundle(model, "lathe-pair", machine, screw.reach_in, axis)
+        return deployed_bundle(model, "lathe-pair", machine, screw.reach_mm, axis)
     if isinstance(model, Flanks):
-        low, high = screw.reach_in
-        return flanks_bundle(model, "lathe-flanks", machine, (low - ROOM_IN, high + ROOM_IN), axis)
+        low, high = screw.reach_mm
+        return flanks_bundle(model, "lathe-flanks", machine, (low - ROOM_MM, high + ROOM_MM), axis)
     return None
 
 
@@ -147,7 +145,7 @@ def train_positioning(
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
     )
     geometry = {"type": "lathe"} | dict(campaign.machine_geometry)
-    return Training(report, geometry, ((test.axis, *screw.reach_in),))
+    return Training(report, geometry, ((test.axis, *screw.reach_mm),))
 
 
 def _usable_test(lake: Lake, name: str) -> LinearTest:
@@ -186,7 +184,7 @@ def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) ->
     for run in range(n):
         averages = averages_of(without_run(test, run))
         for name, model in _fitted(averages, screw, seed).items():
-            expected = model.error_in(direction, position) * UM_PER_IN
+            expected = model.error_um(direction, position)
             left.setdefault(name, []).append(error[:, run] - expected)
         tell("runs left out", run + 1, n, f"run {run + 1}")
     return {name: np.column_stack(columns) for name, columns in left.items()}
@@ -196,7 +194,7 @@ def _candidate(
     name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str, screw: Screw
 ) -> Candidate:
     direction, position, error = stacked(test)
-    rest = error - (model.error_in(direction, position) * UM_PER_IN)[:, None]
+    rest = error - model.error_um(direction, position)[:, None]
     bundle = serving_bundle(model, machine, screw, test.axis)
     refused = () if bundle is None else _refusals(bundle, screw)
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
@@ -213,9 +211,7 @@ def _candidate(
         bundle=None if bundle is None else bundle.to_dict(),
         findings=refused,
         numbers={
-            "screw_pitch_in": screw.pitch_in,
-            "mapped_from_in": screw.reach_in[0],
-            "mapped_to_in": screw.reach_in[1],
+            **screw_metrics(screw.pitch_mm, screw.reach_mm),
             "refused_gates": float(len(refused)),
             "explained_share": explained_share(error, left, floor),
         },
@@ -243,7 +239,7 @@ def _not_proposed(candidates: Sequence[Candidate]) -> list[str]:
 
 
 def _refusals(bundle: Bundle, screw: Screw) -> tuple[str, ...]:
-    verdicts = positioning_gates(bundle, screw.pitch_in, screw.reach_in)
+    verdicts = positioning_gates(bundle, screw.pitch_mm, screw.reach_mm)
     return tuple(f"fails: {v.gate}: {v.reason}" for v in verdicts if not v.passed)
 
 
@@ -264,8 +260,8 @@ def _what_was_seen(test: LinearTest, screw: Screw, engine: Engine | None) -> lis
 
 def _entries(model: PositionModel) -> int:
     if isinstance(model, Bidirectional):
-        return 2 * len(model.averages.position_in)
-    return len(model.averages.position_in) + 1 if isinstance(model, Unidirectional) else 0
+        return 2 * len(model.averages.position_mm)
+    return len(model.averages.position_mm) + 1 if isinstance(model, Unidirectional) else 0
 
 
 _SAID = {

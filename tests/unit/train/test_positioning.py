@@ -20,12 +20,12 @@ from dtwin.kinds.linear._bundle import (
     is_positioning_bundle,
     printed_pair,
 )
-from dtwin.kinds.linear._gates import along, positioning_gates
+from dtwin.kinds.linear._gates import along, positioning_gates, screw_logged, screw_metrics
 from dtwin.kinds.linear._models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
 from dtwin.kinds.linear._net_training import ALGORITHMS, train_net
 from dtwin.kinds.linear._simulate import mapping_plan
 from dtwin.kinds.linear._small_net import new_net
-from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, read_network
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_python
@@ -34,8 +34,9 @@ from dtwin.serve.runtime import CompiledBundle
 from studies.lathe_paper import exact_averages, table_steps
 
 NETWORK = read_network()
-UM_PER_IN = 25400.0
+UM_PER_IN, UM_PER_MM = 25400.0, 1000.0
 MM_PER_IN = 25.4
+PITCH_MM, TRAVEL_MM = MM_PER_IN * PITCH_IN, (0.0, 1041.4)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def exact() -> Averages:
 @pytest.fixture(scope="module")
 def flanks() -> Flanks:
     fine = exact_averages(NETWORK, replace(mapping_plan(), step=0.013))
-    return flanks_of(printed_pair(NETWORK).full, fine, PITCH_IN, 5, MAPPED_IN)
+    return flanks_of(printed_pair(NETWORK).full, fine, PITCH_MM, 5, MAPPED_MM)
 
 
 def golden() -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +86,7 @@ def test_the_remainder_is_that_of_c_everywhere() -> None:
 
 
 def test_the_deployed_equation_fails_each_gate_by_name() -> None:
-    verdicts = positioning_gates(deployed_bundle(printed_pair(NETWORK), "printed", "lathe"), PITCH_IN, MAPPED_IN)
+    verdicts = positioning_gates(deployed_bundle(printed_pair(NETWORK), "printed", "lathe"), PITCH_MM, MAPPED_MM)
     assert {v.gate: v.passed for v in verdicts} == {
         "no seam at a turn of the screw": False,
         "ends held outside of the mapped travel": False,
@@ -99,15 +100,15 @@ def test_the_deployed_equation_fails_each_gate_by_name() -> None:
 
 
 def test_flanks_with_a_memory_pass_every_gate(flanks: Flanks) -> None:
-    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
-    verdicts = positioning_gates(bundle, PITCH_IN, MAPPED_IN)
+    bundle = flanks_bundle(flanks, "flanks", "lathe", TRAVEL_MM)
+    verdicts = positioning_gates(bundle, PITCH_MM, MAPPED_MM)
     assert [v.passed for v in verdicts] == [True] * 4, verdicts
 
 
 def test_any_axis_is_corrected_and_told_its_position_in_millimetres(flanks: Flanks) -> None:
-    bundle = flanks_bundle(flanks, "flanks", "mill", (0.0, 41.0), "X")
+    bundle = flanks_bundle(flanks, "flanks", "mill", TRAVEL_MM, "X")
     (position,), (output,) = bundle.inputs, bundle.outputs
-    assert (position.name, position.unit, position.high) == ("position_mm", "mm", 41.0 * MM_PER_IN)
+    assert (position.name, position.unit, position.high) == ("position_mm", "mm", TRAVEL_MM[1])
     assert (output.name, output.frame, axis_number(bundle)) == ("error_x_um", "base_x", 0)
 
 
@@ -124,25 +125,31 @@ def test_a_bundle_from_before_is_told_inches() -> None:
         outputs=[Output("error_z_um", "base_z")],
     )
     assert is_positioning_bundle(bundle)
-    assert along(bundle, np.array([1.0, 2.0])).tolist() == pytest.approx([2.0, 4.0])
+    assert along(bundle, np.array([25.4, 50.8])).tolist() == pytest.approx([2.0, 4.0])
+
+
+def test_what_training_logged_of_the_screw_is_read_in_millimetres_also_from_before() -> None:
+    before = {"screw_pitch_in": 0.25, "mapped_from_in": 1.0, "mapped_to_in": 40.0}
+    assert screw_logged(before) == screw_logged(screw_metrics(6.35, MAPPED_MM)) == (6.35, 25.4, 1016.0)
+    assert np.isnan(screw_logged({})).all()
 
 
 def test_flanks_need_no_flag_and_turn_round_in_the_overshoot(flanks: Flanks) -> None:
-    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
-    up = np.linspace(0.9, 40.1, 2001)
-    error = along(bundle, np.concatenate([up, up[::-1]])) / UM_PER_IN
-    inside = (up >= 1.0) & (up <= 40.0)
+    bundle = flanks_bundle(flanks, "flanks", "lathe", TRAVEL_MM)
+    up = np.linspace(23.0, 1018.0, 2001)
+    error = along(bundle, np.concatenate([up, up[::-1]]))
+    inside = (up >= MAPPED_MM[0]) & (up <= MAPPED_MM[1])
     for way, found in ((0.0, error[:2001]), (1.0, error[:2000:-1])):
         flags = np.full(2001, way)
-        there = up - flanks.error_in(flags, up)
-        assert np.max(np.abs(found - flanks.error_in(flags, there))[inside]) < 1e-9
+        there = up - flanks.error_um(flags, up) / UM_PER_MM
+        assert np.max(np.abs(found - flanks.error_um(flags, there))[inside]) < 1e-6
 
 
 def test_flanks_never_change_more_than_the_axis_moves(flanks: Flanks) -> None:
-    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
+    bundle = flanks_bundle(flanks, "flanks", "lathe", TRAVEL_MM)
     rng = np.random.default_rng(3)
-    path = np.clip(20.0 + np.cumsum(rng.normal(size=4000)) * 0.001, 1.0, 40.0)
-    moved, changed = np.abs(np.diff(path)), np.abs(np.diff(along(bundle, path))) / UM_PER_IN
+    path = np.clip(508.0 + np.cumsum(rng.normal(size=4000)) * 0.025, *MAPPED_MM)
+    moved, changed = np.abs(np.diff(path)), np.abs(np.diff(along(bundle, path))) / UM_PER_MM
     assert np.all(changed <= 1.1 * moved + 1e-12)
 
 
@@ -204,7 +211,7 @@ def test_the_pair_reaches_its_goals(exact: Averages) -> None:
     pair = fit_dual(exact, PITCH_IN, 1)
     assert [t.sse <= goal for t, goal in zip(pair.trained, (4e-8, 9e-9), strict=True)] == [True] * 2
     direction, position, error = exact.stacked()
-    assert np.max(np.abs(pair.error_in(direction, position) - error)) < 1.5e-4
+    assert np.max(np.abs(pair.error_um(direction, position) - error)) < 1.5e-4 * UM_PER_IN
 
 
 def test_tables_alias_the_screw_when_their_step_divides_the_pitch() -> None:
@@ -221,8 +228,8 @@ def test_tables_are_straight_between_entries_and_held_beyond() -> None:
         np.arange(5.0), np.array([1.0, 1.0, 0.0, -1.0, -2.0]) * 1e-3, np.array([-1.0, -1.0, -2.0, -3.0, -4.0]) * 1e-3
     )
     two = Bidirectional(a)
-    assert two.error_in(np.array([0.0, 1.0]), np.array([2.5, 2.5])) == pytest.approx([-5e-4, -2.5e-3])
-    assert two.error_in(np.zeros(2), np.array([-9.0, 9.0])) == pytest.approx([1e-3, -2e-3])
-    backlash = float(np.mean(a.reverse_in - a.forward_in))
-    one = Unidirectional(a).error_in(np.array([1.0]), np.array([3.0]))
+    assert two.error_um(np.array([0.0, 1.0]), np.array([2.5, 2.5])) == pytest.approx([-5e-4, -2.5e-3])
+    assert two.error_um(np.zeros(2), np.array([-9.0, 9.0])) == pytest.approx([1e-3, -2e-3])
+    backlash = float(np.mean(a.reverse_um - a.forward_um))
+    one = Unidirectional(a).error_um(np.array([1.0]), np.array([3.0]))
     assert one == pytest.approx([-1e-3 + backlash])

@@ -13,11 +13,10 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.linear._correction import test_of_runs
-from dtwin.kinds.linear._freeze import flank_graph, flanks_twin_bundle, pitch_in, reach_in
+from dtwin.kinds.linear._freeze import flank_graph, flanks_twin_bundle, pitch_mm, reach_mm
 from dtwin.kinds.linear._gates import along, positioning_gates
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
-from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.physics.effect import Effect, Instance, Law, Parameter
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
@@ -26,6 +25,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, chosen_terms, predict_um, twin_of
 from dtwin.schema import Floats
+from dtwin.units import UM_PER_MM
 
 LIBRARY = Library()
 PLAN = {
@@ -69,9 +69,9 @@ def twin(worn: Observations) -> Twin:
     return twin_from(fit(worn, chosen_terms(NAMES, LIBRARY, worn)), worn)
 
 
-def evaluated(twin: Twin, obs: Observations, position_in: Floats, way: str) -> Floats:
+def evaluated(twin: Twin, obs: Observations, position_mm: Floats, way: str) -> Floats:
     graph = flank_graph(twin, obs)
-    found = [graph.evaluate({"position_mm": 25.4 * float(x)}, {})[0][way] for x in position_in]
+    found = [graph.evaluate({"position_mm": float(x)}, {})[0][way] for x in position_mm]
     return np.array(found)
 
 
@@ -83,7 +83,7 @@ def test_both_flanks_are_what_the_twin_foretells(worn: Observations, twin: Twin,
         foretold = predict_um(twin, obs)
         for way, sense in BOTH:
             row = int(np.flatnonzero(obs.sense == sense)[0])
-            told = evaluated(twin, worn, obs.grid.points / MM_PER_IN, way)
+            told = evaluated(twin, worn, obs.grid.points, way)
             assert np.abs(told - foretold[row]).max() < 1e-9
             assert np.ptp(told) > 20.0
 
@@ -91,27 +91,27 @@ def test_both_flanks_are_what_the_twin_foretells(worn: Observations, twin: Twin,
 def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observations, twin: Twin) -> None:
     frozen = flanks_twin_bundle(twin, worn)
     assert [t.label for t in frozen.terms if t.included] == list(twin.labels)
-    low, high = reach_in(worn)
+    low, high = reach_mm(worn)
     up = np.linspace(low, high, 400)
     served = along(frozen.bundle, np.concatenate([up, up[::-1]]))
     flanks = {way: partial(evaluated, twin, worn, way=way) for way, _ in BOTH}
     for answers, path, way in ((served[:400], up, "forward"), (served[400:], up[::-1], "reverse")):
-        moved = path - flanks[way](path) / UM_PER_IN
+        moved = path - flanks[way](path) / UM_PER_MM
         # The first of the way back is still inside the play.
         assert answers[5:] == pytest.approx(flanks[way](moved)[5:], abs=1e-9)
-    assert all(v.passed for v in positioning_gates(frozen.bundle, pitch_in(worn), (low, high)))
+    assert all(v.passed for v in positioning_gates(frozen.bundle, pitch_mm(worn), (low, high)))
 
 
 def test_a_slide_with_play_follows_its_command_better(worn: Observations, twin: Twin) -> None:
     bundle = flanks_twin_bundle(twin, worn).bundle
     lathe = virtual_lathe("mechanism", 5)
-    low, high = reach_in(worn)
+    low, high = reach_mm(worn)
     rng = np.random.default_rng(3)
     # Turning round anywhere, far from every sweep that the twin has seen.
-    turns = np.concatenate([[low], rng.uniform(low + 0.1, high - 0.1, 25)])
+    turns = np.concatenate([[low], rng.uniform(low + 2.5, high - 2.5, 25)])
     path = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(turns)])
-    screw = path - along(bundle, path) / UM_PER_IN
-    before, after = (lathe.slide_mm(x * MM_PER_IN) - path * MM_PER_IN for x in (path, screw))
+    screw = path - along(bundle, path) / UM_PER_MM
+    before, after = (lathe.slide_mm(x) - path for x in (path, screw))
     assert np.std(after) < 0.12 * np.std(before)
 
 
