@@ -189,8 +189,13 @@ def _concluded(
     bare = unweighted(obs, known)
     tests = _tests(found)
     words = localise.headline(obs, localise.in_angle(bare))
+    few = f"{int(obs.run_of.max()) + 1} runs do not tell what moves between them"
     blank = replace(
-        blank, lack_of_fit_p=first.lack_of_fit[0], channels=tuple(channels), invisible=first.first.invisible
+        blank,
+        lack_of_fit_p=first.lack_of_fit[0],
+        channels=tuple(channels),
+        invisible=first.first.invisible,
+        untestable={**blank.untestable, **dict.fromkeys(found.untold, few)},
     )
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:

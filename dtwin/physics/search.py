@@ -50,6 +50,7 @@ class Search:
     ``lack_of_fit``: p-value at the start and at the end.
     ``systematic_um``: RMS of what repeats agree on, at the start and at the end.
     ``best``: what the search among sets of effects gave; None when it was not needed.
+    ``untold``: labels of effects that move between too few runs to be told, and that the others were tested beside.
     """
 
     found: tuple[Found, ...]
@@ -59,6 +60,7 @@ class Search:
     lack_of_fit: tuple[float, float]
     systematic_um: tuple[float, float]
     best: Best | None
+    untold: tuple[str, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -93,6 +95,7 @@ def search(
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
     sharp: list[Term] = []
+    untold: list[Term] = []
     stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
     best = None
@@ -106,7 +109,8 @@ def search(
         terms, stand_ins = material(best.terms, obs, known, candidates, problem, exact=best.exact)
         if obs is not problem.obs and problem.noise is not None:
             told, library = (beside(weighted_like(obs, known, problem.noise)), Candidates(obs, candidates.instances))
-        terms = _significant(terms or ([top.term] if top else []), told, library, first)
+        terms, untold = _told(terms or ([top.term] if top else []), told, library, first)
+        told, problem, plain = (candidates.given(each, untold) for each in (told, problem, plain))
         if not terms and top is not None:
             terms = [top.term]
         if told is not problem:
@@ -118,7 +122,9 @@ def search(
     last, plain_last = candidates.given(problem, terms), candidates.given(plain, terms)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
-    return Search(found, first, last, plain_last, (fit, end), (before_um, left_um), best)
+    return Search(
+        found, first, last, plain_last, (fit, end), (before_um, left_um), best, tuple(t.label for t in untold)
+    )
 
 
 def _described(
@@ -203,6 +209,20 @@ def _worth(candidate: Candidate, runs: int, several_speeds: bool) -> float:
 def _is_material(plain: Problem, candidates: Candidates, term: Term, problem: Problem) -> bool:
     """Tell whether an effect would change the reading by more than a share of the noise floor."""
     return candidates.size_um(plain, term) >= IMMATERIAL * floor_um(problem)
+
+
+def _told(
+    terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test
+) -> tuple[list[Term], list[Term]]:
+    """Return the effects that are significant, and those that few runs do not tell but that others are tested beside.
+
+    What moves between three runs has hardly a degree of freedom to be told by, and left alone it is noise of all that stays.
+    """
+    moving = [t for t in terms if t.instance.effect.within_condition and problem.obs.there_and_back]
+    staying = [t for t in terms if t not in moving]
+    staying = _significant(staying, candidates.given(problem, moving), candidates, first)
+    told = _significant(moving, candidates.given(problem, staying), candidates, first)
+    return [*staying, *told], [t for t in moving if t not in told]
 
 
 def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test) -> list[Term]:

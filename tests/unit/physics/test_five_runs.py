@@ -22,7 +22,13 @@ SHARE = (AT_MM - AT_MM[0]) / np.ptp(AT_MM)
 HUMIDITY = np.array([41.0, 47.0, 44.0, 52.0, 43.0])
 
 
-def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25, at_mm: Floats = AT_MM) -> Observations:
+def campaign(
+    error_um: Floats,
+    rng: np.random.Generator,
+    noise_um: float = 0.25,
+    at_mm: Floats = AT_MM,
+    celsius: Floats | None = None,
+) -> Observations:
     """Return five runs with an error, shape that broadcasts to (runs, 2, targets), and noise."""
     shape = RUNS, 2, len(at_mm)
     error_um = error_um + noise_um * rng.standard_normal(shape)
@@ -35,7 +41,7 @@ def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25,
             "humidity_pct": HUMIDITY[number],
             "supply_v": 24.0 + rng.standard_normal(),
             "oil_c": 30.0 + rng.standard_normal(),
-            "temperature_c": 20.0 + rng.standard_normal(),
+            "temperature_c": 20.0 + rng.standard_normal() if celsius is None else float(celsius[number]),
         }
         meta = RunMeta(
             f"r{number}",
@@ -132,6 +138,14 @@ def test_five_targets_make_a_twin() -> None:
     assert [[s.label for s in group] for group in diagnose(obs, [], LIBRARY).found] == [["backlash X"]]
     (backlash,) = fit(obs, [Term(Instance(LIBRARY["backlash"], "X"), {})]).estimates
     assert backlash.value == pytest.approx(4.0, abs=backlash.uncertainty)
+
+
+def test_what_stays_is_told_beside_heat_that_three_runs_do_not_tell() -> None:
+    error = 4.0 * SHARE + np.array([[-1.0], [1.0]]) + np.array([0.0, 2.0, 1.0, 9.0, 9.0])[:, None, None] * SHARE
+    obs = campaign(error, np.random.default_rng(9), celsius=np.array([20.0, 21.0, 20.5, 20.0, 20.0]))
+    found = diagnose(obs.take(np.flatnonzero(obs.run_of < 3)), [], LIBRARY)
+    assert {group[0].label for group in found.found} == {"backlash X", "lead_error X"}
+    assert found.untestable["thermal_growth X"] == "3 runs do not tell what moves between them"
 
 
 def test_growth_that_nobody_logged_is_named() -> None:
