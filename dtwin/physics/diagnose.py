@@ -23,6 +23,7 @@ from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import nameless
 from dtwin.physics._outliers import odd_runs
+from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of
 from dtwin.physics._suspects import members, sized, suspect, suspects
@@ -98,7 +99,14 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     first = searched(problem, known)
     answer = concluded(first, first)
     left = answer.unresolved
-    if left is None or left.share < _UNKNOWN**2 or not answer.found or not _has_laws(obs):
+    if left is None or left.share < _UNKNOWN**2:
+        return answer
+    plain = unweighted(obs, known)
+    beside_curves = [searched(problem, known, curve=curve) for curve in curves_left(answer, first, plain, candidates)]
+    if beside_curves:
+        others = [concluded(other, first) for other in beside_curves]
+        return joined(answer, others, [first, *beside_curves], plain, candidates)
+    if not answer.found or not _has_laws(obs):
         return answer
     believed = frozenset(group[0].label for group in answer.found)
     unknown = nameless(problem, candidates, [f.top.term for f in first.found if f.label in believed])
@@ -121,15 +129,19 @@ def _searched(
     beside: Callable[[Problem], Problem],
     seed: int,
     shown_by_channel: bool,
+    curve: Curve = lambda problem: problem,
 ) -> Search:
-    """Search for what is missing beside what is known; once more where laws that were taken to be exact are not."""
+    """Search for what is missing beside what is known; once more where laws that were taken to be exact are not.
+
+    ``curve``: takes out of a problem what is told by itself.
+    """
     again = partial(
         search,
-        problem,
-        unweighted(problem.obs, known),
+        curve(problem),
+        curve(unweighted(problem.obs, known)),
         candidates,
         known,
-        beside=beside,
+        beside=lambda reweighted: curve(beside(reweighted)),
         seed=seed,
         shown_by_channel=shown_by_channel,
     )

@@ -132,6 +132,19 @@ def test_a_smooth_curve_hides_nothing_beside_it(curve: Floats) -> None:
     assert found.unresolved is None
 
 
+@pytest.mark.parametrize("even", [True, False])
+def test_a_curve_that_nothing_explains_hides_nothing_of_the_other_parity(even: bool) -> None:
+    ways = np.array([[-1.0], [1.0]])
+    # A fine graduation, met by every target at another place.
+    graduation = 3.0 * np.sin(np.arange(TARGETS) ** 2)
+    told = ways if even else 8.0 * SHARE
+    found = diagnose(campaign(graduation * (1.0 if even else ways) + told, np.random.default_rng(11)), [], LIBRARY)
+    assert [group[0].label for group in found.found] == ["backlash X" if even else "lead_error X"]
+    assert found.unresolved is not None
+    assert found.unresolved.systematic_rms_um == pytest.approx(3.0 / np.sqrt(2.0), rel=0.15)
+    assert f"besides, {found.unresolved.systematic_rms_um:.2g} µm is not resolved" in found.headline
+
+
 def test_five_targets_make_a_twin() -> None:
     five_mm = np.array([15.0, 25.2, 35.4, 45.6, 55.8])
     obs = campaign(np.array([[-2.0], [2.0]]), np.random.default_rng(6), at_mm=five_mm)
