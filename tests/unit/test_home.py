@@ -18,7 +18,7 @@ from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.store import Lake
-from dtwin.machine_record import MachineRecord, read_record, write_record
+from dtwin.machine_record import keep_record, read_record
 from dtwin.pipeline.home_archive import MANIFEST, backup, restore
 from dtwin.pipeline.home_check import check_home, home_parts
 from dtwin.train.registry import Registry
@@ -30,7 +30,7 @@ def lived_in() -> Home:
     """A home with two campaigns, a twin and a record."""
     fill(home(), 2)
     Twins(home()).fit("c00", ["squareness"], "mine")
-    write_record(home(), MachineRecord("mill-0", {"serial": "7"}))
+    keep_record(home(), "mill-0", {"serial": "7"})
     (home().root / "logs").mkdir(exist_ok=True)
     (home().root / "logs" / "x.log").write_text("a log")
     return home()

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import GateRefusal, InputError, StoreError
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 from dtwin.people import (
     AUDIT,
     act_as,
@@ -46,7 +46,7 @@ def entered(state: Home, token: str) -> TestClient:
 def test_a_person_may_what_the_role_says_and_stands_in_the_record() -> None:
     state = home()
     looks, measures = add_person(state, "lena", ["look"]), add_person(state, "max", ["measure"])
-    write_record(state, MachineRecord("mill-1"))
+    keep_record(state, "mill-1", {})
     event = {"what": "repair", "on": "2026-05-04", "note": "new spindle"}
     lena, maxim = entered(state, looks), entered(state, measures)
     assert lena.get("/machines").status_code == 200

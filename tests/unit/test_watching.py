@@ -15,7 +15,7 @@ from dtwin.acquire.b5r import write_b5r
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.store import Lake
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
 
 
@@ -99,7 +99,7 @@ def test_a_file_of_an_unknown_machine_stays_where_it_is(home: Home, inbox: Path)
     assert Lake(home.lake).campaigns() == []
     assert looked(seen) == []
     # Named later, recorded, or known to the lake by then, it is taken.
-    write_record(home, MachineRecord("mill-c"))
+    keep_record(home, "mill-c", {})
     ball_bar(inbox / "recorded.b5r", machine="mill-c")
     again = FolderWatch(inbox, home, ["mill-b"], settle_s=0.0)
     assert sorted(looked(again)) == [("recorded.b5r", "ingested"), ("strange.b5r", "ingested")]

@@ -20,7 +20,7 @@ from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError
 from dtwin.fleet import Alert, channels_of, nightly, silence, tell, try_channels
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 
 DAY = date(2026, 11, 24)
 LATE = Alert("overdue", "mill-1", "a test was due on 2026-11-01")
@@ -187,8 +187,8 @@ def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
 ) -> None:
     where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
     fill(where, 4)
-    write_record(where, MachineRecord("mill-0", test_every_days=30.0))
-    write_record(where, MachineRecord("mill-1", test_every_days=3000.0))
+    keep_record(where, "mill-0", {"test_every_days": 30.0})
+    keep_record(where, "mill-1", {"test_every_days": 3000.0})
     arriving = tmp_path / "arriving"
     arriving.mkdir()
     (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")

@@ -13,7 +13,7 @@ from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.fleet import DIAGNOSE, compared, run_fleet
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 
 
 def test_machines_that_are_alike_help_each_other_and_those_that_are_not_keep_their_own() -> None:
@@ -59,7 +59,7 @@ def test_the_command_names_the_machine_that_is_not_like_its_sisters() -> None:
     # One campaign each; the size grows with the number, and the last is of another sort.
     fill(home(), 6, machines=6, size_um=lambda number: 40.0 if number == 5 else 3.0 + 0.1 * (number % 3))
     for number in range(6):
-        write_record(home(), MachineRecord(f"mill-{number}", {"type": "3-axis mill"}))
+        keep_record(home(), f"mill-{number}", {"type": "3-axis mill"})
     shell = CliRunner()
     # Figures are compared without a diagnosis.
     early = json.loads(shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill", "--json"]).stdout)
