@@ -14,6 +14,7 @@ from dtwin.commands import (
     _data,
     _demo,
     _dynamics,
+    _effects,
     _evidence,
     _exporting,
     _fleet,
@@ -32,6 +33,7 @@ from dtwin.commands import (
     _servers,
     _serving,
     _simulating,
+    _single,
     _turning,
     _twins,
     _ui,
@@ -56,8 +58,8 @@ _MODULES = (
     _rechecking,
     _serving,
     _twins,
+    _effects,
     _machine,
-    _machine_tests,
     _fleet,
     _alerts,
     _certificate,
@@ -80,5 +82,7 @@ _MODULES = (
 
 def register(app: typer.Typer) -> None:
     """Add every command to the application."""
+    _twins.app.add_typer(_single.app)
+    _machine.app.add_typer(_machine_tests.app)
     for module in _MODULES:
-        module.register(app)
+        app.add_typer(module.app)

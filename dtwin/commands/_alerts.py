@@ -7,20 +7,17 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_USER
 
-app_alert = typer.Typer(no_args_is_help=True, help="Who is told what dtwin fleet nightly finds, and of what not.")
+app = typer.Typer(
+    name="alert", no_args_is_help=True, help="Who is told what dtwin fleet nightly finds, and of what not."
+)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_alert, name="alert")
-
-
-@app_alert.command("test")
+@app.command("test")
 def send_test(as_json: Json = False) -> None:
     """Send a test message to every channel of DTWIN_HOME/alerts.toml."""
-    from dtwin.config import home
     from dtwin.fleet import try_channels
 
     found = try_channels(home())
@@ -33,14 +30,13 @@ def send_test(as_json: Json = False) -> None:
         raise typer.Exit(EXIT_USER)
 
 
-@app_alert.command()
+@app.command()
 def silence(
     key: Annotated[str, typer.Argument(help="As alerts are listed, such as overdue:mill-1.")],
     days: Annotated[float, typer.Option(help="For how long; 0 tells again.")] = 7.0,
     as_json: Json = False,
 ) -> None:
     """Tell nobody of something for some days."""
-    from dtwin.config import home
     from dtwin.fleet import silence as silenced
 
     until = silenced(home(), key, days)

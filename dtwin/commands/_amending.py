@@ -7,20 +7,18 @@ from typing import Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
+from dtwin.errors import InputError
 
 CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
 Runs = Annotated[list[str], typer.Argument(help="Run ids.")]
 Because = Annotated[str, typer.Option(help="Why; it is kept and printed.")]
 Who = Annotated[str, typer.Option(help="Who says so; else the user of this computer.")]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(amend)
-    app.command("leave-out")(leave_out)
-    app.command()(restore)
+app = typer.Typer()
 
 
+@app.command()
 def amend(
     campaign: CampaignName,
     settings: Annotated[
@@ -36,8 +34,6 @@ def amend(
     Without --set it lists what was stated anew before.
     """
     from dtwin.acquire.amending import amend as state_anew
-    from dtwin.config import home
-    from dtwin.errors import InputError
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
@@ -47,11 +43,13 @@ def amend(
     _said(lake, campaign, {"changed": changed}, as_json=as_json)
 
 
+@app.command("leave-out")
 def leave_out(campaign: CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False) -> None:
     """Leave runs out of every figure, twin, report and training; nothing is deleted."""
     _left_out(campaign, runs, because, who, out=True, as_json=as_json)
 
 
+@app.command()
 def restore(
     campaign: CampaignName,
     runs: Runs,
@@ -65,7 +63,6 @@ def restore(
 
 def _left_out(campaign: str, runs: list[str], because: str, who: str, *, out: bool, as_json: bool) -> None:
     from dtwin.acquire.amending import leave_out as set_out
-    from dtwin.config import home
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)

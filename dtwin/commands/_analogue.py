@@ -10,21 +10,19 @@ import typer
 
 from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
+from dtwin.report.text import table
 
 Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]
 Calibration = Annotated[Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")]
 
-app_analogue = typer.Typer(
-    help="Corrections as voltages, for controls that take them as encoder offsets.", no_args_is_help=True
+app = typer.Typer(
+    name="analogue",
+    help="Corrections as voltages, for controls that take them as encoder offsets.",
+    no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_analogue, name="analogue")
-
-
-@app_analogue.command("build")
+@app.command("build")
 def build(
     out: Annotated[Path, typer.Option(help="ELF file to write.")] = Path("analogue_correction.elf"),
     baud: Annotated[int, typer.Option(help="Of the serial port.")] = 250_000,
@@ -47,7 +45,7 @@ def build(
     )
 
 
-@app_analogue.command("status")
+@app.command("status")
 def status(port: Port, as_json: Json = False) -> None:
     """Ask the board how it is."""
     from dtwin.links.analogue import AnalogueOutput
@@ -67,7 +65,7 @@ def status(port: Port, as_json: Json = False) -> None:
     )
 
 
-@app_analogue.command("hold")
+@app.command("hold")
 def hold(
     port: Port,
     offset: Annotated[str, typer.Option(help="x,y,z in µm, like 25,0,0.")],
@@ -98,7 +96,7 @@ def hold(
     print(f"held {seconds:g} s, {output.answered} of {output.sent} answered, then released")
 
 
-@app_analogue.command("calibrate")
+@app.command("calibrate")
 def calibrate_inputs(
     points: Annotated[Path, typer.Argument(help="CSV: axis,voltage_v,x_um,y_um,z_um.")],
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("analogue.json"),
@@ -110,7 +108,6 @@ def calibrate_inputs(
 
     from dtwin.links.analogue import AnalogueOutput
     from dtwin.links.analogue_calibration import calibrate, calibration_rows, load, read_points, save
-    from dtwin.report.text import table
 
     fits = calibrate(read_points(points))
     save(out, fits)

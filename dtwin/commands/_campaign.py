@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
+from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.pipeline.desk import Desk
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(campaign)
+app = typer.Typer()
 
 
+@app.command()
 def campaign(
     plan: Annotated[Path, typer.Argument(help="Plan file (TOML) of circles.")],
     inbox: Annotated[Path, typer.Option(help="Folder that the ball bar's program saves its .b5r files in.")],
@@ -41,7 +41,6 @@ def campaign(
     Ctrl-C keeps what is there (exit 130); the same command goes on. With --with the runs are
     evidence for the version.
     """
-    from dtwin.config import home
     from dtwin.pipeline.campaign_job import CampaignRequest, run_request
     from dtwin.plan import read_plan
     from dtwin.serve.signals import stop_on_signals
@@ -70,7 +69,6 @@ def typed_line() -> str | None:
 
 def _text(done: dict[str, Any]) -> str:
     from dtwin.report.campaign import evidence_table
-    from dtwin.report.text import table
 
     lines = [
         f"{done['campaign']}: {done['measured']} tests measured, {done['kept']} kept from before, "

@@ -8,18 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_INTERRUPTED
+from dtwin.report.text import table
 
-app_cell = typer.Typer(help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
+app = typer.Typer(name="cell", help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
 Cell = Annotated[str, typer.Option(help="Name of the cell.")]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_cell, name="cell")
-
-
-@app_cell.command("run")
+@app.command("run")
 def run(
     cell: Cell = "demo",
     parts: Annotated[int, typer.Option(help="Parts to make.")] = 1,
@@ -30,16 +27,15 @@ def run(
     _run(cell, {"parts": parts, "seed": seed}, as_json=as_json)
 
 
-@app_cell.command("resume")
+@app.command("resume")
 def resume(cell: Cell = "demo", as_json: Json = False) -> None:
     """Go on with a job that was stopped or interrupted."""
     _run(cell, {"resume": True}, as_json=as_json)
 
 
-@app_cell.command("status")
+@app.command("status")
 def status(cell: Cell = "demo", as_json: Json = False) -> None:
     """Show every step, the twin that is live, and whether the job runs."""
-    from dtwin.config import home
     from dtwin.pipeline.cell import status as seen_now
     from dtwin.pipeline.cell_state import CellFile
 
@@ -47,24 +43,22 @@ def status(cell: Cell = "demo", as_json: Json = False) -> None:
     emit(seen, lambda: _text(seen), as_json=as_json)
 
 
-@app_cell.command("stop")
+@app.command("stop")
 def stop(
     cell: Cell = "demo",
     reason: Annotated[str, typer.Option(help="Kept with the run.")] = "stopped by the operator",
     as_json: Json = False,
 ) -> None:
     """Ask a running job to stop when its step is done: no machine is left in the middle."""
-    from dtwin.config import home
     from dtwin.pipeline.cell_state import CellFile
 
     CellFile(home(), cell).ask_to_stop(reason)
     emit({"cell": cell, "stop_asked": reason}, lambda: f"asked: {reason}", as_json=as_json)
 
 
-@app_cell.command("clear")
+@app.command("clear")
 def clear(cell: Cell = "demo", as_json: Json = False) -> None:
     """Forget the job of a cell that is not running."""
-    from dtwin.config import home
     from dtwin.pipeline.cell_state import CellFile
 
     CellFile(home(), cell).clear()
@@ -72,7 +66,6 @@ def clear(cell: Cell = "demo", as_json: Json = False) -> None:
 
 
 def _run(cell: str, parameters: Mapping[str, Any], *, as_json: bool) -> None:
-    from dtwin.config import home
     from dtwin.pipeline.cell import status as seen_now
     from dtwin.pipeline.cell_state import CellFile
     from flows._runtime import delivered
@@ -89,8 +82,6 @@ def _run(cell: str, parameters: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _text(seen: Mapping[str, Any]) -> str:
-    from dtwin.report.text import table
-
     rows = [
         [
             s["part"],

@@ -12,17 +12,16 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError, MissingPart
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 _PRINTING_S = 120.0
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(certificate)
+app = typer.Typer()
 
 
+@app.command()
 def certificate(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake, or a file or folder.")],
     out: Annotated[Path, typer.Option(help="File to write: .html, or .pdf where a browser is installed.")],
@@ -32,7 +31,6 @@ def certificate(
     """Write the test sheet of a campaign as a document to sign: machine, instrument, decision, figures, pictures."""
     from dtwin.acquire.campaign_name import in_lake
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.pipeline.certificate import certificate as certificate_of
 
     if out.suffix not in (".html", ".pdf"):

@@ -11,6 +11,7 @@ import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.commands._record import run_text
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
 
@@ -32,17 +33,10 @@ Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of th
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
 Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(examples)
-    app.command()(check)
-    app.command()(ingest)
-    app.command()(runs)
-    app.command()(repair)
-    app.command()(migrate)
+app = typer.Typer()
 
 
+@app.command()
 def examples(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("examples"), as_json: Json = False
 ) -> None:
@@ -69,6 +63,7 @@ def examples(
     )
 
 
+@app.command()
 def check(
     source: Annotated[Path, typer.Argument(help="A .b5r file, a campaign folder, a table, or a campaign in the lake.")],
     plane: Plane = None,
@@ -83,7 +78,6 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
-    from dtwin.config import home
     from dtwin.lake.store import Lake
     from dtwin.machine_record import tolerances_of
     from dtwin.pipeline.kept import variation_of
@@ -108,6 +102,7 @@ def check(
     emit(result, lambda: render_check(result), as_json=as_json)
 
 
+@app.command()
 def ingest(
     sources: Annotated[list[Path], typer.Argument(help="Campaign folders, .b5r files or a table.")],
     plane: Plane = None,
@@ -126,7 +121,6 @@ def ingest(
 ) -> None:
     """Bring measurements into the lake. Safe to repeat."""
     from dtwin.acquire.ingest import ingest as ingest_one
-    from dtwin.config import home
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
@@ -136,11 +130,11 @@ def ingest(
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
 
 
+@app.command()
 def runs(
     campaign: Annotated[str | None, typer.Argument(help="Only this campaign.")] = None, as_json: Json = False
 ) -> None:
     """List the runs in the lake."""
-    from dtwin.config import home
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
@@ -173,12 +167,12 @@ def runs(
     emit(payload, text, as_json=as_json)
 
 
+@app.command()
 def repair(
     folder: Annotated[Path | None, typer.Argument(help="Campaign folder whose killed recordings to recover.")] = None,
     as_json: Json = False,
 ) -> None:
     """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
-    from dtwin.config import home
     from dtwin.lake.store import Lake
     from dtwin.shared_documents import drop_unnamed_content
     from dtwin.twins.registration import log_waiting, waiting_text
@@ -212,12 +206,12 @@ def repair(
     emit(payload, text, as_json=as_json)
 
 
+@app.command()
 def migrate(as_json: Json = False) -> None:
     """Take over a home that an earlier version of dtwin made: lake, twins, machines.
 
     Runs are compared with the hashes that their ingest stored; the old lake stays beside the new one.
     """
-    from dtwin.config import home
     from dtwin.pipeline.migrating import migrate as take_over
 
     found = take_over(home(), ProgressLine("migrate", quiet=as_json))
@@ -247,7 +241,6 @@ def told_of(
     pitch: float | None = None,
 ) -> dict[str, Any]:
     """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
-    from dtwin.config import home
     from dtwin.machine_record import read_record
 
     record = read_record(home(), machine) if pitch is None and machine and axis else None

@@ -7,15 +7,14 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.progress import Progress
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(demo)
+app = typer.Typer()
 
 
+@app.command()
 def demo(
     which: Annotated[
         str, typer.Argument(help="Which demo: cobot, mill, linuxcnc, placement, tracking, position-map.")
@@ -48,7 +47,6 @@ def demo(
         return
     if which != "cobot":
         raise InputError("no such demo", code="demo.unknown", got=which[:40], allowed=", ".join(["cobot", *others]))
-    from dtwin.config import home
     from flows.page import shown_steps
 
     screen = _Terminal(quiet=as_json)
@@ -63,7 +61,6 @@ def demo(
 def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
-    from dtwin.config import home
     from studies.mill_story import mill_story
     from studies.report.mill_story import mill_story_text
 
@@ -75,7 +72,6 @@ def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
 def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
-    from dtwin.config import home
     from studies.linuxcnc_story import FULL, QUICK, linuxcnc_story
     from studies.report.linuxcnc import linuxcnc_text
 
@@ -87,7 +83,6 @@ def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
 def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
-    from dtwin.config import home
     from studies.placement_story import FULL, QUICK, placement_story
     from studies.report.placement import placement_text
 

@@ -8,18 +8,16 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 
-app_dynamics = typer.Typer(
-    help="Dynamic part of ball-bar tests: vibration and what changes with the feed.", no_args_is_help=True
+app = typer.Typer(
+    name="dynamics",
+    help="Dynamic part of ball-bar tests: vibration and what changes with the feed.",
+    no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_dynamics, name="dynamics")
-
-
-@app_dynamics.command("split")
+@app.command("split")
 def split(
     campaign: Annotated[str, typer.Argument(help="Circular campaign in the lake, or a folder.")],
     how: Annotated[
@@ -46,7 +44,6 @@ def split(
 ) -> None:
     """Part static from dynamic error in every run, against the slow reference."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.kinds.circular import (
         TWIN_EFFECTS,
         DynamicsRequest,
@@ -85,7 +82,7 @@ def split(
     emit(split.result, text, as_json=as_json)
 
 
-@app_dynamics.command("paper")
+@app.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer machines, feeds and particles.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of vibration, swarm and virtual hexapod.")] = 0,

@@ -10,6 +10,7 @@ import typer
 
 from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
+from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
@@ -18,14 +19,11 @@ Paths = Annotated[
     list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
 ]
 
-effects_app = typer.Typer(
-    help="Physical causes of error: what they look like, and what to do about them.", no_args_is_help=True
+app = typer.Typer(
+    name="effects",
+    help="Physical causes of error: what they look like, and what to do about them.",
+    no_args_is_help=True,
 )
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(effects_app, name="effects")
 
 
 def library_with(paths: list[Path] | None) -> Mapping[str, Effect]:
@@ -35,11 +33,10 @@ def library_with(paths: list[Path] | None) -> Mapping[str, Effect]:
     return Library(paths or [])
 
 
-@effects_app.command("list")
+@app.command("list")
 def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
     """List what dtwin knows."""
     from dtwin.kinds.volumetric import FAMILIES, family_dict
-    from dtwin.report.text import table
 
     effects = _sorted(library_with(effects_path))
     rows = [(e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in effects]
@@ -52,7 +49,7 @@ def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
     )
 
 
-@effects_app.command("show")
+@app.command("show")
 def show_effect(
     name: Annotated[str, typer.Argument(help="Name of the effect.")], effects_path: Paths = None, as_json: Json = False
 ) -> None:
@@ -68,7 +65,7 @@ def show_effect(
     emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
 
 
-@effects_app.command("template")
+@app.command("template")
 def effect_template(
     name: Annotated[str, typer.Argument(help="Name of your effect, in lower case.")],
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.py without.")] = None,

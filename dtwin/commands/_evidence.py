@@ -8,15 +8,14 @@ import typer
 
 from dtwin.commands._models import Machine, machine_named
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(evidence)
+app = typer.Typer()
 
 
+@app.command()
 def evidence(
     version: Annotated[str, typer.Argument(help="Version number, or candidate.")] = "candidate",
     without: Annotated[
@@ -32,7 +31,6 @@ def evidence(
 
     Conditions are paired, the run is the unit, and the two ways must have taken turns.
     """
-    from dtwin.config import home
     from dtwin.lifecycle.evidence import compute
     from dtwin.report.campaign import evidence_table
     from dtwin.train.evidence_record import newest

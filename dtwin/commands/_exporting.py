@@ -8,16 +8,13 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(export)
-    app.command("robot-program")(robot_program)
-    app.command("robot-targets")(robot_targets)
+app = typer.Typer()
 
 
+@app.command()
 def export(
     source: Annotated[str, typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name.")],
     form: Annotated[
@@ -48,7 +45,6 @@ def export(
 ) -> None:
     """Write a registered correction as code, table or compensated program."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.lifecycle.export import FORMATS, Request, export_twin, source_of
     from dtwin.lifecycle.export import export as write
     from dtwin.physics.library import Library
@@ -119,6 +115,7 @@ def numbers(text: str, count: int, option: str) -> list[float]:
     return values
 
 
+@app.command("robot-program")
 def robot_program(
     out: Annotated[Path, typer.Option(help="URScript file to write.")] = Path("dtwin.script"),
     limit_um: Annotated[float, typer.Option(help="Largest offset along each axis.")] = 500.0,
@@ -137,6 +134,7 @@ def robot_program(
     print(f"{out} written: not yet run on a controller; how to start it is in its first lines")
 
 
+@app.command("robot-targets")
 def robot_targets(
     targets: Annotated[Path, typer.Argument(help="CSV: name,x_mm,y_mm,z_mm,feed_mm_min.")],
     centre: Annotated[str, typer.Option(help="X,Y,Z in mm: where the path angle is counted from.")],
@@ -152,7 +150,6 @@ def robot_targets(
     import numpy as np
 
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.serve.bundle_file import load_bundle
     from dtwin.serve.pointer import read_machine, resolve
     from dtwin.serve.targets import TargetCorrection, TargetFrame, corrected_csv, read_targets

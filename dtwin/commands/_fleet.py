@@ -9,7 +9,9 @@ import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.commands.tasks import FleetCommands
-from dtwin.errors import EXIT_USER
+from dtwin.config import home
+from dtwin.errors import EXIT_USER, InputError
+from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.fleet import FleetRun, Job
@@ -24,17 +26,12 @@ Workers = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")]
 
-app_fleet = typer.Typer(
-    cls=FleetCommands, no_args_is_help=True, help="The same for many machines, on one computer or many."
+app = typer.Typer(
+    name="fleet", cls=FleetCommands, no_args_is_help=True, help="The same for many machines, on one computer or many."
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_fleet, name="fleet")
-
-
-@app_fleet.command()
+@app.command()
 def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, as_json: Json = False) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
     from dtwin.fleet import DIAGNOSE
@@ -42,7 +39,7 @@ def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, a
     _run(DIAGNOSE, machine, on, workers, 0, as_json)
 
 
-@app_fleet.command()
+@app.command()
 def train(
     machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 1, as_json: Json = False
 ) -> None:
@@ -52,7 +49,7 @@ def train(
     _run(TRAIN, machine, on, workers, seed, as_json)
 
 
-@app_fleet.command()
+@app.command()
 def recheck(
     machine: Machines = None,
     days: Annotated[float, typer.Option(min=0.0, help="Pass over champions that were checked since.")] = 1.0,
@@ -67,7 +64,7 @@ def recheck(
     _run(recheck_job(days), machine, on, workers, seed, as_json)
 
 
-@app_fleet.command()
+@app.command()
 def nightly(
     folder: Annotated[Path | None, typer.Option(help="Where new measurements arrive.")] = None,
     machine: Machines = None,
@@ -77,7 +74,6 @@ def nightly(
     as_json: Json = False,
 ) -> None:
     """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed."""
-    from dtwin.config import home
     from dtwin.fleet import nightly as night_of
 
     lines = {stage: ProgressLine(stage, quiet=as_json) for stage in ("diagnose", "recheck", "history")}
@@ -92,8 +88,6 @@ def nightly(
     )
 
     def text() -> str:
-        from dtwin.report.text import table
-
         taken = sum(event.outcome == "ingested" for event in night.arrived)
         lines = [
             f"{taken} taken in, {len(night.diagnosed.done)} campaigns diagnosed, "
@@ -111,12 +105,10 @@ def nightly(
     emit(night.as_dict(), text, as_json=as_json)
 
 
-@app_fleet.command()
+@app.command()
 def show(machine: Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
-    from dtwin.config import home
     from dtwin.fleet import fleet_view
-    from dtwin.report.text import table
 
     found = fleet_view(home(), machine or ())
     head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")
@@ -135,18 +127,15 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
     emit({"machines": found}, lambda: table(head, rows) if rows else nothing, as_json=as_json)
 
 
-@app_fleet.command("sisters")
+@app.command("sisters")
 def sister_machines(
     type: Annotated[str, typer.Option(help="Machines whose record states this type (dtwin machine add --type).")] = "",
     machine: Machines = None,
     as_json: Json = False,
 ) -> None:
     """Compare machines of one type by figures of their newest tests and sizes of faults: what is usual, and which one differs."""
-    from dtwin.config import home
-    from dtwin.errors import InputError
     from dtwin.fleet import sisters
     from dtwin.report.faults import with_k2
-    from dtwin.report.text import table
 
     if bool(type) == bool(machine):
         raise InputError(
@@ -180,7 +169,6 @@ def _um(value: float | None) -> str:
 
 
 def _run(job: Job, machines: list[str] | None, on: str | None, workers: int | None, seed: int, as_json: bool) -> None:
-    from dtwin.config import home
     from dtwin.fleet import run_fleet
 
     progress = ProgressLine(job.name, quiet=as_json)
@@ -191,8 +179,6 @@ def _run(job: Job, machines: list[str] | None, on: str | None, workers: int | No
 
 
 def _text(run: FleetRun) -> str:
-    from dtwin.report.text import table
-
     lines = []
     if run.done:
         rows = [

@@ -8,22 +8,19 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
-from dtwin.errors import EXIT_USER
+from dtwin.config import home
+from dtwin.errors import EXIT_USER, InputError
+from dtwin.report.text import table
 
-app_home = typer.Typer(no_args_is_help=True, help="What DTWIN_HOME holds, whether it is sound, a backup, and back.")
+app = typer.Typer(
+    name="home", no_args_is_help=True, help="What DTWIN_HOME holds, whether it is sound, a backup, and back."
+)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_home, name="home")
-
-
-@app_home.command()
+@app.command()
 def show(as_json: Json = False) -> None:
     """Show where the home is and what its parts take."""
-    from dtwin.config import home
     from dtwin.pipeline.home_check import home_parts, shared_parts
-    from dtwin.report.text import table
 
     where = home()
     parts, shared = home_parts(where), shared_parts(where)
@@ -42,10 +39,9 @@ def show(as_json: Json = False) -> None:
     emit(payload, text, as_json=as_json)
 
 
-@app_home.command()
+@app.command()
 def check(as_json: Json = False) -> None:
     """Read every run, document, database and bundle, and compare it with its hash (exit 1 when one is damaged)."""
-    from dtwin.config import home
     from dtwin.pipeline.home_check import check_home
 
     found = check_home(home(), ProgressLine("runs", quiet=as_json))
@@ -59,34 +55,31 @@ def check(as_json: Json = False) -> None:
         raise typer.Exit(EXIT_USER)
 
 
-@app_home.command()
+@app.command()
 def backup(
     out: Annotated[Path, typer.Argument(help="File to write, such as home-2026-11-24.tar.")], as_json: Json = False
 ) -> None:
     """Write all that the home holds to one file; caches and logs are left out."""
-    from dtwin.config import home
     from dtwin.pipeline.home_archive import backup as write
 
     made = write(home(), out, ProgressLine("files", quiet=as_json))
     emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB: {made.path}", as_json=as_json)
 
 
-@app_home.command()
+@app.command()
 def restore(
     archive: Annotated[Path, typer.Argument(help="What dtwin home backup wrote.")], as_json: Json = False
 ) -> None:
     """Make DTWIN_HOME, which must not be there, from a backup; every file is compared with its hash."""
-    from dtwin.config import home
     from dtwin.pipeline.home_archive import restore as read
 
     made = read(archive, home(), ProgressLine("files", quiet=as_json))
     emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB are back in {made.path}", as_json=as_json)
 
 
-@app_home.command()
+@app.command()
 def key(as_json: Json = False) -> None:
     """Make the key by which hosts that serve machines prove that they may fetch bundles, and say where it is."""
-    from dtwin.config import home
     from dtwin.serve.delivery import make_key
 
     path = make_key(home())
@@ -99,7 +92,7 @@ def key(as_json: Json = False) -> None:
     )
 
 
-@app_home.command()
+@app.command()
 def move(
     store: Annotated[str | None, typer.Option(help="To this store: s3://bucket/prefix.")] = None,
     registry: Annotated[
@@ -113,8 +106,6 @@ def move(
     as_json: Json = False,
 ) -> None:
     """Move the home to a shared store, or back; it is compared before it changes, and what was stays. Can be repeated."""
-    from dtwin.config import home
-    from dtwin.errors import InputError
     from dtwin.pipeline.home_moving import bring_home, share
 
     given = {"store": store, "registry": registry, "endpoint": endpoint, "flows": flows}

@@ -9,17 +9,16 @@ import typer
 
 from dtwin.commands._data import Axis, Direction, Feed, Machine, Plane, Radius, Repeat, Setup, told_of
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.acquire.importing import Understood
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command("import")(import_table)
+app = typer.Typer()
 
 
+@app.command("import")
 def import_table(
     source: Annotated[Path, typer.Argument(help="A table of text, in any dialect, or a spreadsheet.")],
     out: Annotated[Path | None, typer.Option(help="Campaign folder to make; without, nothing is written.")] = None,
@@ -48,7 +47,6 @@ def import_table(
 ) -> None:
     """Say what a foreign table is taken for; with --out make a campaign folder of it, and remember the answers."""
     from dtwin.acquire.importing import understand, write_folder
-    from dtwin.config import home
 
     told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
     found = understand(source, home(), told, _answers(column or []), decimal)

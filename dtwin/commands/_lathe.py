@@ -16,17 +16,14 @@ if TYPE_CHECKING:
 
 MODELS = ("flanks", "pair", "printed")
 
-app_lathe = typer.Typer(
-    help="Positioning error of an axis: fit, try in the loop, and compare with a published lathe.", no_args_is_help=True
+app = typer.Typer(
+    name="lathe",
+    help="Positioning error of an axis: fit, try in the loop, and compare with a published lathe.",
+    no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_lathe, name="lathe")
-
-
-@app_lathe.command("fit")
+@app.command("fit")
 def fit(
     campaign: Annotated[Path | None, typer.Argument(help="Campaign folder; none for --model printed.")] = None,
     model: Annotated[
@@ -71,7 +68,7 @@ def fit(
         raise typer.Exit(EXIT_GATE)
 
 
-@app_lathe.command("compensate")
+@app.command("compensate")
 def compensate(
     model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
     truth: Annotated[str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")] = "published",
@@ -96,7 +93,7 @@ def compensate(
     emit(found, lambda: f"{told}\n{compensation_text(found)}", as_json=as_json)
 
 
-@app_lathe.command("paper")
+@app.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="First seed of the simulated campaigns.")] = 0,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,17 +17,14 @@ if TYPE_CHECKING:
     from dtwin.serve.bundle import Bundle
 
 
-app_linuxcnc = typer.Typer(
-    help="LinuxCNC, the real controller, with a machine that is simulated in its HAL.", no_args_is_help=True
+app = typer.Typer(
+    name="linuxcnc",
+    help="LinuxCNC, the real controller, with a machine that is simulated in its HAL.",
+    no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_linuxcnc, name="linuxcnc")
-
-
-@app_linuxcnc.command("check")
+@app.command("check")
 def check(as_json: Json = False) -> None:
     """Start LinuxCNC once, contained, and say that it works or what is missing."""
     from dtwin.links.linuxcnc import Bridge
@@ -46,7 +44,7 @@ def check(as_json: Json = False) -> None:
     )
 
 
-@app_linuxcnc.command("measure")
+@app.command("measure")
 def measure(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
     plane: Annotated[str, typer.Option(help="Planes, like XY,YZ.")] = "XY",
@@ -101,7 +99,6 @@ def _bundle(model: str | None) -> Bundle | None:
     if model is None:
         return None
     from dtwin.acquire.linuxcnc import MACHINE
-    from dtwin.config import home
     from dtwin.serve.bundle import Bundle
     from dtwin.serve.bundle_file import MAX_BYTES, read_json
     from dtwin.serve.pointer import resolve

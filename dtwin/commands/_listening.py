@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from dtwin.commands._output import ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.kinds.machine import Request, VirtualMachine
 from dtwin.kinds.registry import machines
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 def simulate_served(machine: VirtualMachine, request: Request, *, port: int, clock: Clock, as_json: bool) -> None:
     """Run a machine's program once, corrected by whoever connects, and write what was measured."""
-    from dtwin.config import home
     from dtwin.links.virtual_key import proof
     from dtwin.machines.axis_server import AxisServer
 

@@ -10,22 +10,19 @@ import typer
 
 from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.machine_record import MachineRecord
 
 Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
 
-app_machine = typer.Typer(no_args_is_help=True, help="What is known of a machine, and what happened to it.")
+app = typer.Typer(name="machine", no_args_is_help=True, help="What is known of a machine, and what happened to it.")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_machine, name="machine")
-
-
-@app_machine.command()
+@app.command()
 def add(
     name: Name,
     type: Annotated[str | None, typer.Option(help="What it is, such as a 3-axis mill.")] = None,
@@ -41,7 +38,6 @@ def add(
     as_json: Json = False,
 ) -> None:
     """State what is known of a machine, or state it anew; what is not given stays."""
-    from dtwin.config import home
     from dtwin.machine_record import keep_record, record_file
 
     stated = {
@@ -59,7 +55,7 @@ def add(
     emit({"machine": name, **record.as_dict()}, lambda: f"{_record_text(record)}\nkept in {where}", as_json=as_json)
 
 
-@app_machine.command()
+@app.command()
 def event(
     name: Name,
     what: Annotated[str, typer.Argument(help="repair, crash, moved, compensated or other.")],
@@ -68,19 +64,16 @@ def event(
     as_json: Json = False,
 ) -> None:
     """Note what happened to a machine, so that its history can be read."""
-    from dtwin.config import home
     from dtwin.machine_record import with_event
 
     record = with_event(home(), name, what, on, note)
     emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
 
 
-@app_machine.command("list")
+@app.command("list")
 def list_machines(as_json: Json = False) -> None:
     """List machines that have a record or a campaign."""
-    from dtwin.config import home
     from dtwin.pipeline.machine_history import machine_overviews
-    from dtwin.report.text import table
 
     overviews = machine_overviews(home())
     rows = [
@@ -90,7 +83,7 @@ def list_machines(as_json: Json = False) -> None:
     emit({"machines": overviews}, lambda: table(head, rows) if rows else "no machine yet", as_json=as_json)
 
 
-@app_machine.command()
+@app.command()
 def show(
     name: Name,
     ics: Annotated[Path | None, typer.Option(help="Write the next test to this calendar file.")] = None,
@@ -101,7 +94,6 @@ def show(
 
     from dtwin.atomic import write_text
     from dtwin.commands._output import ProgressLine
-    from dtwin.config import home
     from dtwin.pipeline.machine_history import machine_history, with_sheets
     from dtwin.pipeline.machine_series import calendar_of
 
@@ -119,7 +111,7 @@ def show(
     emit(shown, lambda: _history_text(history), as_json=as_json)
 
 
-@app_machine.command()
+@app.command()
 def diagnose(
     name: Name,
     campaign: Annotated[
@@ -131,7 +123,6 @@ def diagnose(
     """Compare tests of a machine by several instruments: what they agree on, and which of two names is right."""
     from dtwin.commands._effects import library_with
     from dtwin.commands._output import ProgressLine
-    from dtwin.config import home
     from dtwin.pipeline.machine_joint import machine_joint
 
     progress = ProgressLine("tests", quiet=as_json)
@@ -139,7 +130,7 @@ def diagnose(
     emit(found, lambda: _joint_text(found), as_json=as_json)
 
 
-@app_machine.command("next")
+@app.command("next")
 def next_test(
     name: Name,
     kind: Annotated[list[str] | None, typer.Option(help="Kind of test that can be made; may be repeated.")] = None,
@@ -152,7 +143,6 @@ def next_test(
     from dtwin.atomic import write_toml
     from dtwin.commands._effects import library_with
     from dtwin.commands._output import ProgressLine
-    from dtwin.config import home
     from dtwin.pipeline.machine_next import machine_next
 
     progress = ProgressLine("tests", quiet=as_json)
@@ -163,7 +153,6 @@ def next_test(
 
 
 def _next_text(found: Mapping[str, Any]) -> str:
-    from dtwin.report.text import table
 
     head = ("test", "kind", "minutes", "bits", "bits per hour", "tells (k = 2)")
     rows = [
@@ -199,7 +188,6 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _joint_text(found: Mapping[str, Any]) -> str:
-    from dtwin.report.text import table
 
     rows = [
         [
@@ -252,7 +240,6 @@ def _record_text(record: MachineRecord) -> str:
 
 
 def _history_text(found: Mapping[str, Any]) -> str:
-    from dtwin.report.text import table
 
     lines = [found["machine"], *(f"  {key}: {value}" for key, value in found["facts"].items())]
     rows = [
@@ -272,8 +259,6 @@ def _history_text(found: Mapping[str, Any]) -> str:
 
 def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what changed, and the levels of the figures that did; of steady ones the number."""
-    from dtwin.report.text import table
-
     lines = [change["text"] for one in series for change in one["changes"]]
     shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
     rows = [[one["name"], one["state"], f"{one['level']} {one['unit']}", one["since"], _ahead(one)] for one in shown]

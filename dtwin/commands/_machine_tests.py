@@ -9,17 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from dtwin.commands._effects import Paths
-from dtwin.commands._machine import Name, app_machine
+from dtwin.commands._machine import Name
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.report.text import table
+
+app = typer.Typer()
 
 
-def register(_app: typer.Typer) -> None:
-    """Add the commands of this module to those about machines."""
-    for command in (plan, measure, changes):
-        app_machine.command()(command)
-
-
+@app.command()
 def plan(
     name: Name,
     kind: Annotated[str | None, typer.Option(help="Kind of test; the usual one without.")] = None,
@@ -34,7 +33,6 @@ def plan(
     """Plan a test of a machine: how long it takes, what it would show, and what it could not tell apart."""
     from dtwin.atomic import write_toml
     from dtwin.commands._effects import library_with
-    from dtwin.config import home
     from dtwin.pipeline.planned_tests import draft_of, foretold, with_settings
     from dtwin.schema import DEFAULT_KIND
 
@@ -45,6 +43,7 @@ def plan(
     emit(found, lambda: _foretold_text(found), as_json=as_json)
 
 
+@app.command()
 def measure(
     name: Name,
     file: Annotated[
@@ -60,7 +59,6 @@ def measure(
     A campaign that comes in later, of the name or with all conditions of the plan, answers it, and is compared with the last
     such test of the machine.
     """
-    from dtwin.config import home
     from dtwin.pipeline.planned_tests import free_name, keep_plan, kept_plans, measured_by, write_plan
     from dtwin.plan_file import planned_document, read_plan_file
 
@@ -98,6 +96,7 @@ def measure(
     emit({"plan": kept, "waits": False, **done}, lambda: _changes_text(home(), kept), as_json=as_json)
 
 
+@app.command()
 def changes(
     name: Name,
     campaign: Annotated[
@@ -109,7 +108,6 @@ def changes(
     as_json: Json = False,
 ) -> None:
     """Compare the figures of two tests of a machine: changed, not changed, or cannot be said."""
-    from dtwin.config import home
     from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 
     if campaign is None and earlier is not None:
@@ -128,7 +126,6 @@ def _setting(text: str) -> tuple[str, str]:
 
 
 def _foretold_text(found: Mapping[str, Any]) -> str:
-    from dtwin.report.text import table
     from dtwin.units import shown_unit
 
     lines = [*found["lines"], f"and {found['mounting_minutes']:z.0f} min to mount the instrument"]
@@ -150,8 +147,6 @@ def _foretold_text(found: Mapping[str, Any]) -> str:
 
 
 def _waits_text(name: str, kind: str) -> str:
-    from dtwin.config import home
-
     file = home().plans / f"{name}.toml"
     return (
         f"{name} waits for its {kind} campaign; dtwin plan {file} --out FOLDER writes its programs where its kind has them\n"
@@ -160,8 +155,6 @@ def _waits_text(name: str, kind: str) -> str:
 
 
 def _plans_text(machine: str, waiting: list[dict[str, Any]]) -> str:
-    from dtwin.report.text import table
-
     rows = [[one["made"][:16].replace("T", " "), one["name"], one["kind"], one["answer"] or "waits"] for one in waiting]
     return table(("made", "plan", "kind", "measured"), rows) if rows else f"no test of {machine} is planned"
 
@@ -177,6 +170,5 @@ def _changes_text(where: Any, campaign: str) -> str:
 
 def _table_text(found: Mapping[str, Any]) -> str:
     from dtwin.report.changes import change_table, changes_text
-    from dtwin.report.text import table
 
     return "\n".join([*changes_text(found), "", table(*change_table(found))])

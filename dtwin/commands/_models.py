@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_GATE, InputError
 from dtwin.progress import Progress
 from dtwin.report.text import table
@@ -19,16 +20,12 @@ if TYPE_CHECKING:
 
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    for command in (features, train, models, promote, rollback, report):
-        app.command()(command)
+app = typer.Typer()
 
 
+@app.command()
 def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")], as_json: Json = False) -> None:
     """Compute the signal features of a campaign into the lake."""
-    from dtwin.config import home
     from dtwin.pipeline.measuring import compute_features
 
     features = compute_features(home(), campaign, ProgressLine("features", quiet=as_json))
@@ -43,6 +40,7 @@ def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.
     )
 
 
+@app.command()
 def train(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
@@ -50,7 +48,6 @@ def train(
     as_json: Json = False,
 ) -> None:
     """Train every candidate, compare on conditions left out, register the best equation."""
-    from dtwin.config import home
     from dtwin.lifecycle.train import train as train_and_register
     from dtwin.report.campaign import comparison_table
     from dtwin.train.promotion import verdict_lines
@@ -103,9 +100,9 @@ def train(
     emit(payload, text, as_json=as_json)
 
 
+@app.command()
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
-    from dtwin.config import home
     from dtwin.serve.pointer import proven_states
     from dtwin.train.promotion import history
     from dtwin.train.registry import Registry
@@ -155,6 +152,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     emit(payload, text, as_json=as_json)
 
 
+@app.command()
 def promote(
     version: Annotated[str, typer.Argument(help="Version number, or candidate.")] = "candidate",
     machine: Machine = None,
@@ -174,7 +172,6 @@ def promote(
     Its evidence (dtwin evidence) is computed again from the runs in the lake. Without any, the
     virtual machine that the campaign came from is measured first.
     """
-    from dtwin.config import home
     from dtwin.lifecycle.evidence import make_champion, proven_or_measured
     from dtwin.lifecycle.train import put_on_trial
     from dtwin.report.campaign import evidence_table
@@ -210,13 +207,13 @@ def promote(
         raise typer.Exit(EXIT_GATE)
 
 
+@app.command()
 def rollback(
     machine: Machine = None,
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
     as_json: Json = False,
 ) -> None:
     """Go back to the previous champion and bar the present one."""
-    from dtwin.config import home
     from dtwin.train.promotion import rollback as go_back
     from dtwin.train.registry import Registry
 
@@ -225,6 +222,7 @@ def rollback(
     emit({"champion": restored.version}, lambda: f"champion again: version {restored.version}", as_json=as_json)
 
 
+@app.command()
 def report(
     source: Annotated[Path, typer.Argument(help="A .b5r file.")],
     out: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
@@ -232,7 +230,6 @@ def report(
 ) -> None:
     """Write one self-contained HTML page about a recording."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.report.campaign import recording_section
     from dtwin.report.checking import check_source
     from dtwin.report.html import page
@@ -272,7 +269,6 @@ def bundle_on_virtual(model: str, machine: str | None) -> tuple[Path, str]:
 
     The machine is virtual: nothing can be harmed by a version that did not pass.
     """
-    from dtwin.config import home
     from dtwin.serve.pointer import resolve
 
     if model.endswith(".json"):

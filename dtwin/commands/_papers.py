@@ -8,12 +8,10 @@ import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(papers)
+app = typer.Typer()
 
 
+@app.command()
 def papers(
     quick: Annotated[bool, typer.Option("--quick", help="Less of everything, for a first look.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,

@@ -7,24 +7,22 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
+from dtwin.report.text import table
 
-app_people = typer.Typer(no_args_is_help=True, help="Who may do what at the workbench, and the record of who did.")
+app = typer.Typer(
+    name="people", no_args_is_help=True, help="Who may do what at the workbench, and the record of who did."
+)
 Name = Annotated[str, typer.Argument(help="Stands under what the person does.")]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_people, name="people")
-
-
-@app_people.command()
+@app.command()
 def add(
     name: Name,
     role: Annotated[list[str], typer.Option(help="look, measure, train, promote or stop; several times for several.")],
     as_json: Json = False,
 ) -> None:
     """Give a person a token, which is shown once; an earlier one of the same name holds no more."""
-    from dtwin.config import home
     from dtwin.people import add_person
 
     token = add_person(home(), name, role)
@@ -35,12 +33,10 @@ def add(
     )
 
 
-@app_people.command("list")
+@app.command("list")
 def list_people(as_json: Json = False) -> None:
     """List who has a token, and for what."""
-    from dtwin.config import home
     from dtwin.people import read_people
-    from dtwin.report.text import table
 
     known = read_people(home())
     people = [{"name": person.name, "roles": list(person.roles)} for person in known.people]
@@ -53,23 +49,21 @@ def list_people(as_json: Json = False) -> None:
     emit({"people": people, "second_person": known.second_person}, text, as_json=as_json)
 
 
-@app_people.command()
+@app.command()
 def remove(name: Name, as_json: Json = False) -> None:
     """Take a person's token away, at once; the name stays in the record."""
-    from dtwin.config import home
     from dtwin.people import remove_person
 
     remove_person(home(), name)
     emit({"removed": name}, lambda: f"{name} has no token any more", as_json=as_json)
 
 
-@app_people.command()
+@app.command()
 def second(
     wanted: Annotated[bool, typer.Option("--required/--not-required", help="Whether a champion needs two people.")],
     as_json: Json = False,
 ) -> None:
     """Let a version become champion only when two people promote it."""
-    from dtwin.config import home
     from dtwin.people import require_second_person
 
     require_second_person(home(), wanted)
@@ -80,12 +74,10 @@ def second(
     )
 
 
-@app_people.command()
+@app.command()
 def record(as_json: Json = False) -> None:
     """Show who did what, when and why, after comparing each line with the hash in the next."""
-    from dtwin.config import home
     from dtwin.people import audit
-    from dtwin.report.text import table
 
     said = audit(home())
     rows = [[line["when"], line["who"], line["what"], line["came"], line["why"]] for line in said]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _NOISE_UM = 1.0
 
+app = typer.Typer()
+
 
 def _controls() -> str:
     """Return which kinds know which dialects of a program, for help."""
@@ -26,11 +28,7 @@ def _controls() -> str:
     return "; ".join(f"{kind.name}: {', '.join(kind.controls)}" for kind in known)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(plan)
-
-
+@app.command()
 def plan(
     file: Annotated[Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")] = None,
     control: Annotated[str | None, typer.Option(help=f"With --out: dialect of the program; {_controls()}.")] = None,

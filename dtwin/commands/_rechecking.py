@@ -8,15 +8,14 @@ import typer
 
 from dtwin.commands._models import Machine, machine_named
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_GATE
 from dtwin.report.text import table
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(recheck)
+app = typer.Typer()
 
 
+@app.command()
 def recheck(
     machine: Machine = None,
     without: Annotated[list[str] | None, typer.Option(help="Campaign in the lake measured without it.")] = None,
@@ -26,7 +25,6 @@ def recheck(
     as_json: Json = False,
 ) -> None:
     """Measure with and without the champion again; when it harms, release and roll back (exit 3)."""
-    from dtwin.config import home
     from dtwin.lifecycle.recheck import recheck as check_again
     from dtwin.train.registry import Registry
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_INTERRUPTED, InputError
 
 if TYPE_CHECKING:
@@ -19,12 +20,10 @@ if TYPE_CHECKING:
 _TEXT_SETTINGS = ("plane", "direction", "setup")
 _NUMBER_SETTINGS = ("radius_mm", "feed_mm_min", "repeat", "sample_rate_hz")
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(record)
+app = typer.Typer()
 
 
+@app.command()
 def record(
     out: Annotated[Path, typer.Option(help="Campaign folder; the run is added to it.")],
     sensors: Annotated[Path | None, typer.Option(help="Channel file of the accelerometers (TOML).")] = None,
@@ -49,7 +48,6 @@ def record(
     """
     from dtwin.acquire.instruments import recorders
     from dtwin.acquire.run_recording import record_run, recover_runs
-    from dtwin.config import home
     from dtwin.serve.served_time import correction_in_force
     from dtwin.serve.signals import stop_on_signals
 

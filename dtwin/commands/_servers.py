@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json
+from dtwin.config import home
 
 if TYPE_CHECKING:
     from dtwin.config import Home
@@ -19,12 +20,10 @@ if TYPE_CHECKING:
 HOURLY = "0 * * * *"
 Port = Annotated[int | None, typer.Option(min=1, max=65535, help="A free one without.")]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(up)
+app = typer.Typer()
 
 
+@app.command()
 def up(
     prefect_port: Port = None,
     mlflow_port: Port = None,
@@ -36,7 +35,6 @@ def up(
     as_json: Json = False,
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
-    from dtwin.config import home
     from dtwin.twins.registration import log_waiting, waiting_text
     from flows.servers import UpRequest, servers
 

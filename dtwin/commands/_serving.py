@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
 
@@ -23,12 +24,10 @@ if TYPE_CHECKING:
 
 _BAR_WIDTH = 40
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(serve)
+app = typer.Typer()
 
 
+@app.command()
 def serve(
     model: Annotated[str, typer.Option(help="latest (the champion), trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
@@ -75,7 +74,6 @@ def serve(
     as_json: Json = False,
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
-    from dtwin.config import home
     from dtwin.serve.serve_request import ServeRequest
     from dtwin.serve.session import serve as serve_session
 
@@ -117,7 +115,6 @@ def _bundles(url: str | None, machine: str | None) -> AbstractContextManager[Non
         return nullcontext()
     if machine is None:
         raise InputError("the machine must be named", code="pull.machine", hint="--machine NAME beside --pull")
-    from dtwin.config import home
     from dtwin.serve.pulling import pulled
 
     return pulled(url, machine, home(), _announce)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _OWN = tuple(machines(own_kinds()))
 
+app = typer.Typer()
+
 
 def _with(option: str) -> str:
     """Return which machines have an option, for help."""
@@ -36,11 +38,7 @@ def _clocks() -> str:
     return "; ".join(f"{m.name}: {' or '.join(m.clocks)} clock" for m in _OWN if m.clocks)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(simulate)
-
-
+@app.command()
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
     machine: Annotated[str, typer.Option(help=f"Virtual machine: {', '.join(m.name for m in _OWN)}.")] = _OWN[0].name,

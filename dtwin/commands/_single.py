@@ -22,12 +22,10 @@ Centre = Annotated[
 ]
 Zero = Annotated[float, typer.Option(help="Where the bar's 0 deg lies in that frame, deg.")]
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to an application."""
-    app.command("recording")(study)
+app = typer.Typer()
 
 
+@app.command("recording")
 def study(
     file: File,
     robot_centre_mm: Centre = None,

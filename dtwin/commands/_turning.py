@@ -12,18 +12,14 @@ from dtwin.errors import EXIT_GATE, InputError
 
 Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
 
-app_turning = typer.Typer(
+app = typer.Typer(
+    name="turning",
     help="Slow tool servo: fit the error of tones, try it in the loop, compare with a published slide.",
     no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_turning, name="turning")
-
-
-@app_turning.command("fit")
+@app.command("fit")
 def fit(
     campaign: Annotated[Path, typer.Argument(help="Campaign folder of tones.")],
     model: Annotated[
@@ -83,7 +79,7 @@ def fit(
         raise typer.Exit(EXIT_GATE)
 
 
-@app_turning.command("compensate")
+@app.command("compensate")
 def compensate(
     model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
     truth: Truth = "linear",
@@ -120,7 +116,7 @@ def compensate(
     emit(payload, lambda: "\n".join(lines), as_json=as_json)
 
 
-@app_turning.command("paper")
+@app.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands import _effects as effects
-from dtwin.commands import _single as single
 from dtwin.commands._effects import Paths, library_with
 from dtwin.commands._exporting import numbers
 from dtwin.commands._output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
+from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,21 +25,15 @@ Name = Annotated[str, typer.Argument(help="Name of the twin.")]
 Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of permutations.")]
 
-twin_app = typer.Typer(
+app = typer.Typer(
+    name="twin",
     cls=TwinCommands,
     help="A machine's twin: compare with measurements, find what is missing, add it.",
     no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    single.register(twin_app)
-    app.add_typer(twin_app, name="twin")
-    effects.register(app)
-
-
-@twin_app.command("fit")
+@app.command("fit")
 def fit_twin(
     campaigns: Annotated[
         list[str],
@@ -55,7 +48,6 @@ def fit_twin(
     as_json: Json = False,
 ) -> None:
     """Fit effects to a campaign, or to several of one machine: each has its set-ups and noise, effects are the same."""
-    from dtwin.config import home
     from dtwin.report.twin_of_kind import twin_text
     from dtwin.twins.of_kind import fit_twin
 
@@ -76,7 +68,7 @@ def _before(name: str, rungs: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-@twin_app.command("compare")
+@app.command("compare")
 def compare_twin(
     name: Name,
     campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
@@ -108,7 +100,7 @@ def compare_twin(
     emit(result, lambda: comparison_text(result), as_json=as_json)
 
 
-@twin_app.command("diagnose")
+@app.command("diagnose")
 def diagnose_twin(
     name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
@@ -122,7 +114,7 @@ def diagnose_twin(
     emit(result, lambda: diagnosis_text(name, result), as_json=as_json)
 
 
-@twin_app.command("add")
+@app.command("add")
 def add_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],
@@ -135,7 +127,7 @@ def add_effect(
     _show_rung(twins.newest(name), twins.add(name, effect, axis), as_json=as_json)
 
 
-@twin_app.command("remove")
+@app.command("remove")
 def remove_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],
@@ -148,7 +140,7 @@ def remove_effect(
     _show_rung(twins.newest(name), twins.remove(name, effect, axis), as_json=as_json)
 
 
-@twin_app.command("restore")
+@app.command("restore")
 def restore_version(
     name: Name,
     version: Annotated[int, typer.Option(help="Version to go back to.")],
@@ -160,7 +152,7 @@ def restore_version(
     _show_rung(twins.newest(name), twins.restore(name, version), as_json=as_json)
 
 
-@twin_app.command("discover")
+@app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.report.twin_of_kind import discovery_text
@@ -178,7 +170,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
     emit(payload, lambda: discovery_text(payload, LEAST_SHARE), as_json=as_json)
 
 
-@twin_app.command("learn")
+@app.command("learn")
 def learn_effect(
     name: Name,
     seed: Seed = 0,
@@ -204,7 +196,7 @@ def learn_effect(
     _show_rung(before, twin, as_json=as_json)
 
 
-@twin_app.command("budget")
+@app.command("budget")
 def error_budget(
     name: Name,
     campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
@@ -245,7 +237,7 @@ def _budget_of_program(twin: Twin, program: Path, origin: str | None, campaign: 
     emit(payload, lambda: program_text(found), as_json=as_json)
 
 
-@twin_app.command("correct")
+@app.command("correct")
 def correct_machine(
     name: Name,
     trial: Annotated[bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")] = False,
@@ -261,7 +253,7 @@ def correct_machine(
     emit(found, lambda: correction_text(found), as_json=as_json)
 
 
-@twin_app.command("confirm")
+@app.command("confirm")
 def confirm_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="An effect of the twin, like backlash:X.")],
@@ -282,10 +274,9 @@ def confirm_effect(
     )
 
 
-@twin_app.command("history")
+@app.command("history")
 def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
     """Every rung of a twin, with error before and after."""
-    from dtwin.config import home
     from dtwin.report.twins import history_text
     from dtwin.twins.registration import waiting, waiting_text
 
@@ -298,7 +289,7 @@ def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) 
     )
 
 
-@twin_app.command("show")
+@app.command("show")
 def show_twin(
     name: Name,
     version: Annotated[int | None, typer.Option(help="The newest one without.")] = None,
@@ -366,7 +357,6 @@ def _show_rung(before: Any, twin: Any, *, as_json: bool) -> None:
 
 def _tell_failed(name: str) -> None:
     """Say on stderr when MLflow did not take an earlier version."""
-    from dtwin.config import home
     from dtwin.twins.registration import waiting, waiting_text
 
     waiting_items = waiting(home(), name)
@@ -375,14 +365,12 @@ def _tell_failed(name: str) -> None:
 
 
 def _twins(paths: list[Path] | None) -> Twins:
-    from dtwin.config import home
     from dtwin.twins.verbs import Twins
 
     return Twins(home(), library_with(paths))
 
 
 def _twins_with(name: str, paths: list[Path] | None) -> Twins | HeatTwins:
-    from dtwin.config import home
     from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)

@@ -13,16 +13,15 @@ from typing import Annotated
 import typer
 
 from dtwin.commands._output import Json
+from dtwin.config import home
 from dtwin.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.command()(ui)
+app = typer.Typer()
 
 
+@app.command()
 def ui(
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="8765, or a free one when it is taken.")] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
@@ -40,7 +39,6 @@ def ui(
         raise InputError(
             "no such folder for effects", code="ui.effects_path", where=str(effects_path), hint=f"mkdir {effects_path}"
         )
-    from dtwin.config import home
     from dtwin.shared_documents import following
     from dtwin.workbench import listening, only_one
 

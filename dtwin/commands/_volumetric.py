@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,17 +16,14 @@ if TYPE_CHECKING:
     from dtwin.kinds.volumetric.session import Session
 
 
-app_volumetric = typer.Typer(
-    help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.", no_args_is_help=True
+app = typer.Typer(
+    name="volumetric",
+    help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.",
+    no_args_is_help=True,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module to the application."""
-    app.add_typer(app_volumetric, name="volumetric")
-
-
-@app_volumetric.command("fit")
+@app.command("fit")
 def fit(
     training: Annotated[str, typer.Argument(help="Campaign in the lake, or a folder.")],
     against: Annotated[
@@ -40,7 +38,6 @@ def fit(
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
     from dtwin.kinds.volumetric import judged, judged_text, models_of, volumetric_page
     from dtwin.kinds.volumetric.session import session, with_offered
     from dtwin.serve.bundle_file import require_new
@@ -84,7 +81,7 @@ def fit(
     emit(payload, text, as_json=as_json)
 
 
-@app_volumetric.command("paper")
+@app.command("paper")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Every third cycle, for a first look.")] = False,
     truth: Annotated[str, typer.Option(help="Where the thermocouples sit: surface, or pockets.")] = "surface",
@@ -105,7 +102,6 @@ def paper(
 
 def _write(out: Path, training: Session, other: Session) -> list[str]:
     """Write models without memory as a bundle; return what is switched off in it."""
-    from dtwin.config import home
     from dtwin.kinds.volumetric import judged, models_of, serving_bundle
     from dtwin.lake.store import Lake
     from dtwin.serve.bundle_file import save_bundle

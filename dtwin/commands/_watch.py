@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dtwin.config import home
 from dtwin.errors import Interrupted
 
 if TYPE_CHECKING:
     from dtwin.pipeline.watching import WatchEvent
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module to the application."""
-    app.command()(watch)
+app = typer.Typer()
 
 
+@app.command()
 def watch(
     folder: Annotated[Path, typer.Argument(help="Folder that instruments write to.")],
     machine: Annotated[
@@ -37,7 +36,6 @@ def watch(
     Campaign folders and .b5r files are taken once they stand still and can be read. A file of an
     unknown machine stays where it is, with a message.
     """
-    from dtwin.config import home
     from dtwin.pipeline.watching import FolderWatch
     from dtwin.pipeline.watching import watch as go_on
     from dtwin.serve.signals import stop_on_signals

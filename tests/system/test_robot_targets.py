@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from point_program import visit
 from served_robot import MACHINE, bundle, promote
 from typer.testing import CliRunner
@@ -130,9 +129,7 @@ def test_a_target_outside_the_box_is_left_alone_and_said(cobot: VirtualCobot) ->
 
 
 def run(*arguments: str) -> object:
-    app = typer.Typer()
-    exporting.register(app)
-    return CliRunner().invoke(app, ["robot-targets", *arguments])
+    return CliRunner().invoke(exporting.app, ["robot-targets", *arguments])
 
 
 def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Path) -> None:

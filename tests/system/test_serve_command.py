@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from served_robot import (
     MACHINE,
     Server,
@@ -336,9 +335,7 @@ def test_unknown_machine_and_unknown_tool(robot: VirtualRobot, home: Home) -> No
     ],
 )
 def test_unusable_options(options: tuple[str, ...], error: str) -> None:
-    app = typer.Typer()
-    serving.register(app)
-    result = CliRunner().invoke(app, list(options))
+    result = CliRunner().invoke(serving.app, list(options))
     assert isinstance(result.exception, DtwinError)
     assert (result.exception.code, result.exception.exit_code) == (error, 1)
 
