@@ -17,14 +17,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from simulated_analogue_board import AnalogueBoard
+
 from dtwin.links.analogue import BAUD, AnalogueOutput, Output
-from dtwin.machines._analogue_board import AnalogueBoard
 
 CLOCK_HZ, ANSWER_BYTES = 16e6, 19
 WARM_UP = 50

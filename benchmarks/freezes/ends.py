@@ -17,13 +17,16 @@ from typing import Protocol
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+
+from simulated_analogue_board import AnalogueBoard
+
 from dtwin.config import Home
 from dtwin.errors import DeviceError
 from dtwin.links.analogue_calibration import AxisFit, save
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.links.state_feed import REQUIRED
 from dtwin.links.virtual_key import proof
-from dtwin.machines._analogue_board import AnalogueBoard
 from dtwin.machines.axis_server import AxisServer
 from dtwin.machines.linuxcnc.session import LinuxcncSession
 from dtwin.schema import Floats

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
+from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
 
 app = typer.Typer()
+Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
 
 
 @app.command()
@@ -37,10 +39,8 @@ def export(
     ] = None,
     program: Annotated[Path | None, typer.Option(help="G-code to compensate.")] = None,
     tolerance_um: Annotated[float, typer.Option(help="How far chords may leave the compensated path.")] = 0.1,
-    effects_path: Annotated[
-        list[Path] | None, typer.Option(help="Your own effect file or folder; its code is run.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    effects_path: Paths = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write a registered correction as code, table or compensated program."""
@@ -51,8 +51,7 @@ def export(
 
     if form not in FORMATS:
         raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))
-    if out.exists() and not force:
-        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
+    _require_new(out, force=force)
     low_high = numbers(travel, 2, "--travel") if travel is not None else None
     x, y, z = numbers(origin, 3, "--origin")
     request = Request(
@@ -92,6 +91,11 @@ def export(
     emit(payload, text, as_json=as_json)
 
 
+def _require_new(out: Path, *, force: bool) -> None:
+    if out.exists() and not force:
+        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
+
+
 def _shown(value: object) -> str:
     if isinstance(value, dict):
         return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
@@ -121,15 +125,14 @@ def robot_program(
     limit_um: Annotated[float, typer.Option(help="Largest offset along each axis.")] = 500.0,
     slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
     watchdog_s: Annotated[float, typer.Option(help="Silence after which the offset goes back to zero.")] = 0.012,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    force: Force = False,
 ) -> None:
     """Write the URScript thread that lets a UR robot take corrections as a path offset."""
     from dtwin.atomic import write_text
     from dtwin.links.ur_program import correction_program
 
     text = correction_program(limit_um, slew_um_s, watchdog_s)
-    if out.exists() and not force:
-        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
+    _require_new(out, force=force)
     write_text(out, text, "the program")
     print(f"{out} written: not yet run on a controller; how to start it is in its first lines")
 
@@ -143,7 +146,7 @@ def robot_targets(
     plane: Annotated[str, typer.Option(help="XY, YZ or ZX.")] = "XY",
     model: Annotated[str, typer.Option(help="latest, trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Rewrite a robot's next targets by a promoted correction, for controls that take no offset."""
@@ -156,8 +159,7 @@ def robot_targets(
 
     frame = TargetFrame(plane, np.array(numbers(centre, 3, "--centre")), np.radians(numbers(joints, 6, "--joints")))
     wanted = read_targets(targets)
-    if out.exists() and not force:
-        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
+    _require_new(out, force=force)
     resolved = resolve(model, machine, home(), harmless=False)
     compiled = load_bundle(resolved.path, resolved.machine)
     correction = TargetCorrection(compiled, read_machine(resolved.machine, home()).tcp, frame)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, Report, emit
 
 if TYPE_CHECKING:
@@ -14,9 +15,6 @@ if TYPE_CHECKING:
     from dtwin.schema import Floats
 
 File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
-Paths = Annotated[
-    list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
-]
 Centre = Annotated[
     tuple[float, float, float] | None, typer.Option(help="Centre of the circle in the base frame of a UR10e, mm.")
 ]

@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from simulated_analogue_board import build_board
 
 from dtwin.errors import MissingPart
 from dtwin.links.analogue_firmware import build_firmware
-from dtwin.machines._analogue_board import build_board
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_analogue_board import AnalogueBoard
 
 from dtwin.errors import DeviceError
 from dtwin.links.analogue import AnalogueOutput, AxisCalibration
-from dtwin.machines._analogue_board import AnalogueBoard
 
 pytest_plugins = ["simulated_board"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from shown_commands import blocks, follow, page, run
+from simulated_analogue_board import AnalogueBoard
 
 from dtwin.errors import MissingPart
 from dtwin.links.analogue import AxisCalibration, step_um
-from dtwin.machines._analogue_board import AnalogueBoard
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 PAGE = page("docs/how-to/mill-by-analogue-input.md")

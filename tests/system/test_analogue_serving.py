@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from control_feed import RATE_HZ, ControlFeed, SpoilingLine
 from served_robot import Server, end_what_is_left, events, promote
+from simulated_analogue_board import AnalogueBoard
 
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.links.analogue import AnalogueOutput
 from dtwin.links.analogue_calibration import AxisFit, save
-from dtwin.machines._analogue_board import AnalogueBoard
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 

@@ -5,7 +5,7 @@
  * pseudo-terminal on which bytes take about as long as at the given baud rate. Prints the port, then a line
  * for every change of a voltage: cycles, source, three volts.
  *
- * usage: analogue_board FIRMWARE.elf BAUD EEPROM_FILE [STUCK_BITS]
+ * usage: simulated_analogue_board FIRMWARE.elf BAUD EEPROM_FILE [STUCK_BITS]
  *   STUCK_BITS: bits of channel 0 that never become one, a fault for tests.
  */
 #define _GNU_SOURCE

@@ -1,7 +1,7 @@
 """A board that is not here: the real firmware in simavr behind a pseudo-terminal.
 
 Only the microcontroller's silicon and the converter chip are simulated; see
-``analogue_board.c``. The firmware is compiled with avr-gcc as for a real board.
+``simulated_analogue_board.c``. The firmware is compiled with avr-gcc as for a real board.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Self
 
 from dtwin.links.analogue_firmware import build_firmware, compiled
 
-_BOARD = Path(__file__).with_name("analogue_board.c")
+_BOARD = Path(__file__).with_name("simulated_analogue_board.c")
 
 
 def build_board(out: Path) -> Path:
