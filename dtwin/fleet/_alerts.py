@@ -50,14 +50,9 @@ class Alert:
 class Told:
     """What became of alerts.
 
-    Attributes
-    ----------
-    sent : dict of str to int
-        Number of alerts in the message to each channel; a channel that has nothing new gets none.
-    failed : dict of str to str
-        Why a channel could not be reached; it is told the next time.
-    silenced : tuple of str
-        Keys that are not told now.
+    ``sent``: number of alerts in the message to each channel; a channel that has nothing new gets none.
+    ``failed``: why a channel could not be reached; it is told the next time.
+    ``silenced``: keys that are not told now.
     """
 
     sent: Mapping[str, int]

@@ -43,12 +43,8 @@ class Channel(Protocol):
 class Email:
     """SMTP. Secrets are in the environment, never in the file.
 
-    Attributes
-    ----------
-    smtp : str
-        ``host:port``. On another computer the connection is encrypted (STARTTLS).
-    password_from : str
-        Environment variable that holds the password of ``user``.
+    ``smtp``: ``host:port``. On another computer the connection is encrypted (STARTTLS).
+    ``password_from``: environment variable that holds the password of ``user``.
     """
 
     smtp: str
@@ -76,10 +72,7 @@ class Email:
 class Webhook:
     """A POST of JSON: ``title``, ``text``, ``alerts``. Not encrypted on this computer only.
 
-    Attributes
-    ----------
-    token_from : str
-        Environment variable that holds a bearer token.
+    ``token_from``: environment variable that holds a bearer token.
     """
 
     url: str

@@ -23,10 +23,7 @@ _CONNECT_S = 10
 class Engine:
     """An executor and how much work it is given at once.
 
-    Attributes
-    ----------
-    slots : int
-        Units that are under way at most; what is not under way costs no memory.
+    ``slots``: units that are under way at most; what is not under way costs no memory.
     """
 
     executor: Executor
@@ -54,10 +51,7 @@ def processors() -> int:
 def require_engine(on: str, workers: int | None) -> str:
     """Return the address of a Dask scheduler as Dask writes it, empty for ``local``.
 
-    Raises
-    ------
-    InputError
-        When it is neither, or would be asked unsafely.
+    Raises ``InputError`` when it is neither, or would be asked unsafely.
     """
     if on == "local":
         return ""

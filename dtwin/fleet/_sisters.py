@@ -38,15 +38,10 @@ _CAUTION = 0.1
 class Sister:
     """One size of one machine beside those of its sisters; unit of replication: the machine.
 
-    Attributes
-    ----------
-    value, k2 : float
-        As its own runs tell it, with the uncertainty at k = 2.
-    with_sisters, with_sisters_k2 : float
-        The same with what its sisters say of machines of this type (empirical Bayes, the prior made without it);
-        of one that differs its own.
-    p_value : float
-        Of the hypothesis that it is drawn like its sisters, after Holm over all sizes and machines.
+    ``value``, ``k2``: as its own runs tell it, with the uncertainty at k = 2.
+    ``with_sisters``, ``with_sisters_k2``: the same with what its sisters say of machines of this type (empirical Bayes,
+    the prior made without it); of one that differs its own.
+    ``p_value``: of the hypothesis that it is drawn like its sisters, after Holm over all sizes and machines.
     """
 
     machine: str
@@ -89,12 +84,9 @@ class SisterSize:
 def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple[float, float, float]:
     """Return mean, its standard error, and the standard deviation between machines (Paule and Mandel).
 
-    Parameters
-    ----------
-    values, errors : ndarray, shape (n,)
-        Sizes and their standard uncertainties.
-    chance : float, optional
-        Take the deviation that is exceeded with this chance (Q profile; Viechtbauer 2007), not the most likely one.
+    ``values``, ``errors`` (n,): sizes and their standard uncertainties.
+    ``chance``: take the deviation that is exceeded with this chance (Q profile; Viechtbauer 2007), not the most likely
+    one.
     """
     dof = values.size - 1
     wanted = dof if chance is None else float(stats.chi2.ppf(chance, dof))
@@ -118,14 +110,9 @@ def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple
 class Compared:
     """Sizes of n machines with what sisters say; arrays of shape (n,).
 
-    Attributes
-    ----------
-    values, errors : ndarray
-        With sisters, and the standard uncertainties.
-    p_values : ndarray
-        After Holm, of being drawn like the others.
-    differs : ndarray of bool
-        Those keep the size that their own runs tell.
+    ``values``, ``errors``: with sisters, and the standard uncertainties.
+    ``p_values``: after Holm, of being drawn like the others.
+    ``differs``: those keep the size that their own runs tell.
     """
 
     values: Floats

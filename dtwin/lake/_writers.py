@@ -20,10 +20,7 @@ def writing(place: Place, name: str, *, shared: bool = False) -> Iterator[None]:
     On a shared store there is none: a commit there is a write with a condition, and who comes second begins anew.
     That the store keeps to conditions is tried instead.
 
-    Raises
-    ------
-    StoreError
-        When the lake cannot be written.
+    Raises ``StoreError`` when the lake cannot be written.
     """
     if isinstance(place, Bucket):
         Objects(place).probe()

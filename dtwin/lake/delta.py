@@ -245,10 +245,7 @@ class DeltaFiles:
     def read_file(self, name: str) -> pa.Table:
         """Read one data file, or one group of its rows; the file is compared with the hash in its name.
 
-        Raises
-        ------
-        StoreError
-            When the file is missing or not the one that was written.
+        Raises ``StoreError`` when the file is missing or not the one that was written.
         """
         file, group = _split(name)
         digest = self._digest(file)

@@ -122,16 +122,10 @@ def decoded(
 ) -> tuple[pa.Table, memoryview | None]:
     """Return what :func:`read_encoded` does of a Parquet file, wherever it lies.
 
-    Parameters
-    ----------
-    content : callable
-        Returns the file in memory of Arrow; raises OSError.
-    where : str
-        The file, for the error message.
-    verify : callable, optional
-        Raises OSError for a file that is damaged; its pages are then not checked one by one.
-    group : int, optional
-        The one group of rows to read.
+    ``content``: returns the file in memory of Arrow; raises OSError.
+    ``where``: the file, for the error message.
+    ``verify``: raises OSError for a file that is damaged; its pages are then not checked one by one.
+    ``group``: the one group of rows to read.
     """
     try:
         buffer = content()

@@ -32,10 +32,7 @@ def _grid(low: float, high: float, count: int) -> Floats:
 def _write(table: AxisTable, said: Sequence[str]) -> str:
     """Return the list of one axis, for both directions.
 
-    Raises
-    ------
-    InputError
-        When a value does not fit into 16 bits.
+    Raises ``InputError`` when a value does not fit into 16 bits.
     """
     pos, neg = (np.round(-error * _PER_UM).astype(int) for error in (table.forward_um, table.reverse_um))
     largest = int(max(np.abs(pos).max(), np.abs(neg).max()))

@@ -52,10 +52,7 @@ def _steps(table: AxisTable) -> tuple[list[int], int, int]:
 def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> str:
     """Return parameters and data; what stands before the first ``%`` is skipped by the control.
 
-    Raises
-    ------
-    InputError
-        When a step or the backlash is larger than the control takes.
+    Raises ``InputError`` when a step or the backlash is larger than the control takes.
     """
     steps, magnification, reference = _steps(table)
     backlash = round(lost_motion_um(table)[0])

@@ -41,10 +41,7 @@ def _grid(low: float, high: float, _count: int) -> Floats:
 def _write(table: AxisTable, said: Sequence[str]) -> str:
     """Return entries, positions and values in inches.
 
-    Raises
-    ------
-    InputError
-        When a value is larger than the control takes.
+    Raises ``InputError`` when a value is larger than the control takes.
     """
     trim = -0.5 * (table.forward_um + table.reverse_um) / UM_PER_MM / _INCH_MM
     # Entry 1 is machine zero, where an axis is sent to find it: nothing is corrected there.

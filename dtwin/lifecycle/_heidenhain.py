@@ -21,10 +21,8 @@ _SLOPE = 64.0
 def _write(table: AxisTable, said: Sequence[str]) -> str:
     """Return a table of positions, values for the negative and for the positive direction.
 
-    Raises
-    ------
-    InputError
-        When rows are too close together, or neighbouring values differ by more than the control takes.
+    Raises ``InputError`` when rows are too close together, or neighbouring values differ by more than the control
+    takes.
     """
     require_apart(table)
     rows = np.column_stack([table.position_mm, -table.reverse_um / UM_PER_MM, -table.forward_um / UM_PER_MM])

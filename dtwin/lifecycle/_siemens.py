@@ -18,10 +18,7 @@ def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
     the error itself, the mean of both directions. Lost motion is a machine datum, which is told in a comment.
     ``said``: comments for the head.
 
-    Raises
-    ------
-    InputError
-        When rows would be less than 1 um apart.
+    Raises ``InputError`` when rows would be less than 1 um apart.
     """
     require_apart(table)
     name, last = f"{table.axis}1", len(table.position_mm) - 1

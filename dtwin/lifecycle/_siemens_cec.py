@@ -25,10 +25,7 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
 
     ``said``: comments for the head.
 
-    Raises
-    ------
-    InputError
-        When rows would be less than 1 um apart.
+    Raises ``InputError`` when rows would be less than 1 um apart.
     """
     first = _TABLES_OF_AN_AXIS * _AXES.index(table.axis)
     parts = [(table, table.forward_um, 1), (table, table.reverse_um, -1)]

@@ -57,10 +57,7 @@ def _slope(twin: Twin) -> Floats:
 def reprap_settings(twin: Twin, said: Sequence[str]) -> tuple[str, dict[str, float]]:
     """Return the commands M556 (skew) and M579 (scale of the axes) for RepRapFirmware, and their values.
 
-    Raises
-    ------
-    InputError
-        When the twin has neither squareness nor scale.
+    Raises ``InputError`` when the twin has neither squareness nor scale.
     """
     terms = tuple(t for t in twin.terms if t.instance.effect.name == _SCALE)
     square = any(t.instance.effect.name == EFFECT for t in twin.terms)

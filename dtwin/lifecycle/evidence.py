@@ -78,16 +78,9 @@ def look(
 ) -> Looked:
     """Measure a virtual machine with and without a version, or predict where nothing is served; nothing is written.
 
-    Parameters
-    ----------
-    plan : object, optional
-        What the machine is measured by, in the form of its kind; it chooses from what was trained without.
-
-    Raises
-    ------
-    InputError
-        When the machine is real: it has to be measured on it. When no virtual machine of its type is
-        known, or none that can be measured with a correction.
+    ``plan``: what the machine is measured by, in the form of its kind; it chooses from what was trained without.
+    Raises ``InputError`` when the machine is real: it has to be measured on it; and when no virtual machine of its type
+    is known, or none that can be measured with a correction.
     """
     registry = Registry(home)
     geometry = geometry_of(registry, version)

@@ -45,15 +45,8 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
 def compiled(command: Sequence[str], out: Path) -> Path:
     """Run a compiler and return what it wrote.
 
-    Parameters
-    ----------
-    command : sequence of str
-        Compiler and arguments, without the output.
-
-    Raises
-    ------
-    MissingPart
-        When the compiler is not here, or fails.
+    ``command``: compiler and arguments, without the output.
+    Raises ``MissingPart`` when the compiler is not here, or fails.
     """
     # Inputs before libraries: the linker reads from left to right.
     full = [command[0], "-o", str(out), *command[1:]]

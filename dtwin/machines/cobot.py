@@ -90,10 +90,7 @@ class VirtualCobot:
     def repeatable_error_um(self, condition: CircleCondition) -> tuple[Floats, Floats, Floats]:
         """Return the truth without set-up, noise and drift, at every controller tick.
 
-        Returns
-        -------
-        tuple of ndarray, shapes (n,), (n,) and (n, 3)
-            Machine time in s, radial error in um, error vector in the base frame in um.
+        Returns (n,), (n,) and (n, 3): machine time in s, radial error in um, error vector in the base frame in um.
         """
         condition = condition.standard()
         plan = self.plan(condition)

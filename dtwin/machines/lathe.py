@@ -196,10 +196,7 @@ class VirtualLathe:
     def slide_mm(self, screw_mm: Floats) -> Floats:
         """Return where the slide is after each position of the screw, shape (n,).
 
-        Parameters
-        ----------
-        screw_mm : ndarray, shape (n,)
-            Successive positions; the axis has come from below.
+        ``screw_mm`` (n,): successive positions; the axis has come from below.
         """
         lower, upper = self.screw.flanks_um(screw_mm)
         low = (screw_mm + lower / UM_PER_MM).tolist()

@@ -68,12 +68,8 @@ class LatheNetwork:
     def error_in(self, direction: Floats, position_in: Floats) -> Floats:
         """Return the positioning error in inches, actual minus commanded, shape (n,).
 
-        Parameters
-        ----------
-        direction : ndarray, shape (n,)
-            0 forward, 1 reverse.
-        position_in : ndarray, shape (n,)
-            Inches; the printed remainder is that of C, negative for negative positions.
+        ``direction`` (n,): 0 forward, 1 reverse.
+        ``position_in`` (n,): inches; the printed remainder is that of C, negative for negative positions.
         """
         position = np.asarray(position_in, float)
         turned = np.fmod(position, PITCH_IN)

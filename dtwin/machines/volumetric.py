@@ -154,10 +154,7 @@ class VolumetricMill:
     def coefficients(self, hour: Floats) -> dict[str, Floats]:
         """Return what moves at some times, in um or um/m, each of shape (n,).
 
-        Parameters
-        ----------
-        hour : ndarray, shape (n,)
-            Time since the campaign began.
+        ``hour`` (n,): time since the campaign began.
         """
         named = {body: np.interp(hour, self.hour, self.bodies_c[:, _deforming(body)]) - _REFERENCE_C for body in BODIES}
         every = {**SENSITIVITY, **self.parameters.hidden}

@@ -134,10 +134,7 @@ class CellFile:
     def alone(self) -> Iterator[None]:
         """Hold the cell: two jobs would move the same machines.
 
-        Raises
-        ------
-        InputError
-            When another process holds it.
+        Raises ``InputError`` when another process holds it.
         """
         with locked(self.folder / "lock") as mine:
             if not mine:

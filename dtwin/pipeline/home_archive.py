@@ -39,12 +39,8 @@ _BLOCK = 1 << 20
 class Archived:
     """A home that was written to a file, or read from one.
 
-    Attributes
-    ----------
-    path : Path
-        The file, or the home that was made.
-    files, bytes : int
-        What it holds.
+    ``path``: the file, or the home that was made.
+    ``files``, ``bytes``: what it holds.
     """
 
     path: Path

@@ -26,12 +26,9 @@ from dtwin.shared_documents import shared_content, shared_units
 class HomeCheck:
     """What was looked at, and what is wrong.
 
-    Attributes
-    ----------
-    looked_at : dict of str to int
-        Number of runs, documents, records, databases and served bundles; of a shared home also what the store has, and models.
-    wrong : dict of str to str
-        By file, run or machine.
+    ``looked_at``: number of runs, documents, records, databases and served bundles; of a shared home also what the
+    store has, and models.
+    ``wrong``: by file, run or machine.
     """
 
     looked_at: dict[str, int]

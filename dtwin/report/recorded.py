@@ -15,14 +15,9 @@ _UNDATED = {
 def contradiction_words(what: str, between: Sequence[str] = (), events: Sequence[_Events] = ()) -> str:
     """Return what a contradiction may be.
 
-    Parameters
-    ----------
-    what : str
-        ``change``, ``mistake`` or ``change or mistake``, as the tests alone tell it.
-    between : sequence of str
-        Days of the tests around it, ISO 8601; empty where they are not known.
-    events : sequence of sequence of mapping
-        What was recorded from each of these days to the next: ``on``, ``what`` and ``note``.
+    ``what``: ``change``, ``mistake`` or ``change or mistake``, as the tests alone tell it.
+    ``between``: days of the tests around it, ISO 8601; empty where they are not known.
+    ``events``: what was recorded from each of these days to the next: ``on``, ``what`` and ``note``.
     """
     if not between:
         return _UNDATED[what]

@@ -77,10 +77,7 @@ def constant_band(half_um: Mapping[str, float], basis: str = HELD_OUT) -> Band:
 def require_fading(band: Band | None) -> None:
     """Refuse to fade by a band that is not there, or not of the correction itself.
 
-    Raises
-    ------
-    GateRefusal
-        With what the bundle has.
+    Raises ``GateRefusal``: with what the bundle has.
     """
     if band is None or not band.fades:
         raise GateRefusal(

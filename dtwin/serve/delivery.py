@@ -111,10 +111,7 @@ def install(home: Home, machine: str, content: bytes) -> bool:
 
     It is tried in a folder beside first: pointers must name their bundles, and bundles hold on this processor.
 
-    Raises
-    ------
-    DtwinError
-        When it does not hold; what was in force stays.
+    Raises ``DtwinError`` when it does not hold; what was in force stays.
     """
     where = Path("the delivery")
     fields = only_fields(parse_json(content, where), ("machine", "sealed", "bundles"), str(where))

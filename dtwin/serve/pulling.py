@@ -34,14 +34,9 @@ _MAX_NOTE = 10_000
 def pull(url: str, machine: str, home: Home) -> bool:
     """Fetch the bundles and pointers of a machine, put them in force, and return whether anything is new.
 
-    Raises
-    ------
-    InputError
-        When address or key are not usable.
-    StoreError
-        When the other computer does not answer.
-    GateRefusal
-        When the answer is not signed with the key, or does not hold; what was in force stays.
+    Raises ``InputError`` when address or key are not usable.
+    Raises ``StoreError`` when the other computer does not answer.
+    Raises ``GateRefusal`` when the answer is not signed with the key, or does not hold; what was in force stays.
     """
     require_name(machine, "the machine")
     key = read_key(home)

@@ -222,10 +222,7 @@ def withdraw(
 def _require_second_person(home: Home, version: RegisteredVersion, comment: str, verdicts: Sequence[Verdict]) -> None:
     """Let a promotion that two people must want wait for the second.
 
-    Raises
-    ------
-    GateRefusal
-        When nobody else proposed this version since the last that was decided.
+    Raises ``GateRefusal`` when nobody else proposed this version since the last that was decided.
     """
     if not read_people(home).second_person:
         return

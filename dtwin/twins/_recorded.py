@@ -18,13 +18,9 @@ from dtwin.physics.twin import Twin
 class RecordedContradiction(Contradiction):
     """A contradiction, and what was recorded of the machine meanwhile.
 
-    Attributes
-    ----------
-    between : tuple of str
-        Start of the last test with the older value, and of the first with the newer one, ISO 8601; of a single test that differs
-        from those before and after it, also of the next one. Empty where days do not part the tests.
-    events : tuple of tuple of mapping
-        What was recorded from each of these days to the next, JSON-ready.
+    ``between``: start of the last test with the older value, and of the first with the newer one, ISO 8601; of a single
+    test that differs from those before and after it, also of the next one. Empty where days do not part the tests.
+    ``events``: what was recorded from each of these days to the next, JSON-ready.
     """
 
     between: tuple[str, ...] = ()

@@ -77,15 +77,8 @@ def fitted_together(
 def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:
     """Refuse campaigns that cannot have one twin.
 
-    Parameters
-    ----------
-    campaigns : sequence of (str, str, str)
-        Name, machine and kind of each.
-
-    Raises
-    ------
-    InputError
-        When one is named twice, they are of several machines, or of a kind whose runs are on no grid.
+    ``campaigns``: name, machine and kind of each.
+    Raises ``InputError`` when one is named twice, they are of several machines, or of a kind whose runs are on no grid.
     """
     names = [name for name, _, _ in campaigns]
     twice = next((name for name in names if names.count(name) > 1), None)

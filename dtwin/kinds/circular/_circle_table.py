@@ -92,10 +92,7 @@ def read_circle_runs(
 
     ``stated``: the ``[[run]]`` entry with ``radius_mm`` and ``feed_mm_min``; repeats count on from the one that it states.
 
-    Raises
-    ------
-    InputError
-        When a unit or condition is missing, or the rows do not go round.
+    Raises ``InputError`` when a unit or condition is missing, or the rows do not go round.
     """
     columns, body = _table(rows_of(decoded(table_bytes(path, _MAX_BYTES))), path)
     form = _form_of(columns)

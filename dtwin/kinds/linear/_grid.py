@@ -25,14 +25,9 @@ _NOT_LOGGED = ("t_s", "position_mm", "error_um", "direction", "laser_mm", "read_
 class Stroke(OneAxis):
     """A sweep along an axis, from one side.
 
-    Attributes
-    ----------
-    radius_mm : float
-        Half the stroke.
-    feed_mm_min : float
-        Feed between targets; 60 where it is not stated, it then says nothing.
-    direction : str
-        ``forward`` or ``reverse``.
+    ``radius_mm``: half the stroke.
+    ``feed_mm_min``: feed between targets; 60 where it is not stated, it then says nothing.
+    ``direction``: ``forward`` or ``reverse``.
     """
 
     radius_mm: float
@@ -71,25 +66,12 @@ class Stroke(OneAxis):
 def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
     """Put positioning runs on their common targets, every sweep a row.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With ``position_mm``, ``direction`` and ``error_um``.
-    times_h : sequence of float
-        Session time at the start of each run.
-
-    Returns
-    -------
-    grid : Grid
-        The targets.
-    rows : list of Row
-        For each run its sweep forward and its sweep back.
-
-    Raises
-    ------
-    InputError
-        When columns are missing, more than one axis moved, or the targets are too few or differ
-        from run to run.
+    ``runs``: with ``position_mm``, ``direction`` and ``error_um``.
+    ``times_h``: session time at the start of each run.
+    Returns ``grid``: the targets.
+    Returns ``rows``: for each run its sweep forward and its sweep back.
+    Raises ``InputError`` when columns are missing, more than one axis moved, or the targets are too few or differ from
+    run to run.
     """
     axis = _axis(runs)
     for run in runs:

@@ -227,10 +227,7 @@ Reading = tuple[float, str, int, float, bool]
 def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     """Return readings as a table.
 
-    Raises
-    ------
-    InputError
-        When there are fewer than two targets, or one is read twice in a cycle and direction.
+    Raises ``InputError`` when there are fewer than two targets, or one is read twice in a cycle and direction.
     """
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)

@@ -68,10 +68,7 @@ def read_rtl_runs(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
 
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
 
-    Raises
-    ------
-    InputError
-        When a line is not of the form, or targets and deviations do not belong together.
+    Raises ``InputError`` when a line is not of the form, or targets and deviations do not belong together.
     """
     content = _content(path)
     findings = [

@@ -49,10 +49,7 @@ class _Arm:
 def export_twin(home: Home, name: str, form: str) -> Export:
     """Write the corrected geometry of a twin of poses.
 
-    Raises
-    ------
-    InputError
-        When the twin has nothing that the form holds.
+    Raises ``InputError`` when the twin has nothing that the form holds.
     """
     twin = PoseTwins(home).newest(name)
     write, waves = FORMS[form]

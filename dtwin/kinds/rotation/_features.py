@@ -34,14 +34,9 @@ _FEWEST_BINS = 60
 class Feature:
     """A feature.
 
-    Attributes
-    ----------
-    angle_deg : float
-        Where it is deepest or highest.
-    height_um : float
-        Above the smooth form beside it, negative of a dip.
-    bins : ndarray of int
-        Of the grid of the turn; they may go over its end.
+    ``angle_deg``: where it is deepest or highest.
+    ``height_um``: above the smooth form beside it, negative of a dip.
+    ``bins``: of the grid of the turn; they may go over its end.
     """
 
     angle_deg: float

@@ -41,16 +41,10 @@ class Channel:
 class Reading:
     """What a file holds.
 
-    Attributes
-    ----------
-    channels : dict of str to Channel
-        ``angle_deg``, ``pulse_1``, ``speed_rpm`` where they are there.
-    probes : dict of str to Channel
-        Displacements or, ``by_speed``, run-outs in µm, by the probe's name.
-    apart : bool
-        Whether each channel has stamps of its own.
-    started : str
-        ISO 8601 time of the first reading, empty when the file does not tell.
+    ``channels``: ``angle_deg``, ``pulse_1``, ``speed_rpm`` where they are there.
+    ``probes``: displacements or, ``by_speed``, run-outs in µm, by the probe's name.
+    ``apart``: whether each channel has stamps of its own.
+    ``started``: ISO 8601 time of the first reading, empty when the file does not tell.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)

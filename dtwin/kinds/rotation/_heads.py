@@ -51,16 +51,11 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 class Column:
     """What a head means.
 
-    Attributes
-    ----------
-    role : str
-        ``t_s``, ``angle_deg``, ``pulse_1``, ``speed_rpm``; ``runout`` or ``probe``; ``path``; empty when it is none.
-    name : str
-        Of a probe: its name, without the unit.
-    factor : float
-        To the unit of the role; of a probe, to µm; 0 where no unit is told.
-    likely : bool
-        Whether the words alone say so, or only a unit of length.
+    ``role``: ``t_s``, ``angle_deg``, ``pulse_1``, ``speed_rpm``; ``runout`` or ``probe``; ``path``; empty when it is
+    none.
+    ``name``: of a probe: its name, without the unit.
+    ``factor``: to the unit of the role; of a probe, to µm; 0 where no unit is told.
+    ``likely``: whether the words alone say so, or only a unit of length.
     """
 
     role: str

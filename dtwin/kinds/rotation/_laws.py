@@ -32,24 +32,14 @@ _CRITICAL = np.geomspace(0.25, 4.0, 385)
 class Law:
     """What values follow.
 
-    Attributes
-    ----------
-    name : str
-        ``constant``, ``speed``, ``square``, ``time``, ``resonance``; empty when several would do.
-    rivals : tuple of str
-        Those that cannot be told apart, the best first; one when it is named.
-    change : float
-        Largest distance of two fitted values, of the best law.
-    left : mapping of str to float
-        RMS on speeds held out, by law.
-    p_value : float
-        Of the best law against the constant.
-    speeds : int
-        Distinct ones.
-    critical_rpm : float
-        Of a resonance; NaN without.
-    bent : bool
-        Whether a resonance fits far better than the square of the speed does, though it predicts no better.
+    ``name``: ``constant``, ``speed``, ``square``, ``time``, ``resonance``; empty when several would do.
+    ``rivals``: those that cannot be told apart, the best first; one when it is named.
+    ``change``: largest distance of two fitted values, of the best law.
+    ``left``: RMS on speeds held out, by law.
+    ``p_value``: of the best law against the constant.
+    ``speeds``: distinct ones.
+    ``critical_rpm``: of a resonance; NaN without.
+    ``bent``: whether a resonance fits far better than the square of the speed does, though it predicts no better.
     """
 
     name: str

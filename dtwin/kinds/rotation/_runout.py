@@ -27,14 +27,9 @@ class SpeedGroup:
 class RunOut:
     """Run-outs of a probe over speed.
 
-    Attributes
-    ----------
-    repeat_um : float
-        Standard deviation of one run-out by repeats, NaN without.
-    differs_p : float
-        Probability that speeds alike differ as much, by the repeats; NaN without.
-    unexplained_p : float
-        The same of what the law leaves.
+    ``repeat_um``: standard deviation of one run-out by repeats, NaN without.
+    ``differs_p``: probability that speeds alike differ as much, by the repeats; NaN without.
+    ``unexplained_p``: the same of what the law leaves.
     """
 
     run_id: str

@@ -55,14 +55,10 @@ class Delay:
 class OverSpeed:
     """A probe over its speeds.
 
-    Attributes
-    ----------
-    vector, mean : Law or None
-        What the once-per-turn vector and the mean reading follow; None with too few speeds, or without a phase.
-    spread_um : float
-        Largest distance of two vectors, delay taken away; NaN without a phase.
-    noise_um : float
-        k = 2 of a vector by blocks of turns, of the worst run.
+    ``vector``, ``mean``: what the once-per-turn vector and the mean reading follow; None with too few speeds, or
+    without a phase.
+    ``spread_um``: largest distance of two vectors, delay taken away; NaN without a phase.
+    ``noise_um``: k = 2 of a vector by blocks of turns, of the worst run.
     """
 
     probe: str

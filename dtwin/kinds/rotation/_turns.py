@@ -27,20 +27,12 @@ KEEP = "keep"
 class Turns:
     """Whole turns of a run on a grid of angles.
 
-    Attributes
-    ----------
-    angle_deg : ndarray, shape (bins,)
-        Middle of each bin, from 0 to 360, in the order of the turn.
-    read_um : ndarray, shape (turns, bins)
-        Readings as they are.
-    moved_um : ndarray, shape (turns, bins)
-        The same without mean, straight drift over the time, and local features.
-    t_s : ndarray, shape (turns,)
-        Middle of each turn.
-    whole : int
-        Turns of the run, with those that gaps spoil.
-    forward : bool
-        Whether the angle rose.
+    ``angle_deg`` (bins,): middle of each bin, from 0 to 360, in the order of the turn.
+    ``read_um`` (turns, bins): readings as they are.
+    ``moved_um`` (turns, bins): the same without mean, straight drift over the time, and local features.
+    ``t_s`` (turns,): middle of each turn.
+    ``whole``: turns of the run, with those that gaps spoil.
+    ``forward``: whether the angle rose.
     """
 
     angle_deg: Floats
@@ -77,14 +69,9 @@ class Value:
 class Figures:
     """Figures of a run.
 
-    Attributes
-    ----------
-    once : complex
-        Amplitude and phase of what comes once per turn, in µm: it is largest at the angle of the number.
-    once_covariance : ndarray, shape (2, 2)
-        Of its real and imaginary part, from blocks; NaN of one block.
-    floor_um : float
-        Range that blocks of turns alone would leave in the synchronous curve; NaN of one turn.
+    ``once``: amplitude and phase of what comes once per turn, in µm: it is largest at the angle of the number.
+    ``once_covariance`` (2, 2): of its real and imaginary part, from blocks; NaN of one block.
+    ``floor_um``: range that blocks of turns alone would leave in the synchronous curve; NaN of one turn.
     """
 
     turns: int

@@ -27,12 +27,8 @@ BEYOND_C = 2.0
 class HeatFit:
     """Terms fitted to a campaign.
 
-    Attributes
-    ----------
-    expected : ndarray, shape (n, m)
-        What they say of every motion; 0 for those that the twin does not have.
-    left_out : ndarray, shape (n, m)
-        The same for hours that were left out of the fit, span by span.
+    ``expected`` (n, m): what they say of every motion; 0 for those that the twin does not have.
+    ``left_out`` (n, m): the same for hours that were left out of the fit, span by span.
     """
 
     models: tuple[ThermalModel, ...]
@@ -142,10 +138,7 @@ class HeatTwin:
 def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
     """Return a twin from its stored form.
 
-    Raises
-    ------
-    KeyError, TypeError, ValueError, InputError
-        When it is not one.
+    Raises ``KeyError``, ``TypeError``, ``ValueError`` or ``InputError`` when it is not one.
     """
     terms = tuple(HeatTerm(e["effect"], tuple(e["sources"])) for e in document["effects"])
     rows: dict[str, list[Mapping[str, Any]]] = {term.motion: [] for term in terms}
@@ -180,10 +173,7 @@ def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
 def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     """Fit terms to a campaign; each motion was identified already, so that none disturbs another.
 
-    Raises
-    ------
-    InputError
-        With too few cycles, or when a temperature is not known.
+    Raises ``InputError``: with too few cycles, or when a temperature is not known.
     """
     if len(series.hour) < FEWEST_CYCLES:
         raise InputError(
@@ -216,10 +206,7 @@ def heat_twin_of(
 ) -> HeatTwin:
     """Return the twin that a fit makes.
 
-    Parameters
-    ----------
-    name, version, action, data
-        As of :class:`HeatTwin`.
+    ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`.
     """
     left = series.values - fitted.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
@@ -243,10 +230,7 @@ def heat_twin_of(
 def heat_figures(series: HeatSeries, left: Floats) -> dict[str, float]:
     """Return the errors at the balls before and after, and the floor, in um.
 
-    Parameters
-    ----------
-    left : ndarray, shape (n, m)
-        What is left of the motions.
+    ``left`` (n, m): what is left of the motions.
     """
     after, floor = series.rms_um(left), series.floor_um
     return {

@@ -16,10 +16,8 @@ _AND = "+"
 class Family:
     """Error motions with one kind of cause.
 
-    Attributes
-    ----------
-    meaning, looks_like, separate_by, remedy : str
-        What it is, what balls show, which test tells its causes apart, what to do about it.
+    ``meaning``, ``looks_like``, ``separate_by``, ``remedy``: what it is, what balls show, which test tells its causes
+    apart, what to do about it.
     """
 
     name: str
@@ -34,12 +32,8 @@ class Family:
 class HeatTerm:
     """An error motion of a twin, and what may drive it.
 
-    Attributes
-    ----------
-    motion : str
-        As in ISO 230-1, with the order: ``EXX1``.
-    sources : tuple of str
-        Temperatures, or bodies, that it may use; any thermocouple when empty.
+    ``motion``: as in ISO 230-1, with the order: ``EXX1``.
+    ``sources``: temperatures, or bodies, that it may use; any thermocouple when empty.
     """
 
     motion: str
@@ -123,10 +117,7 @@ FAMILIES = {
 def family_of(motion: str) -> Family:
     """Return the kind of cause of an error motion.
 
-    Raises
-    ------
-    InputError
-        When the name means nothing.
+    Raises ``InputError`` when the name means nothing.
     """
     what = coefficient(motion)
     shifts = what.letter in "XYZ"
@@ -152,18 +143,10 @@ def motion_words(motion: str) -> str:
 def heat_terms(wanted: Sequence[str], axis: str = "") -> tuple[HeatTerm, ...]:
     """Return the terms that a user named.
 
-    Parameters
-    ----------
-    wanted : sequence of str
-        Error motions or families; ``EXZ1@coolant_tank_c`` takes that temperature, ``EYY1@ram`` those
-        of a body, ``EZ0@ram+column_top`` those of two; ``axis_expansion:X`` is of one axis.
-    axis : str
-        One axis; all without.
-
-    Raises
-    ------
-    InputError
-        When a name means nothing, or nothing is left.
+    ``wanted``: error motions or families; ``EXZ1@coolant_tank_c`` takes that temperature, ``EYY1@ram`` those of a body,
+    ``EZ0@ram+column_top`` those of two; ``axis_expansion:X`` is of one axis.
+    ``axis``: one axis; all without.
+    Raises ``InputError`` when a name means nothing, or nothing is left.
     """
     terms: dict[str, HeatTerm] = {}
     for name in wanted:

@@ -69,10 +69,7 @@ class Session:
     def rise_of(self, names: Sequence[str]) -> Floats:
         """Return temperatures by name, shape (cycles, names).
 
-        Raises
-        ------
-        InputError
-            When one was not measured here, or has gaps.
+        Raises ``InputError`` when one was not measured here, or has gaps.
         """
         require_temperatures(names, self.sensors, self.campaign, self.sensors)
         return self.rise_c[:, [self.sensors.index(name) for name in names]]
