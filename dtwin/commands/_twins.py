@@ -48,12 +48,16 @@ def fit_twin(
     as_json: Json = False,
 ) -> None:
     """Fit effects to a campaign, or to several of one machine: each has its set-ups and noise, effects are the same."""
-    from dtwin.report.twin_of_kind import twin_text
+    from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.of_kind import fit_twin
 
     names = [part.strip() for part in wanted.split(",") if part.strip()]
     twins, twin = fit_twin(home(), library_with(effects_path), campaigns, names, name, robust=robust)
-    emit(twin.as_dict(), lambda: twin_text(twin) + _before(name, twins.history(name)), as_json=as_json)
+    emit(
+        twin.as_dict(),
+        lambda: report_of(twin.as_dict()).twin_text(twin) + _before(name, twins.history(name)),
+        as_json=as_json,
+    )
     _tell_failed(name)
 
 
@@ -86,7 +90,7 @@ def compare_twin(
     controller saw, quasi-static and dynamic error.
     """
     from dtwin.kinds.volumetric import HeatComparison
-    from dtwin.report.twin_of_kind import comparison_sections, comparison_text
+    from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.encoder_comparison import cutoff_of, no_controller_columns
 
     asked = split_cycles is not None or split_hz is not None
@@ -96,8 +100,8 @@ def compare_twin(
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
     if html is not None:
-        _write_page(html, comparison.twin.name, comparison_sections(comparison, result))
-    emit(result, lambda: comparison_text(result), as_json=as_json)
+        _write_page(html, comparison.twin.name, report_of(result).comparison_sections(comparison, result))
+    emit(result, lambda: report_of(result).comparison_text(result), as_json=as_json)
 
 
 @app.command("diagnose")
@@ -105,13 +109,13 @@ def diagnose_twin(
     name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
-    from dtwin.report.twin_of_kind import diagnosis_section, diagnosis_text
+    from dtwin.report.twin_of_kind import report_of
 
     twin, found = _twins_with(name, effects_path).diagnose(name, seed=seed)
     result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
     if html is not None:
-        _write_page(html, name, [diagnosis_section(name, result)])
-    emit(result, lambda: diagnosis_text(name, result), as_json=as_json)
+        _write_page(html, name, [report_of(result).diagnosis_section(name, result)])
+    emit(result, lambda: report_of(result).diagnosis_text(name, result), as_json=as_json)
 
 
 @app.command("add")
@@ -300,28 +304,24 @@ def show_twin(
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
     from dtwin.report.faults import effect_sizes
-    from dtwin.report.twin_of_kind import (
-        comparison_sections,
-        diagnosis_section,
-        history_section,
-        twin_section,
-        twin_text,
-    )
+    from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.confirm import interventions
 
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
+    report = report_of(twin.as_dict())
     if html is not None:
         comparison = twins.compare(name)
         _, diagnosis = twins.diagnose(name)
+        compared, told = comparison.as_dict(), diagnosis.as_dict()
         _write_page(
             html,
             name,
             [
-                twin_section(twin),
-                *comparison_sections(comparison, comparison.as_dict()),
-                diagnosis_section(name, diagnosis.as_dict()),
-                history_section(twin, twins.history(name)),
+                report.twin_section(twin),
+                *report_of(compared).comparison_sections(comparison, compared),
+                report_of(told).diagnosis_section(name, told),
+                report.history_section(twins.history(name)),
             ],
         )
     mended = interventions(twins, name)
@@ -335,19 +335,19 @@ def show_twin(
         document["effects"] = [
             {**entry, **sized} for entry, sized in zip(document["effects"], effect_sizes(twin), strict=True)
         ]
-    emit(document, lambda: "\n".join([twin_text(twin), *lines]), as_json=as_json)
+    emit(document, lambda: "\n".join([report.twin_text(twin), *lines]), as_json=as_json)
 
 
 def _show_rung(before: Any, twin: Any, *, as_json: bool) -> None:
     from dtwin.report.text import micrometres
-    from dtwin.report.twin_of_kind import twin_text
+    from dtwin.report.twin_of_kind import report_of
 
     after_um = twin.figures["rms_after_um"]
     payload = {**twin.as_dict(), "before": dict(before.figures)}
     emit(
         payload,
         lambda: (
-            f"{twin_text(twin)}\nthis step: {micrometres(before.figures['rms_after_um'])} -> "
+            f"{report_of(twin.as_dict()).twin_text(twin)}\nthis step: {micrometres(before.figures['rms_after_um'])} -> "
             f"{micrometres(after_um)} µm RMS\nnext: dtwin twin diagnose {twin.name}"
         ),
         as_json=as_json,

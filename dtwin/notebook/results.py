@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dtwin.errors import InputError
-from dtwin.report import twin_of_kind as report
+from dtwin.report.twin_of_kind import report_of
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -175,14 +175,15 @@ def of_twin(twins: TwinShelf, twin: Any) -> TwinResult:
 
     def draw() -> Sequence[go.Figure]:
         rungs = [rung for rung in twins.history(twin.name) if rung["version"] <= twin.version]
-        return _figures([report.history_section(twin, rungs)])
+        return _figures([report_of(twin.as_dict()).history_section(rungs)])
 
-    return TwinResult(twin.as_dict(), report.twin_text(twin), draw)
+    return TwinResult(twin.as_dict(), report_of(twin.as_dict()).twin_text(twin), draw)
 
 
 def of_comparison(found: Any) -> ComparisonResult:
     """Return a comparison as a result."""
     document = found.as_dict()
+    report = report_of(document)
     return ComparisonResult(
         document, report.comparison_text(document), lambda: _figures(report.comparison_sections(found, document))
     )
@@ -192,6 +193,7 @@ def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
     """Return a diagnosis of a version of a twin as a result."""
     name: str = twin.name
     document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
+    report = report_of(document)
     return DiagnosisResult(
         document, report.diagnosis_text(name, document), lambda: _figures([report.diagnosis_section(name, document)])
     )

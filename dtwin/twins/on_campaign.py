@@ -8,7 +8,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.physics.twin import Twin
-from dtwin.report.twin_of_kind import comparison_text, diagnosis_text
+from dtwin.report.twin_of_kind import report_of
 from dtwin.twins.of_kind import every_shelf
 
 
@@ -61,9 +61,9 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
             if campaign in of_twin:
                 _, found = twins.diagnose(name)
                 result = found.as_dict()
-                text = diagnosis_text(name, result)
+                text = report_of(result).diagnosis_text(name, result)
             else:
                 result = twins.compare(name, campaign).as_dict()
-                text = comparison_text(result)
+                text = report_of(result).comparison_text(result)
             views.append(TwinView(name, twin.version, campaign in of_twin, result, text))
     return views

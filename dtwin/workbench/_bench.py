@@ -72,14 +72,6 @@ class Bench:
         """Return the verbs for a twin, whatever its kind."""
         return twins_with(self.home, self.library, name)
 
-    def is_of_heat(self, name: str) -> bool:
-        """Return whether a twin is of ball arrays."""
-        return isinstance(self.twins_with(name), HeatTwins)
-
-    def is_told(self, name: str) -> bool:
-        """Return whether a twin has neither paths nor volumes that are drawn, so that its kind tells it."""
-        return not isinstance(self.twins_with(name), Twins | HeatTwins)
-
     def twin_lines(self) -> Sequence[TwinLine]:
         """Return the twins of every kind, by name."""
         return self.cache.get(("twins", self.twins_version), lambda: twin_lines(self.home))

@@ -8,14 +8,7 @@ from fastapi import Request
 from starlette.responses import Response
 
 from dtwin.report.html import Section
-from dtwin.report.twin_of_kind import (
-    comparison_sections,
-    comparison_text,
-    diagnosis_section,
-    diagnosis_text,
-    history_section,
-    twin_section,
-)
+from dtwin.report.twin_of_kind import report_of
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._pages import rendered
@@ -30,6 +23,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
     twins = bench.twins_with(name)
     twin = twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    compared = compared_with(bench, name, on)
     return rendered(
         request,
         "told.html",
@@ -38,31 +32,33 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         twin=twin,
         on=on or twin.campaign,
         campaigns=bench.campaigns_of(twin.machine, twins.kind),
-        compared=comparison_text(_compared(bench, name, on)),
+        compared=report_of(compared).comparison_text(compared),
         diagnosis=diagnosis,
-        told=diagnosis_text(name, diagnosis) if diagnosis else "",
-        parameters=twin_section(twin).tables,
+        told=report_of(diagnosis).diagnosis_text(name, diagnosis) if diagnosis else "",
+        parameters=report_of(twin.as_dict()).twin_section(twin).tables,
         rungs=twins.history(name),
     )
 
 
 def told_sections(bench: Bench, name: str) -> list[Section]:
-    """Return the whole story of such a twin, as ``dtwin twin show --html`` writes it."""
+    """Return the whole story of a twin of no path, as ``dtwin twin show --html`` writes it."""
     twins = bench.twins_with(name)
     twin = twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    report = report_of(twin.as_dict())
     return [
-        twin_section(twin),
-        *comparison_sections(None, _compared(bench, name, "")),
-        *([diagnosis_section(name, diagnosis)] if diagnosis else []),
-        history_section(twin, twins.history(name)),
+        report.twin_section(twin),
+        *report.comparison_sections(None, compared_with(bench, name, "")),
+        *([report.diagnosis_section(name, diagnosis)] if diagnosis else []),
+        report.history_section(twins.history(name)),
     ]
 
 
-def _compared(bench: Bench, name: str, on: str) -> dict[str, Any]:
+def compared_with(bench: Bench, name: str, on: str) -> dict[str, Any]:
+    """Return a twin of no path against measurements; without, against those of its fit."""
     twins = bench.twins_with(name)
     twin = twins.newest(name)
     campaign = on or twin.campaign
     made = reading.version_file(bench, name, twin.version).stat().st_mtime_ns
-    key = ("told", name, twin.version, made, campaign, bench.stamp(campaign))
+    key = ("compared", name, twin.version, made, campaign, bench.stamp(campaign))
     return bench.cache.get(key, lambda: twins.compare(name, campaign).as_dict())

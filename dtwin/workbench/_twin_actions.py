@@ -10,11 +10,12 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric import HeatTwin
+from dtwin.kinds.volumetric import HeatTwin, HeatTwins
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
 from dtwin.twins.of_kind import fit_twin, twins_for
+from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Tell
@@ -155,9 +156,7 @@ def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
     def work(tell: Tell) -> str:
         tell("fit the set-ups")
         twins, _ = fit_twin(bench.home, bench.library, campaigns, [], name)
-        tell("search for the effects, add each, and diagnose what is left")
-        made = twins.discover(name)[0]
-        tell(f"{len(made)} effects were added")
+        _discover(twins, name, tell)
         return f"/twins/{name}/diagnose"
 
     return accepted(bench.jobs.start(f"Find what {', '.join(campaigns)} can tell", work))
@@ -171,9 +170,7 @@ def discover(request: Request, name: str) -> JSONResponse:
     twins.newest(name)
 
     def work(tell: Tell) -> str:
-        tell("search for the effects, add each, and diagnose what is left")
-        made = twins.discover(name)[0]
-        tell(f"{len(made)} effects were added")
+        _discover(twins, name, tell)
         return f"/twins/{name}/versions"
 
     return accepted(bench.jobs.start(f"Find all that {name} lacks", work))
@@ -193,6 +190,12 @@ def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResp
         return f"/models/{found['machine']}/{found['version']}"
 
     return accepted(bench.jobs.start(f"Correct with {name}", work))
+
+
+def _discover(twins: Twins | HeatTwins, name: str, tell: Tell) -> None:
+    tell("search for the effects, add each, and diagnose what is left")
+    made = twins.discover(name)[0]
+    tell(f"{len(made)} effects were added")
 
 
 def _start(bench: Bench, title: str, name: str, change: Callable[[], Twin | HeatTwin], address: str) -> JSONResponse:

@@ -10,13 +10,15 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from dtwin.errors import InputError
+from dtwin.kinds.volumetric import HeatTwins
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
+from dtwin.physics.twin import Twin
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, page
 from dtwin.report.several import contradiction_lines
-from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
+from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import (
     along_figure,
     harmonics_figure,
@@ -27,11 +29,12 @@ from dtwin.report.twin_plots import (
 )
 from dtwin.report.twins import found_table, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
+from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
-from dtwin.workbench._heat_pages import heat_page, heat_sections
+from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._numbers import decimal
 from dtwin.workbench._pages import download, drawn, rendered
@@ -61,10 +64,8 @@ def twin_list(request: Request) -> Response:
 def compare_page(request: Request, name: str, on: str = "") -> Response:
     """Show measured against twin, on the runs of the fit or on others of the machine."""
     bench = bench_of(request)
-    if bench.is_of_heat(name):
-        return heat_page(request, name, on)
-    if bench.is_told(name):
-        return told_page(request, name, on)
+    if other := _page_of_no_path(request, name, on):
+        return other
     view = reading.view(bench, name, on=on)
     whole = bench.twins.newest(name)
     machine = view.twin.machine
@@ -96,10 +97,8 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
 def diagnose_page(request: Request, name: str) -> Response:
     """Show what is missing."""
     bench = bench_of(request)
-    if bench.is_of_heat(name):
-        return heat_page(request, name)
-    if bench.is_told(name):
-        return told_page(request, name)
+    if other := _page_of_no_path(request, name):
+        return other
     twin = bench.twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     experiment = diagnosis["next_experiment"] if diagnosis else None
@@ -117,7 +116,9 @@ def diagnose_page(request: Request, name: str) -> Response:
         found=found_table(diagnosis or {}),
         faults=faults(twin),
         missing=found_faults(diagnosis or {}, bench.library),
-        together=diagnosis_section(name, _with_nan(diagnosis)) if diagnosis and "campaigns" in diagnosis else None,
+        together=report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis))
+        if diagnosis and "campaigns" in diagnosis
+        else None,
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
     )
 
@@ -126,10 +127,8 @@ def diagnose_page(request: Request, name: str) -> Response:
 def versions_page(request: Request, name: str, first: int | None = None, second: int | None = None) -> Response:
     """Show every version, two of them side by side, and what can be added or removed."""
     bench = bench_of(request)
-    if bench.is_of_heat(name):
-        return heat_page(request, name)
-    if bench.is_told(name):
-        return told_page(request, name)
+    if other := _page_of_no_path(request, name):
+        return other
     twins = bench.twins
     rungs = twins.history(name)
     newest = twins.newest(name)
@@ -160,9 +159,7 @@ def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
-    sections = (heat_sections if bench.is_of_heat(name) else told_sections if bench.is_told(name) else _sections)(
-        bench, name
-    )
+    sections = (_sections if isinstance(twin, Twin) else told_sections)(bench, name)
     made = page(
         f"Machine {twin.machine}: twin {name}",
         f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
@@ -256,7 +253,7 @@ def encoder(request: Request, name: str, on: str = "") -> Response:
 def waterfall(request: Request, name: str) -> Response:
     """Return how the error fell from version to version."""
     bench = bench_of(request)
-    begun = "no effects" if bench.is_of_heat(name) or bench.is_told(name) else "set-up only"
+    begun = "set-up only" if isinstance(bench.twins_with(name), Twins) else "no effects"
     return drawn(waterfall_figure(bench.twins.history(name), begun))
 
 
@@ -283,16 +280,25 @@ def signature(request: Request, name: str, effect: str, condition: _Numbers = []
     return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=view.obs.grid))
 
 
+def _page_of_no_path(request: Request, name: str, on: str = "") -> Response | None:
+    """Return the page of a twin that has no path to draw an error along; None for one that has."""
+    twins = bench_of(request).twins_with(name)
+    if isinstance(twins, HeatTwins):
+        return heat_page(request, name, on)
+    return None if isinstance(twins, Twins) else told_page(request, name, on)
+
+
 def _sections(bench: Bench, name: str) -> list[Section]:
     """Return the whole story of a twin of tests of a path."""
     twin = bench.twins.newest(name)
     several = isinstance(twin, SeveralTwin)
     comparison = bench.twins.compare(name) if several else reading.view(bench, name).comparison
-    sections = [twin_section(twin), *comparison_sections(comparison, comparison.as_dict())]
+    report, compared = report_of(twin.as_dict()), comparison.as_dict()
+    sections = [report.twin_section(twin), *report_of(compared).comparison_sections(comparison, compared)]
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     if diagnosis is not None:
-        sections.append(diagnosis_section(name, _with_nan(diagnosis)))
-    sections.append(history_section(twin, bench.twins.history(name)))
+        sections.append(report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis)))
+    sections.append(report.history_section(bench.twins.history(name)))
     return sections
 
 
