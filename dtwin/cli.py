@@ -13,7 +13,7 @@ import typer
 
 from dtwin import __version__
 from dtwin.commands import register
-from dtwin.commands.tasks import MainCommands
+from dtwin.commands.tasks import ByTask
 from dtwin.config import home, quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, MissingPart, StoreError
 
@@ -27,7 +27,7 @@ Everything is kept in DTWIN_HOME, by default .dtwin in this folder.
 
 app = typer.Typer(
     name="dtwin",
-    cls=MainCommands,
+    cls=ByTask,
     help="Measure, model and correct the accuracy of machine tools and robots.",
     epilog=_BEGIN,
     no_args_is_help=True,

@@ -304,14 +304,8 @@ DEFAULT_EVIDENCE = EvidencePlan(
 )
 
 
-def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int = 2) -> EvidencePlan:
-    """Return circles in the planes that were trained, at feeds that were and were not.
-
-    Parameters
-    ----------
-    repeats : int
-        Repeats per condition, direction and way.
-    """
+def plan_within(conditions: Sequence[tuple[Plane, float, float]]) -> EvidencePlan:
+    """Return circles in the planes that were trained, at feeds that were and were not."""
     feeds = sorted({feed for _, _, feed in conditions})
     between = [0.5 * (feeds[0] + feeds[1])] if len(feeds) > 1 else []
     wanted = sorted({0.5 * feeds[0], feeds[0], *between, feeds[-1]})
@@ -319,4 +313,4 @@ def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int =
     for plane in sorted({plane for plane, _, _ in conditions}):
         radii = sorted({radius for p, radius, _ in conditions if p == plane})
         circles += [(plane, radii[(len(radii) - 1) // 2], feed) for feed in wanted]
-    return EvidencePlan(tuple(circles), repeats, tuple(feeds))
+    return EvidencePlan(tuple(circles), trained_feeds=tuple(feeds))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dtwin.commands._output import ProgressLine, emit
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.kinds.machine import Request, VirtualMachine
+from dtwin.kinds.machine import Request, VirtualMachine, require_no_campaign
 from dtwin.kinds.registry import machines
 
 if TYPE_CHECKING:
@@ -21,10 +21,7 @@ def simulate_served(machine: VirtualMachine, request: Request, *, port: int, clo
     from dtwin.machines.axis_server import AxisServer
 
     out = request.out
-    if (out / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(out), hint="give another --out"
-        )
+    require_no_campaign(out)
     served = machine.served(request)
     state = home()
     server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port)

@@ -72,8 +72,10 @@ def _sections(tasks: dict[str, tuple[str, ...]], names: list[str]) -> dict[str, 
     return {title: task for title, task in found.items() if task}
 
 
-class _ByTask(TyperGroup):
-    tasks: dict[str, tuple[str, ...]]
+class ByTask(TyperGroup):
+    """Commands of ``dtwin``."""
+
+    tasks = TASKS
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write one section for each task, whole sentences instead of cut ones."""
@@ -85,19 +87,13 @@ class _ByTask(TyperGroup):
                 )
 
 
-class MainCommands(_ByTask):
-    """Commands of ``dtwin``."""
-
-    tasks = TASKS
-
-
-class TwinCommands(_ByTask):
+class TwinCommands(ByTask):
     """Commands of ``dtwin twin``."""
 
     tasks = TWIN_TASKS
 
 
-class FleetCommands(_ByTask):
+class FleetCommands(ByTask):
     """Commands of ``dtwin fleet``."""
 
     tasks = FLEET_TASKS

@@ -80,6 +80,14 @@ class EvidenceRequest:
     progress: Progress | None
 
 
+def require_no_campaign(folder: Path) -> None:
+    """Refuse a folder that holds a campaign already."""
+    if (folder / "campaign.toml").exists():
+        raise InputError(
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
+        )
+
+
 class VirtualMachine(ABC):
     """A machine that exists only as equations; what it lacks is refused by name.
 

@@ -18,7 +18,6 @@ class LineSocket:
 
     ``address``: ``HOST:PORT``.
     ``longest``: a line of more bytes is thrown away.
-    ``overlong``: lines that were thrown away for their length.
     """
 
     def __init__(self, address: str, what: str, longest: int) -> None:
@@ -31,7 +30,6 @@ class LineSocket:
         self._place, self._longest = (host, int(port)), longest
         self._socket: socket.socket | None = None
         self._held = b""
-        self.overlong = 0
 
     @property
     def connected(self) -> bool:
@@ -110,5 +108,4 @@ class LineSocket:
         *lines, self._held = (self._held + received).split(b"\n")
         if len(self._held) > self._longest:
             self._held = b""
-            self.overlong += 1
         return lines

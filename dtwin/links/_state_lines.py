@@ -22,13 +22,7 @@ class StateLines(OpenAndClose):
         self._line, self._lost_after_s = line, lost_after_s
         self._state = layout.empty_state()
         self._state[layout.SPEED_SCALING] = 1.0
-        self._bad_lines = 0
         self.received_s = self._heard_s = math.nan
-
-    @property
-    def bad_lines(self) -> int:
-        """Lines that were no state, since the beginning."""
-        return self._bad_lines + self._line.overlong
 
     @property
     def newest(self) -> layout.RobotState:

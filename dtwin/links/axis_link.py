@@ -220,7 +220,6 @@ class AxisLink(StateLines):
         given = _object(line) or {}
         finite = {name: number for name, v in given.items() if (number := _number(v)) is not None}
         if not all(name in finite for name in STATE_NAMES):
-            self._bad_lines += 1
             return False
         self.finished = self.finished or finite.get("finished", 0.0) > 0.5
         for name, value in finite.items():

@@ -61,7 +61,6 @@ class StateFeed(StateLines):
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             values, whole = {}, False
         if not whole or not all(map(math.isfinite, values.values())):
-            self._bad_lines += 1
             return False
         self._state[:] = 0.0
         self._state[layout.SPEED_SCALING] = 1.0

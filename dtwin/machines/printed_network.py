@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,20 +76,15 @@ class LatheNetwork:
         return error + self.cyclic.evaluate(direction, turned)
 
 
-def read_network(path: Path | None = None) -> LatheNetwork:
-    """Read the printed networks.
-
-    Parameters
-    ----------
-    path : Path, optional
-        Another file of the same form; the one that travels with the package without.
+def read_network() -> LatheNetwork:
+    """Read the printed networks, which travel with the package.
 
     Raises
     ------
     InputError
         When the file lacks weights.
     """
-    file = published_table("lathe_z_network.json") if path is None else path
+    file = published_table("lathe_z_network.json")
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
         weights = document["weights"]

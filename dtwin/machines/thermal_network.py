@@ -6,6 +6,7 @@ so a step is exact whatever its length.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -165,10 +166,7 @@ def temperatures_c(schedule: Schedule, step_s: float, *, pump: bool = False) -> 
     flow, hall = _network()
     powers = np.array([_power_w(schedule.at(float(h)), float(h), pump=pump) for h in hour])
     powers += np.outer([schedule.hall_c(float(h)) for h in hour], hall)
-    capacity = 1000.0 * np.array(_CAPACITY)
-    rate = flow / capacity[:, None]
-    moved = expm(rate * step_s)
-    gained = np.linalg.solve(rate, moved - np.eye(len(BODIES))) / capacity
+    moved, gained = exact_step(flow, _CAPACITY, step_s)
     now = np.full(len(BODIES), schedule.begun_c)
     now[BODIES.index("foundation")] = schedule.season_c
     out = np.empty((n, len(BODIES)))
@@ -185,22 +183,35 @@ def pumping(hour: Floats) -> Floats:
 
 def _network() -> tuple[Floats, Floats]:
     """Return the conductances between the bodies, and those to the hall, in W/K."""
-    flow, hall = np.zeros((len(BODIES), len(BODIES))), np.zeros(len(BODIES))
     cores = [
         (name, f"{name}_core", 1000.0 * (1.0 - _SKIN_SHARE) * capacity / _CORE_S)
         for name, capacity in zip(CASTINGS, _CASTING, strict=True)
     ]
-    for one, other, conductance in (*_LINKS, *cores):
-        i = BODIES.index(one)
+    return conductances(BODIES, (*_LINKS, *cores))
+
+
+def conductances(bodies: Sequence[str], links: Iterable[tuple[str, str, float]]) -> tuple[Floats, Floats]:
+    """Return the conductances between bodies, shape (n, n), and those to the hall, (n,), of links in W/K."""
+    flow, hall = np.zeros((len(bodies), len(bodies))), np.zeros(len(bodies))
+    for one, other, conductance in links:
+        i = bodies.index(one)
         flow[i, i] -= conductance
         if other == "hall":
             hall[i] += conductance
             continue
-        j = BODIES.index(other)
+        j = bodies.index(other)
         flow[j, j] -= conductance
         flow[i, j] += conductance
         flow[j, i] += conductance
     return flow, hall
+
+
+def exact_step(flow: Floats, capacity_kj_k: Sequence[float], step_s: float) -> tuple[Floats, Floats]:
+    """Return what a step keeps of temperatures, and what it makes of constant powers, shape (n, n) each."""
+    capacity = 1000.0 * np.array(capacity_kj_k)
+    rate = flow / capacity[:, None]
+    kept = expm(rate * step_s)
+    return kept, np.linalg.solve(rate, kept - np.eye(len(capacity))) / capacity
 
 
 def _power_w(segment: _Segment, hour: float, *, pump: bool) -> Floats:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from dtwin.machines._wandering import wandering
+from dtwin.machines.thermal_network import conductances, exact_step
 from dtwin.schema import Floats
 
 STEP_S = 5.0
@@ -106,21 +106,8 @@ class WarmColumn:
         return np.asarray(moved_um + self.parameters.probe_um * noise)
 
     def _warmed(self, heat_w: Floats, hall_c: Floats, begun_c: float) -> dict[str, Floats]:
-        flow, air = np.zeros((len(_BODIES), len(_BODIES))), np.zeros(len(_BODIES))
-        for one, other, conductance in _LINKS:
-            i = _BODIES.index(one)
-            flow[i, i] -= conductance
-            if other == "hall":
-                air[i] += conductance
-                continue
-            j = _BODIES.index(other)
-            flow[j, j] -= conductance
-            flow[i, j] += conductance
-            flow[j, i] += conductance
-        capacity = 1000.0 * np.array(_CAPACITY)
-        rate = flow / capacity[:, None]
-        kept = expm(rate * STEP_S)
-        gained = np.linalg.solve(rate, kept - np.eye(len(_BODIES))) / capacity
+        flow, air = conductances(_BODIES, _LINKS)
+        kept, gained = exact_step(flow, _CAPACITY, STEP_S)
         powers = np.outer(hall_c, air)
         for body, share in _HEATED.items():
             powers[:, _BODIES.index(body)] += share * heat_w

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,14 +39,11 @@ class LiveTrace:
 
 
 class LiveCorrection:
-    """Serves one bundle to a LinuxCNC, circle after circle.
+    """Serves one bundle to a LinuxCNC, circle after circle."""
 
-    ``covariates``: logged channels that it asks for.
-    """
-
-    def __init__(self, session: LinuxcncSession, bundle: Bundle, covariates: Mapping[str, float] | None = None) -> None:
+    def __init__(self, session: LinuxcncSession, bundle: Bundle) -> None:
         self.session = session
-        self.decision = Decision(CompiledBundle(bundle), _NO_TOOL, covariates)
+        self.decision = Decision(CompiledBundle(bundle), _NO_TOOL)
         self._sequence = 1
 
     def run(self, circle: Circle) -> LiveTrace:

@@ -17,7 +17,7 @@ _FAR = 100.0
 _ERRORS = "Error, RMS after set-up; bars: 95 % over runs; *: not trained"
 
 
-def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Figure:
+def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
     """Return error before and after per condition, with the oracle and the noise floor.
 
     Parameters
@@ -59,7 +59,7 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
             line={"color": COLOURS["floor"], "dash": "dash"},
         )
     )
-    figure.update_layout(title=title, yaxis_title="µm", barmode="group")
+    figure.update_layout(title=_ERRORS, yaxis_title="µm", barmode="group")
     return styled(figure)
 
 

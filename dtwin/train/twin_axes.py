@@ -47,7 +47,7 @@ class Motion:
         return cls(position_mm, np.asarray(velocity, dtype=float), np.zeros(position_mm.shape))
 
 
-def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | None = None) -> Floats:
+def axis_errors_um(twin: Twin, motion: Motion) -> Floats:
     """Return the predicted error of every axis, actual minus commanded.
 
     A reversal of an axis counts as long past: lost motion has its full size on the side that the
@@ -57,8 +57,6 @@ def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | No
     ----------
     twin : Twin
         Its terms are all used; take out first what cannot be corrected.
-    columns : dict of str to float
-        Logged channels that its effects need.
 
     Returns
     -------
@@ -67,7 +65,7 @@ def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | No
     """
     out = np.zeros(motion.position_mm.shape)
     for term in twin.terms:
-        out += term_errors_um(term, twin, motion, columns or {})
+        out += term_errors_um(term, twin, motion, {})
     return out
 
 

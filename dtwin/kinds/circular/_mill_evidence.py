@@ -69,7 +69,6 @@ def measured_mill(
     seed: int,
     plan: EvidencePlan,
     delay_s: float,
-    covariates: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual mill, interleaved.
@@ -79,7 +78,6 @@ def measured_mill(
 
     ``make_mill``: ``make_mill(seed=..., noise=..., setup_errors=..., corrections=...)`` returns the machine.
     ``delay_s``: between a correction and the motion that it causes; for the oracle, and for the report.
-    ``covariates``: logged channels that the bundle asks for.
     """
     kept: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}
@@ -88,7 +86,7 @@ def measured_mill(
         # Each condition on a day of its own, in a mounting of its own.
         setup, day = f"evidence-{done}", timedelta(days=done)
         oracle = _oracle(bundle, make_mill, plane, radius, feed, delay_s)
-        served = ServedCorrection(bundle, covariates)
+        served = ServedCorrection(bundle)
         order = [WAYS[i] for _ in range(plan.repeats) for i in rng.permutation(len(WAYS))]
         tests = [_test(plane, radius, feed, d, way, setup) for way in order for d in _DIRECTIONS]
         mill = make_mill(seed=_SESSION + seed + done, corrections={"compensated": served, "oracle": oracle})

@@ -11,6 +11,7 @@ from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.virtual import EPOCH
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.warm_column import STEP_S, ColumnParameters, Day, WarmColumn
 from dtwin.progress import Progress
 from dtwin.schema import Floats
@@ -48,10 +49,7 @@ def simulate_drift(
 
     ``quick``: one log of one shift. Raises ``InputError`` when the folder holds a campaign, or there is no such column.
     """
-    if (folder / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     column = column_of(truth)
     folder.mkdir(parents=True, exist_ok=True)
     logs, hours = (1, _QUICK_HOURS) if quick else (_LOGS, _HOURS)

@@ -16,7 +16,7 @@ from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.kinds.linear._models import PositionModel
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
-from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
+from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, reverse_at, verification_plan, virtual_lathe
 from dtwin.machines.lathe import LatheRecording, VirtualLathe, Wander
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -95,7 +95,7 @@ def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None 
     motion = motion_of_plan(plan)
     if model is None:
         return _test_of(lathe.measure(motion, laser_setup(plan)), plan)
-    screw = motion.position_mm - model.error_um(_direction(motion.position_mm), motion.position_mm) / UM_PER_MM
+    screw = motion.position_mm - model.error_um(reverse_at(motion.position_mm), motion.position_mm) / UM_PER_MM
     return _test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
 
 
@@ -172,10 +172,3 @@ class _Exact:
     def _flank_um(self, direction: Floats, position_mm: Floats) -> Floats:
         lower, upper = self.lathe.screw.flanks_um(position_mm)
         return np.where(direction >= 0.5, upper, lower)
-
-
-def _direction(position: Floats) -> Floats:
-    """Return 0 or 1 of the newest motion at each knot, forward before the first."""
-    step = np.sign(np.diff(position, prepend=position[0] - 1.0))
-    last = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
-    return np.where(step[last] < 0.0, 1.0, 0.0)

@@ -17,6 +17,9 @@ from dtwin.kinds.linear._small_net import SmallNet, new_net
 from dtwin.schema import Floats
 
 MM_PER_IN, UM_PER_IN = 25.4, 25_400.0
+# As published: sums of squared errors at which the trainings of the pair stop; neurons of the single network.
+_GOALS = (4e-8, 9e-9)
+_SINGLE_NEURONS = 40
 
 
 class PositionModel(Protocol):
@@ -169,41 +172,32 @@ def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floa
 
 
 def fit_dual(
-    averages: Averages,
-    pitch_in: float,
-    seed: int,
-    *,
-    epochs: int = 1000,
-    goals: Sequence[float] = (4e-8, 9e-9),
-    hidden: Sequence[int] = (30, 8),
+    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1000, hidden: Sequence[int] = (30, 8)
 ) -> DualNet:
     """Train the published pair: the slow network on whole turns, the cyclic one on what is left.
 
     ``averages``: mean errors.
-    ``goals``: sums of squared errors at which the trainings stop.
     ``hidden``: neurons of both.
     """
     rng = np.random.default_rng(seed)
     inputs, target = whole_turns(averages, pitch_in)
     reach = (float(averages.position_mm[0]) / MM_PER_IN, float(averages.position_mm[-1]) / MM_PER_IN)
-    slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
+    slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=_GOALS[0])
     cells, rest = _one_turn(averages, slow.net, pitch_in)
-    fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
+    fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=_GOALS[1])
     return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
 
 
-def fit_single(
-    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0, hidden: int = 40
-) -> SingleNet:
+def fit_single(averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0) -> SingleNet:
     """Train the published single network on all targets of both directions.
 
     ``averages``: mean errors.
-    ``epochs``, ``goal``, ``hidden``: as for :func:`fit_dual`.
+    ``goal``: sum of squared errors at which the training stops.
     """
     direction, position, error = _inches(averages)
     turned = np.fmod(position, pitch_in)
     reach = (float(position.min()), float(position.max()))
-    net = new_net(hidden, ((0.0, 1.0), reach, (0.0, pitch_in)), np.random.default_rng(seed))
+    net = new_net(_SINGLE_NEURONS, ((0.0, 1.0), reach, (0.0, pitch_in)), np.random.default_rng(seed))
     inputs = np.column_stack([direction, position, turned])
     trained = train_net(net, inputs, error, epochs=epochs, goal=goal)
     return SingleNet(trained.net, pitch_in, trained)

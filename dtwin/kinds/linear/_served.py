@@ -13,6 +13,7 @@ from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._simulate import (
     laser_setup,
     motion_of_plan,
+    reverse_at,
     truth_of,
     verification_plan,
     virtual_lathe,
@@ -43,7 +44,7 @@ class ServedLathe:
         begun, ended = self._motion.t_s[0], self._motion.t_s[-1]
         self._t_s = np.arange(begun, ended + _PERIOD_S, _PERIOD_S)
         self._commanded_mm = self._motion.at(self._t_s)
-        self._reverse = _reverse(self._commanded_mm)
+        self._reverse = reverse_at(self._commanded_mm)
         self._offset_um = np.zeros(len(self._t_s))
         self.axes = (self._plan.axis.lower(),)
         self._axis = "xyz".index(self.axes[0])
@@ -72,10 +73,3 @@ class ServedLathe:
             folder, replace(self._plan, name=folder.name), seen, self._told, corrected=bool(self._offset_um.any())
         )
         return f"{len(seen.error_um)} readings of the laser"
-
-
-def _reverse(position_mm: Floats) -> Floats:
-    """Return 0 or 1 of the newest motion at each tick, forward before the first."""
-    step = np.sign(np.diff(position_mm, prepend=position_mm[0] - 1.0))
-    newest = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
-    return np.where(step[newest] < 0.0, 1.0, 0.0)

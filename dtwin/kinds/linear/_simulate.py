@@ -15,6 +15,7 @@ from dtwin.kinds.linear._plan import LinearPlan, linear_plan
 from dtwin.kinds.linear._program import laser_program
 from dtwin.kinds.linear._read import MM_PER
 from dtwin.kinds.linear.laser_file import LaserTest, linear_error, write_laser_file
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.laser_trigger import LaserSetup
 from dtwin.machines.lathe import LatheRecording, NetworkScrew, ThreadScrew, VirtualLathe, Wander
 from dtwin.machines.lathe_control import Motion, run_program
@@ -77,6 +78,13 @@ def motion_of_plan(plan: LinearPlan) -> Motion:
     return run_program(laser_program(plan), plan.axis)
 
 
+def reverse_at(position_mm: Floats) -> Floats:
+    """Return 0 or 1 of the newest motion at each tick, forward before the first."""
+    step = np.sign(np.diff(position_mm, prepend=position_mm[0] - 1.0))
+    newest = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
+    return np.where(step[newest] < 0.0, 1.0, 0.0)
+
+
 def simulate_lathe(
     folder: Path, *, plan: LinearPlan | None = None, truth: str = "published", seed: int = 0, quick: bool = False
 ) -> tuple[int, tuple[Finding, ...]]:
@@ -88,10 +96,7 @@ def simulate_lathe(
     ``quick``: the published verification instead of the mapping.
     Readings taken, and what the laser complained of.
     """
-    if (folder / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     chosen = plan or (verification_plan() if quick else mapping_plan())
     lathe = virtual_lathe(truth, seed)
     if chosen.pitch <= 0.0:

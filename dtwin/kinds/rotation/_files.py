@@ -16,6 +16,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._heads import ANGLE, PATH, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
 from dtwin.schema import Floats
@@ -87,7 +88,7 @@ def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[i
     for begin, row in enumerate(rows[:_MOST_TITLES]):
         below = rows[begin + 1] if begin + 1 < len(rows) else []
         for units in ([], below):
-            if units is below and (len(below) != len(row) or any(_number(c) is not None for c in below)):
+            if units is below and (len(below) != len(row) or any(number_or_none(c) is not None for c in below)):
                 continue
             cells = [*units, *[""] * (len(row) - len(units))]
             columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
@@ -164,7 +165,7 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path, needed: str) -> 
         seen[name] += 1
         if name not in recipe:
             continue
-        number = _number(value)
+        number = number_or_none(value)
         try:
             at = datetime.fromisoformat(f"{day} {time.replace(',', '.')}")
         except ValueError:
@@ -283,22 +284,14 @@ def _cell(row: Sequence[str], n: int) -> str:
     return row[n].strip() if n < len(row) else ""
 
 
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if np.isfinite(value) else None
-
-
 def _values(body: Sequence[Sequence[str]], n: int, factor: float) -> Floats:
-    cells = (_number(_cell(row, n)) for row in body)
+    cells = (number_or_none(_cell(row, n)) for row in body)
     return np.array([np.nan if v is None else v * factor for v in cells], dtype=np.float64)
 
 
 def _clock(cells: Sequence[str], factor: float, path: Path) -> tuple[Floats, str]:
     """Return times in seconds, NaN where there is none, and when they began, where stamps tell."""
-    numbers = np.array([np.nan if (v := _number(c)) is None else v * factor for c in cells], dtype=np.float64)
+    numbers = np.array([np.nan if (v := number_or_none(c)) is None else v * factor for c in cells], dtype=np.float64)
     # Of numbers of this size the unit is told by it.
     if np.isfinite(numbers).any() and not (factor == 1.0 and np.nanmin(numbers) > _UNIX_S):
         return numbers, ""

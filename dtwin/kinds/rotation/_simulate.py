@@ -9,6 +9,7 @@ from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.virtual import EPOCH
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.rotor import Rotor, RotorLog, RotorParameters
 from dtwin.progress import Progress
 
@@ -36,10 +37,7 @@ def simulate_rotation(
     """
     if truth not in TRUTHS:
         raise InputError("no such rotor", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
-    if (folder / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rotor, runs = Rotor(TRUTHS[truth], seed), []
     for number, speed in enumerate(SPEEDS_RPM, start=1):

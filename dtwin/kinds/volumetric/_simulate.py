@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.kinds.volumetric._plan import BallPlan
 from dtwin.lake.parquet import table_of, write_parquet
 from dtwin.machines.thermal_network import SCHEDULES
@@ -57,10 +58,7 @@ def simulate_volumetric(
     Returns cycles that were measured.
     Raises ``InputError`` when the folder holds a finished campaign, or there is no such schedule.
     """
-    if (folder / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     if schedule not in SCHEDULES:
         raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
