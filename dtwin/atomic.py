@@ -19,8 +19,6 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
 
     Parameters
     ----------
-    path : Path
-        File to write or replace; its folder is created.
     what : str
         What it is, for the error message.
 

@@ -21,8 +21,6 @@ def write_document(path: Path, document: Mapping[str, Any], what: str) -> None:
 
     Parameters
     ----------
-    document : mapping
-        JSON-ready but for NaN.
     what : str
         What it is, for the error message.
     """

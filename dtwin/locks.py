@@ -27,11 +27,6 @@ def take(file: int | IO[Any], *, shared: bool = False, wait: bool = False) -> bo
 def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
     """Hold a lock alone and yield True; without ``wait``, yield False while another holds it.
 
-    Parameters
-    ----------
-    path : Path
-        File of the lock; its folder is created.
-
     Raises
     ------
     StoreError

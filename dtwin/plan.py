@@ -50,8 +50,6 @@ class Plan:
 
     Attributes
     ----------
-    name, machine : str
-        Names of the campaign and of the machine.
     tests : tuple of PlannedTest
         In the order of measurement.
     directions : tuple of str

@@ -228,8 +228,6 @@ class Campaign:
     ----------
     name, machine : str
         Identifiers; both are safe as file names.
-    kind : str
-        One of ``KINDS``.
     started : str
         ISO 8601 time, empty when unknown.
     machine_geometry : dict

@@ -37,15 +37,10 @@ def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
 
 
 def write_parquet(path: Path, table: pa.Table) -> int:
-    """Write a table so that damage is noticed, and return its size in bytes.
+    """Write a table, making its folder, so that damage is noticed, and return its size in bytes.
 
     Floats are byte-stream split, integers delta packed, text dictionary encoded, all zstd.
     The file appears under its name only when it is complete and on disk.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder is created.
 
     Raises
     ------

@@ -141,13 +141,7 @@ def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
 def proven_or_measured(
     home: Home, version: RegisteredVersion, *, seed: int, progress: Progress | None = None
 ) -> Evidence:
-    """Return the evidence of a version; a virtual machine without any is measured.
-
-    Parameters
-    ----------
-    home, version, seed, progress
-        As for :func:`measure`.
-    """
+    """Return the evidence of a version; a virtual machine without any is measured."""
     return proven(home, version) or measure(home, version, seed=seed, progress=progress)
 
 

@@ -107,13 +107,7 @@ def look_again(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[CheckedRun] | Looked:
-    """Measure a virtual machine with and without its champion: by pairs where it takes them; nothing is written.
-
-    Parameters
-    ----------
-    virtual, blocks, seed
-        As for :func:`recheck`.
-    """
+    """Measure a virtual machine with and without its champion: by pairs where it takes them; nothing is written."""
     registry = Registry(home)
     geometry = geometry_of(registry, champion)
     if not geometry.get("virtual", False):

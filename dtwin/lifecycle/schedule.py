@@ -57,8 +57,6 @@ class Scheduled:
         ``checked``: nothing could be trained, but the champion was judged on new runs.
     comparison : Comparison or None
         Candidate against champion; None without a champion.
-    drift : list of DriftCheck
-        Judgements of the champion on new runs.
     """
 
     outcome: Outcome

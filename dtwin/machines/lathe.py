@@ -181,13 +181,7 @@ class LatheRecording:
 
 @dataclass(frozen=True)
 class VirtualLathe:
-    """One axis.
-
-    Attributes
-    ----------
-    wander : Wander
-        What else moves.
-    """
+    """One axis."""
 
     screw: _Screw
     wander: Wander = field(default_factory=Wander)

@@ -98,11 +98,6 @@ class VirtualMill:
     def measure(self, tests: Sequence[CircularTest]) -> list[Run]:
         """Measure circles one after the other.
 
-        Parameters
-        ----------
-        tests : sequence of CircularTest
-            In the order of the session.
-
         Returns
         -------
         list of Run

@@ -36,12 +36,7 @@ class Result:
         return self.text
 
     def plot(self, number: int = 0) -> go.Figure:
-        """Return a figure of the report about this result.
-
-        Parameters
-        ----------
-        number : int
-            Which one, from 0.
+        """Return a figure of the report about this result, by its number from 0.
 
         Raises
         ------

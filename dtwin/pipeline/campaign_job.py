@@ -64,8 +64,6 @@ def run_request(
     ----------
     desk_of : callable
         Returns the operator's desk for a campaign folder.
-    asked : callable
-        Whether to stop.
 
     Returns
     -------

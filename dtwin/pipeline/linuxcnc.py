@@ -94,13 +94,7 @@ class LiveCorrection:
 def measure_live(
     session: LinuxcncSession, bundle: Bundle, circles: Sequence[Circle], progress: Progress | None = None
 ) -> list[LiveTrace]:
-    """Run circles with a correction served live.
-
-    Parameters
-    ----------
-    circles : sequence of Circle
-        In order.
-    """
+    """Run circles, in order, with a correction served live."""
     live = LiveCorrection(session, bundle)
     out = []
     for done, circle in enumerate(circles, start=1):

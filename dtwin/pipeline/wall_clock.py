@@ -63,13 +63,7 @@ def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float
 
 
 def serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:
-    """Return the rows (what, value) of a serving status.
-
-    Parameters
-    ----------
-    serving : mapping
-        What ``dtwin serve --json`` printed.
-    """
+    """Return the rows (what, value) of a serving status, as ``dtwin serve --json`` prints it."""
     if "timing" not in serving:
         return [["error", str(serving.get("error", serving))[:200]]]
     rows = [

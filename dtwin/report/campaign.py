@@ -25,13 +25,7 @@ _NOT_COMPARABLE = (
 
 
 def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
-    """Return the section about a ball-bar file.
-
-    Parameters
-    ----------
-    result : mapping
-        What ``check_source`` returned for it.
-    """
+    """Return the section about a ball-bar file, of what ``check_source`` returned for it."""
     runs = read_b5r(path).runs
     head = ["", "by the file's indices", "vendor's file says", "aligned by the stops"]
     tables, findings = [], []
@@ -113,13 +107,7 @@ def training_section(report: TrainingReport) -> Section:
 
 
 def comparison_table(candidates: Sequence[Candidate]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the comparison of candidates.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        In the order to show.
-    """
+    """Return head and rows of the comparison of candidates, in their order."""
     groups = [_LEFT_OUT[group] for group in candidates[0].scores]
     head = [
         "candidate",

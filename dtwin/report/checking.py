@@ -166,13 +166,7 @@ def _checked(
 
 
 def run_result(run: Run) -> dict[str, Any]:
-    """Return figures, spectrum and findings of one run as a JSON-ready mapping.
-
-    Parameters
-    ----------
-    run : Run
-        Any run; circular ones get circular-test figures.
-    """
+    """Return figures, spectrum and findings of one run as a JSON-ready mapping."""
     return _run_result(replace(run, findings=tuple(_findings_of(run))))
 
 

@@ -9,13 +9,7 @@ from dtwin.report.text import table
 
 
 def correction_text(found: Mapping[str, Any]) -> str:
-    """Return what is corrected, what is not and why, and what the gates say.
-
-    Parameters
-    ----------
-    found : mapping
-        ``Correction.as_dict``.
-    """
+    """Return what is corrected, what is not and why, and what the gates say, of ``Correction.as_dict``."""
     grades = {g["label"]: g["grade"] for g in found["grades"]}
     terms = [
         (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"]) for t in found["terms"]

@@ -27,13 +27,7 @@ def encoder_text(found: Mapping[str, Any]) -> str:
 
 
 def encoder_section(found: Mapping[str, Any]) -> Section:
-    """Return the split as a section with a table and a plot.
-
-    Parameters
-    ----------
-    found : mapping
-        ``encoder_split`` of a comparison.
-    """
+    """Return ``encoder_split`` of a comparison as a section with a table and a plot."""
     head, rows = _cells(found)
     return Section(
         "What the controller saw",

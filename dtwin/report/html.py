@@ -50,13 +50,7 @@ pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; ma
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a page; cells are text already.
-
-    Attributes
-    ----------
-    head : sequence of str
-        Column titles.
-    """
+    """A table of a page; cells are text already."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]

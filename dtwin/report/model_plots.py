@@ -18,13 +18,7 @@ _ERRORS = "Error, RMS after set-up; bars: 95 % over runs; *: not trained"
 
 
 def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
-    """Return error before and after per condition, with the oracle and the noise floor.
-
-    Parameters
-    ----------
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
-    """
+    """Return error before and after per condition, with the oracle and the noise floor, of ``Evidence.as_dict``."""
     conditions = evidence["conditions"]
     names = [condition_name(c) + (" *" if c["trained"] is False else "") for c in conditions]
     figure = go.Figure()

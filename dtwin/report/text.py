@@ -13,8 +13,6 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
     Parameters
     ----------
-    head : sequence of str
-        Column titles.
     rows : sequence of sequences
         Cells; floats are shown with up to four significant places.
     """

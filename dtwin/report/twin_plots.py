@@ -267,13 +267,7 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up on
 
 
 def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
-    """Return the effects that were considered, by the error predicted after adding each.
-
-    Parameters
-    ----------
-    diagnosis : dict
-        ``Diagnosis.as_dict``.
-    """
+    """Return the effects that a diagnosis considered, as a mapping, by the error predicted after adding each."""
     rows = list(reversed(diagnosis["candidates"]))
     names = [c.get("label", f"{c['effect']} {c['axis']}".strip()) for c in rows]
     figure = go.Figure(

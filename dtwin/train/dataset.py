@@ -218,12 +218,7 @@ def input_column(name: str) -> int:
 
 
 def require_uncorrected(campaign: Campaign) -> None:
-    """Refuse a campaign that was measured under a correction.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What an equation would be made of.
+    """Refuse a campaign that was measured under a correction: no equation is made of it.
 
     Raises
     ------

@@ -130,8 +130,6 @@ def evidence_of_runs(
     ----------
     runs : sequence of EvidenceRun
         Of one machine, and with one correction or none.
-    kind, machine, model_sha256, campaigns, notes
-        As for :class:`Evidence`.
 
     Raises
     ------

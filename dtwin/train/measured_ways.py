@@ -55,13 +55,7 @@ class MeasuredWays:
         return {"clock": self.clock, "delays": dict(self.delays), "conditions": dict(known)}
 
     def evidence(self, machine: str, model_sha256: str) -> Evidence:
-        """Return what the runs say, without a lake; nothing is promoted by it.
-
-        Parameters
-        ----------
-        machine, model_sha256 : str
-            As for :class:`Evidence`.
-        """
+        """Return what the runs say, without a lake; nothing is promoted by it."""
         runs = [EvidenceRun(WITH if run.meta.correction else WITHOUT, "", "", run) for run in self.runs]
         return evidence_of_runs(
             runs,

@@ -115,11 +115,6 @@ def trial(
 ) -> Path:
     """Put a version on trial: served only with ``--trial``, under a tight clamp.
 
-    Parameters
-    ----------
-    registry, home, found, geometry, comment
-        As in :func:`promote`.
-
     Raises
     ------
     GateRefusal
@@ -140,11 +135,6 @@ def trial(
 
 def rollback(registry: Registry, home: Home, machine: str, comment: str = "") -> RegisteredVersion:
     """Restore the previous champion and bar the present one.
-
-    Parameters
-    ----------
-    registry, home
-        As in :func:`promote`.
 
     Raises
     ------
@@ -187,8 +177,6 @@ def withdraw(
 
     Parameters
     ----------
-    registry, home
-        As in :func:`promote`.
     reason : str
         Why; kept in the history, in the registry and beside the bundles.
 

@@ -200,8 +200,6 @@ def refit(front: Sequence[Found], inputs: Mapping[str, Floats], target: Floats) 
 
     Parameters
     ----------
-    front : sequence of Found
-        A search's front.
     inputs : mapping of str to ndarray, shape (n,)
         Columns by name.
     target : ndarray, shape (n,)

@@ -55,13 +55,7 @@ def fit_twin(
     *,
     robust: bool = False,
 ) -> tuple[Twins | HeatTwins, Twin | HeatTwin]:
-    """Fit a twin to campaigns of a machine, one or several, and return it with the twins among which it is.
-
-    Parameters
-    ----------
-    campaigns : sequence of str
-        As :func:`twins_for` takes them.
-    """
+    """Fit a twin to campaigns of a machine, one or several, as :func:`twins_for` takes them; return it with its twins."""
     twins, names = twins_for(home, library, campaigns)
     if len(names) == 1:
         return twins, twins.fit(names[0], effects, name, robust=robust)

@@ -42,13 +42,7 @@ class TwinView:
 
 
 def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
-    """Diagnose or compare every twin of a machine that is of the kind of a campaign.
-
-    Parameters
-    ----------
-    machine, campaign : str
-        The machine, and a campaign of it in the lake.
-    """
+    """Diagnose or compare every twin of a machine that is of the kind of a campaign, which is in the lake."""
     views = []
     lake = Lake(home.lake)
     kind = lake.campaign(campaign).kind

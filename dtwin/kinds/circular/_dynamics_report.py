@@ -39,13 +39,7 @@ def dynamics_text(result: Mapping[str, Any]) -> str:
 
 
 def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -> str:
-    """Return the dynamic parts of a campaign as a page that holds everything it shows.
-
-    Parameters
-    ----------
-    result, curves
-        As ``dtwin.kinds.circular._dynamics.Split`` holds them.
-    """
+    """Return the dynamic parts of a campaign as a page that holds everything it shows."""
     findings = [(f["severity"], f["message"]) for f in result["findings"]]
     paragraphs = [_tuned(result["tuning"])] if result["tuning"] else []
     sections = [

@@ -18,13 +18,7 @@ _MODEL_HEAD = ("model", "parameters with shapes", "other pass µm", "path not fi
 
 
 def recording_text(result: Mapping[str, Any]) -> str:
-    """Return the result as text.
-
-    Parameters
-    ----------
-    result : dict
-        ``Study.result``.
-    """
+    """Return ``Study.result`` as text."""
     parts = [*_alignment(result), "", *_stretches(result), "", *_vendor(result), ""]
     for name, rungs in result["ladders"].items():
         chosen = ", lowest on the other pass" if name == result["best"] else ""
@@ -38,13 +32,7 @@ def recording_text(result: Mapping[str, Any]) -> str:
 
 
 def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Floats, Floats]]) -> list[Section]:
-    """Return the sections of a page.
-
-    Parameters
-    ----------
-    result : dict
-        ``Study.result``.
-    """
+    """Return the sections of a page about ``Study.result``."""
     steps = [_step(step) for step in result["plan"]]
     return [
         Section("Alignment", [*_alignment(result), *_stretches(result)]),

@@ -34,8 +34,6 @@ class LinearPlan:
 
     Attributes
     ----------
-    name, machine : str
-        Names of the campaign and of the machine.
     axis : str
         ``X``, ``Y`` or ``Z``.
     unit : str

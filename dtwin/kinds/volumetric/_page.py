@@ -13,13 +13,7 @@ from dtwin.report.plots import COLOURS, styled
 
 
 def volumetric_page(found: Mapping[str, Any]) -> str:
-    """Return a page that holds everything it shows.
-
-    Parameters
-    ----------
-    found : dict
-        As ``dtwin.kinds.volumetric._judging.judged`` gives it.
-    """
+    """Return what ``judged`` found as a page that holds everything it shows."""
     d = found["distances"]
     told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]
     head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")

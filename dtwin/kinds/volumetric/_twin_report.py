@@ -213,13 +213,7 @@ def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
 
 
 def motion_figure(result: Mapping[str, Any]) -> go.Figure:
-    """Return every error motion at the balls: measured, left, and its noise.
-
-    Parameters
-    ----------
-    result : dict
-        A comparison, as its ``as_dict`` gives it.
-    """
+    """Return every error motion at the balls, of a comparison as a mapping: measured, left, and its noise."""
     rows = sorted(result["motions"], key=lambda m: -m["rms_before_um"])
     figure = go.Figure()
     for label, key, colour in (
@@ -240,13 +234,7 @@ def motion_figure(result: Mapping[str, Any]) -> go.Figure:
 
 
 def day_figure(result: Mapping[str, Any]) -> go.Figure:
-    """Return the error at the balls day by day, measured and left.
-
-    Parameters
-    ----------
-    result : dict
-        A comparison, as its ``as_dict`` gives it.
-    """
+    """Return the error at the balls day by day, of a comparison as a mapping: measured and left."""
     days = result["conditions"]
     named = [f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days]
     figure = go.Figure()

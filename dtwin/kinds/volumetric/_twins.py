@@ -37,8 +37,6 @@ class HeatComparison:
 
     Attributes
     ----------
-    twin : HeatTwin
-        The twin, its parameters as they are.
     left : ndarray, shape (cycles, motions)
         Motions less what the twin says of them.
     """
@@ -97,12 +95,8 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        campaign : str
-            Name in the lake, or a folder.
         effects : sequence of str
             Error motions or families, as :func:`dtwin.kinds.volumetric._motions.heat_terms` takes them.
-        robust : bool
-            Not for this kind.
 
         Raises
         ------
@@ -122,12 +116,7 @@ class HeatTwins(TwinShelf):
         return self._store(name, loaded, terms, "fit")
 
     def compare(self, name: str, campaign: str | None = None) -> HeatComparison:
-        """Compare a twin with measurements.
-
-        Parameters
-        ----------
-        campaign : str, optional
-            Other measurements than those of the fit.
+        """Compare a twin with measurements, those of its fit without a campaign.
 
         Raises
         ------
@@ -145,13 +134,7 @@ class HeatTwins(TwinShelf):
         return HeatComparison(twin, series, left, loaded.worst_places(left), warnings)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[HeatTwin, HeatDiagnosis]:
-        """Find out what a twin lacks.
-
-        Parameters
-        ----------
-        seed : int
-            Not used: nothing here is random.
-        """
+        """Find out what a twin lacks; nothing here is random."""
         twin = self.newest(name)
         return twin, self._diagnosed(twin, self._loaded(twin))
 
@@ -175,12 +158,7 @@ class HeatTwins(TwinShelf):
         return self._store(name, loaded, terms, _added(twin, terms))
 
     def remove(self, name: str, effect: str, axis: str = "") -> HeatTwin:
-        """Take an error motion or a family out, refit, and store the new version.
-
-        Parameters
-        ----------
-        name, effect, axis : str
-            The twin, and what to take out, whatever drives it.
+        """Take an error motion or a family out, whatever drives it, refit, and store the new version.
 
         Raises
         ------
@@ -195,23 +173,12 @@ class HeatTwins(TwinShelf):
         return self._store(name, self._loaded(twin), kept, f"remove {effect}")
 
     def restore(self, name: str, version: int) -> HeatTwin:
-        """Refit with the effects of an older version, and store that as a new one.
-
-        Parameters
-        ----------
-        version : int
-            The version to go back to.
-        """
+        """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
         return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
-        """Diagnose and add until nothing is missing, or nothing that was logged would help.
-
-        Parameters
-        ----------
-        seed : int
-            Not used.
+        """Diagnose and add until nothing is missing, or nothing that was logged would help; nothing here is random.
 
         Returns
         -------

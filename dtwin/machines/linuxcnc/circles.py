@@ -87,15 +87,10 @@ class Trace:
 
 
 def program(circles: Sequence[Circle]) -> str:
-    """Return G-code that runs circles about the machine's zero.
+    """Return G-code that runs circles about the machine's zero, in order.
 
     Every circle tells the HAL what it is through analogue outputs that LinuxCNC sets in step with
     the motion (M67): 0 number, counted from 1; 1 direction; 2 radius; 3 to 5 centre; 6 plane; 7 feed.
-
-    Parameters
-    ----------
-    circles : sequence of Circle
-        In order.
     """
     lines = ["G21 G90 G64 G94 G49 G40"]
     for number, circle in enumerate(circles, start=1):
