@@ -343,13 +343,6 @@ def radial_unit(plane: str, angle_rad: Floats | float) -> Floats:
     return np.cos(angle) * first + np.sin(angle) * second
 
 
-def tangent_unit(plane: str, angle_rad: Floats | float) -> Floats:
-    """Return the unit vector of increasing path angle, shape (..., 3)."""
-    first, second = plane_axes(plane)
-    angle = np.asarray(angle_rad, dtype=np.float64)[..., None]
-    return np.cos(angle) * second - np.sin(angle) * first
-
-
 def normal_unit(plane: str) -> Floats:
     """Return the unit vector (3,) that is normal to a plane."""
     return np.cross(*plane_axes(plane))

@@ -18,13 +18,14 @@ from dtwin.kinds.linear._models import (
     Unidirectional,
     averages_of,
     fit_dual,
-    fit_single,
+    in_inches,
+    inches_of,
     whole_turns,
 )
 from dtwin.kinds.linear._net_training import ALGORITHMS, Trained, train_net
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
-from dtwin.kinds.linear._small_net import new_net
+from dtwin.kinds.linear._small_net import SmallNet, new_net
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress
@@ -33,6 +34,7 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms
 from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
+_SINGLE_NEURONS = 40
 # Steps of tables, in inches.
 STEPS_IN = (1.0, 0.52, 0.25, 0.1, 0.025)
 _PAPER_UM = {
@@ -304,15 +306,40 @@ def _reached(target: str, what: str, goal: float, epochs: int, found: Sequence[T
     )
 
 
+@dataclass(frozen=True)
+class _SingleNet:
+    """One network of direction, position and position within the turn."""
+
+    net: SmallNet
+    trained: Trained
+
+    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
+        """Return the error, shape (n,)."""
+        position_in = in_inches(position_mm)
+        turned = np.fmod(position_in, PITCH_IN)
+        return UM_PER_IN * self.net.evaluate(np.column_stack([direction, position_in, turned]))
+
+
+def _fit_single(averages: Averages, epochs: int, goal: float = 0.0) -> _SingleNet:
+    """Train the published single network on all targets of both directions; ``goal``: squared errors at which it stops."""
+    direction, position, error = inches_of(averages)
+    turned = np.fmod(position, PITCH_IN)
+    reach = (float(position.min()), float(position.max()))
+    net = new_net(_SINGLE_NEURONS, ((0.0, 1.0), reach, (0.0, PITCH_IN)), np.random.default_rng(0))
+    inputs = np.column_stack([direction, position, turned])
+    trained = train_net(net, inputs, error, epochs=epochs, goal=goal)
+    return _SingleNet(trained.net, trained)
+
+
 def _single(exact: Averages, size: Size) -> list[Line]:
-    single = fit_single(exact, PITCH_IN, 0, epochs=size.single_epochs)
+    single = _fit_single(exact, size.single_epochs)
     direction, position, error = exact.stacked()
     worst_in = float(np.max(np.abs(single.error_um(direction, position) - error))) / UM_PER_IN
     dual = fit_dual(exact, PITCH_IN, 0)
     dual_error = (dual.error_um(direction, position) - error) / UM_PER_IN
     dual_s = sum(t.seconds for t in dual.trained)
     level = float(dual_error @ dual_error)
-    equal = fit_single(exact, PITCH_IN, 0, epochs=size.single_epochs, goal=level).trained
+    equal = _fit_single(exact, size.single_epochs, level).trained
     ratio = equal.seconds / dual_s
     same = equal.sse <= level
     return [

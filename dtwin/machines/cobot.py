@@ -11,14 +11,13 @@ from dtwin.kinematics import UR10E, normal_unit, plane_axes
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines._joints import gravity_torque_kernel, transmission_table, wind_up_kernel
-from dtwin.machines._recording import CobotRecording, RunTicks, Setup, path_geometry, record
+from dtwin.machines._recording import CobotRecording, RunTicks, Setup, record
 from dtwin.machines._sensors import sensor_matrix
 from dtwin.machines.controller import CircleController
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
 from dtwin.machines.motion import ANGLE0, KIND, LINE, LINE_FROM, RADIUS0, CircleCondition, MotionPlan, plan_motion
 from dtwin.machines.parameters import CobotParameters, load_parameters
 from dtwin.schema import Floats
-from dtwin.units import UM_PER_MM
 
 __all__ = ["CircleCondition", "CobotRecording", "VirtualCobot"]
 
@@ -86,19 +85,6 @@ class VirtualCobot:
             memory.copy(),
             lambda ticks: self.recording_of(condition, plan, ticks, setup, repeat),
         )
-
-    def repeatable_error_um(self, condition: CircleCondition) -> tuple[Floats, Floats, Floats]:
-        """Return the truth without set-up, noise and drift, at every controller tick.
-
-        Returns (n,), (n,) and (n, 3): machine time in s, radial error in um, error vector in the base frame in um.
-        """
-        condition = condition.standard()
-        plan = self.plan(condition)
-        truths = self.run(plan).truths
-        vector_um = UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3])
-        _, _, radial = path_geometry(plan, condition.plane, truths[:, :3])
-        t_s = np.arange(len(truths)) / self.parameters.controller.rate_hz
-        return t_s, np.sum(vector_um * radial, axis=1), vector_um
 
     def centre_mm(self, radius_mm: float) -> Floats:
         """Return the nominal centre of the bar's table end in the base frame, shape (3,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from dtwin.report.plots import COLOURS, styled
 from dtwin.statistics import deviation_interval
 from dtwin.train.results import condition_name
 
+_PROMOTABLE = "expression, promotable"
 _LOWEST_R2 = -0.5
 _FAR = 100.0
 _ERRORS = "Error, RMS after set-up; bars: 95 % over runs; *: not trained"
@@ -67,21 +68,8 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
     floor_um, floor_dof : float
         Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
     """
-    figure = go.Figure()
-    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
-        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
-        figure.add_trace(
-            go.Scatter(
-                x=[c["p50_us"] for c in chosen],
-                y=[c["rms_um"] for c in chosen],
-                text=[c["name"] for c in chosen],
-                mode="markers+text" if promotable else "markers",
-                textposition="top center",
-                hovertemplate="%{text}<br>%{x:.3g} µs, %{y:z.1f} µm<extra></extra>",
-                name="expression, promotable" if promotable else "comparison only",
-                marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
-            )
-        )
+    figure = _over_latency(candidates, lambda c: c["rms_um"], "%{y:z.1f} µm")
+    figure.update_traces(textposition="top center").update_traces(mode="markers+text", selector={"name": _PROMOTABLE})
     axis = _range_of([c["rms_um"] for c in candidates])
     if not np.isnan(floor_um):
         figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
@@ -112,21 +100,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     candidates : sequence of mapping
         With ``name``, ``r2``, ``r2_text``, ``p50_us`` (may be None) and ``promotable``.
     """
-    figure = go.Figure()
-    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
-        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
-        figure.add_trace(
-            go.Scatter(
-                x=[c["p50_us"] for c in chosen],
-                y=[max(c["r2"], _LOWEST_R2) for c in chosen],
-                customdata=[c["r2_text"] for c in chosen],
-                text=[c["name"] for c in chosen],
-                mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} µs, R² %{customdata}<extra></extra>",
-                name="expression, promotable" if promotable else "comparison only",
-                marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
-            )
-        )
+    figure = _over_latency(candidates, lambda c: max(c["r2"], _LOWEST_R2), "R² %{customdata}", "r2_text")
     figure.add_hline(y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction")
     figure.update_layout(
         title=f"R² on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
@@ -134,6 +108,28 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         yaxis={"title": "R², held out"},
     )
     return styled(figure)
+
+
+def _over_latency(
+    candidates: Sequence[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], float], shown: str, told: str = ""
+) -> go.Figure:
+    """Return a value of each candidate over its latency; ``shown``: the value where the pointer is; ``told``: its words."""
+    figure = go.Figure()
+    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
+        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
+        figure.add_trace(
+            go.Scatter(
+                x=[c["p50_us"] for c in chosen],
+                y=[value(c) for c in chosen],
+                customdata=[c[told] for c in chosen] if told else None,
+                text=[c["name"] for c in chosen],
+                mode="markers",
+                hovertemplate="%{text}<br>%{x:.3g} µs, " + shown + "<extra></extra>",
+                name=_PROMOTABLE if promotable else "comparison only",
+                marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
+            )
+        )
+    return figure
 
 
 def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0) -> go.Figure:

@@ -19,7 +19,6 @@ from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, predict_um
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
-from dtwin.serve.graph import Graph
 from dtwin.serve.interface import SafetyLimits
 from dtwin.train.traced import NotTold, NotTraceable, TracedAlong
 from dtwin.train.twin_band import parameter_factor, squared
@@ -57,19 +56,6 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
         flanks.half_um(parameter_factor(twin, kept.twin, obs)),
     )
     return TwinBundle(replace(bundle, model_version=0), kept.choices, kept.twin)
-
-
-def flank_graph(twin: Twin, obs: Observations) -> Graph:
-    """Return the graph of both flanks at a position of the screw, without memory, in um.
-
-    ``twin``: with effects that can be carried only.
-    ``obs``: the runs that it was fitted to.
-    Input ``position_mm``; outputs ``forward`` and ``reverse``.
-    """
-    builder = GraphBuilder()
-    flanks = _Flanks(builder, twin, obs)
-    position = builder.input(POSITION)
-    return builder.graph({way: flanks.limit_um(position, way) for way in WAYS})
 
 
 def reach_mm(obs: Observations) -> tuple[float, float]:

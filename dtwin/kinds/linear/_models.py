@@ -17,9 +17,8 @@ from dtwin.kinds.linear._small_net import SmallNet, new_net
 from dtwin.schema import Floats
 
 MM_PER_IN, UM_PER_IN = 25.4, 25_400.0
-# As published: sums of squared errors at which the trainings of the pair stop; neurons of the single network.
+# As published: sums of squared errors at which the trainings stop.
 _GOALS = (4e-8, 9e-9)
-_SINGLE_NEURONS = 40
 
 
 class PositionModel(Protocol):
@@ -117,25 +116,10 @@ class DualNet:
 
     def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
         """Return the error, shape (n,)."""
-        position_in = _in_inches(position_mm)
+        position_in = in_inches(position_mm)
         turned = np.fmod(position_in, self.pitch_in)
         slow = self.full.evaluate(np.column_stack([direction, position_in]))
         return UM_PER_IN * (slow + self.cyclic.evaluate(np.column_stack([direction, turned])))
-
-
-@dataclass(frozen=True)
-class SingleNet:
-    """One network of direction, position and position within the turn."""
-
-    net: SmallNet
-    pitch_in: float
-    trained: Trained
-
-    def error_um(self, direction: Floats, position_mm: Floats) -> Floats:
-        """Return the error, shape (n,)."""
-        position_in = _in_inches(position_mm)
-        turned = np.fmod(position_in, self.pitch_in)
-        return UM_PER_IN * self.net.evaluate(np.column_stack([direction, position_in, turned]))
 
 
 def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
@@ -143,17 +127,17 @@ def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
 
     ``averages``: its first target must lie at a whole turn.
     """
-    direction, position, error = _inches(averages.every(pitch_in * MM_PER_IN))
+    direction, position, error = inches_of(averages.every(pitch_in * MM_PER_IN))
     return np.column_stack([direction, position]), error
 
 
-def _inches(averages: Averages) -> tuple[Floats, Floats, Floats]:
+def inches_of(averages: Averages) -> tuple[Floats, Floats, Floats]:
     """Return direction, position and error of both directions as networks take them."""
     direction, position_mm, error_um = averages.stacked()
-    return direction, _in_inches(position_mm), error_um / UM_PER_IN
+    return direction, in_inches(position_mm), error_um / UM_PER_IN
 
 
-def _in_inches(position_mm: Floats) -> Floats:
+def in_inches(position_mm: Floats) -> Floats:
     """Return positions for networks: a whole turn of the screw is one, whatever the conversion rounds."""
     return np.asarray(np.round(position_mm / MM_PER_IN, 9))
 
@@ -163,7 +147,7 @@ def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floa
 
     ``averages``: several targets in each turn.
     """
-    direction, position, error = _inches(averages)
+    direction, position, error = inches_of(averages)
     rest = error - full.evaluate(np.column_stack([direction, position]))
     phase = np.mod(np.round(np.mod(position, pitch_in), 6), pitch_in)
     cells, place = np.unique(np.column_stack([direction, phase]), axis=0, return_inverse=True)
@@ -186,18 +170,3 @@ def fit_dual(
     cells, rest = _one_turn(averages, slow.net, pitch_in)
     fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=_GOALS[1])
     return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
-
-
-def fit_single(averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0) -> SingleNet:
-    """Train the published single network on all targets of both directions.
-
-    ``averages``: mean errors.
-    ``goal``: sum of squared errors at which the training stops.
-    """
-    direction, position, error = _inches(averages)
-    turned = np.fmod(position, pitch_in)
-    reach = (float(position.min()), float(position.max()))
-    net = new_net(_SINGLE_NEURONS, ((0.0, 1.0), reach, (0.0, pitch_in)), np.random.default_rng(seed))
-    inputs = np.column_stack([direction, position, turned])
-    trained = train_net(net, inputs, error, epochs=epochs, goal=goal)
-    return SingleNet(trained.net, pitch_in, trained)

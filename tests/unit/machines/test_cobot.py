@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from repeatable_error import repeatable_error_um
 
 from dtwin.kinematics import UR10E, jacobian_kernel
 from dtwin.links import state as layout
@@ -69,7 +70,7 @@ def test_ball_bar_is_the_sum_of_the_parts_of_the_truth(cobot: VirtualCobot) -> N
 
 
 def test_repeatable_error_is_what_repeats(cobot: VirtualCobot) -> None:
-    t_s, radial_um, vector_um = cobot.repeatable_error_um(FAST)
+    t_s, radial_um, vector_um = repeatable_error_um(cobot, FAST)
     truth = cobot.measure(FAST, setup="s9", repeat=4).truth
     np.testing.assert_allclose(radial_um, truth.parts_um["joints"] + truth.parts_um["structure"], atol=1e-6)
     np.testing.assert_array_equal(t_s, truth.t_s)
@@ -95,13 +96,13 @@ def test_controller_without_correction_is_the_same_machine(cobot: VirtualCobot) 
 
 
 def test_oracle_correction_removes_most_of_the_repeatable_error(cobot: VirtualCobot) -> None:
-    _, _, vector_um = cobot.repeatable_error_um(FAST)
+    _, _, vector_um = repeatable_error_um(cobot, FAST)
     lead = 7  # delay of two ticks and a lag of four, plus the tick itself
     controller = run(cobot.controller(FAST, setup="s1", repeat=1), -vector_um[lead:])
     recording = controller.recording()
     parts = recording.truth.parts_um
     inside = slice(2000, -2000)
-    _, radial_um, _ = cobot.repeatable_error_um(FAST)
+    _, radial_um, _ = repeatable_error_um(cobot, FAST)
     after = (parts["joints"] + parts["structure"] + parts["correction"])[inside]
     assert after.std() < 0.4 * radial_um[inside].std()
 

@@ -27,7 +27,8 @@ def test_correction_cancels_a_radial_error(plane: str, angle: float) -> None:
 def test_tangential_and_normal_axes(plane: str, angle: float) -> None:
     outputs = tuple(Output(f, f, "correction") for f in ("path_tangential", "path_normal"))
     found = Direction(outputs).apply(np.array([3.0, 5.0]), angle, PLANES.index(plane))
-    expected = 3.0 * kinematics.tangent_unit(plane, angle) + 5.0 * kinematics.normal_unit(plane)
+    normal = kinematics.normal_unit(plane)
+    expected = 3.0 * np.cross(normal, kinematics.radial_unit(plane, angle)) + 5.0 * normal
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

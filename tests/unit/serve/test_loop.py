@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bundles import path_bundle, sensor_bundle
+from repeatable_error import repeatable_error_um
 
 from dtwin.errors import DeviceError, InputError
 from dtwin.features.motion import PathInputs
@@ -49,7 +50,7 @@ def angle_bundle(cobot: VirtualCobot, frame: str = "path_radial", role: str = "e
         states.append(controller.state().copy())
         controller.step(layout.correction_registers())
     angle = PathInputs(dict(layout.INDEX), TCP_MM).batch(np.array(states))[:, 0]
-    _, radial_um, _ = cobot.repeatable_error_um(CONDITION)
+    _, radial_um, _ = repeatable_error_um(cobot, CONDITION)
     n = min(len(angle), len(radial_um))
     order = np.argsort(angle[:n], kind="stable")
     start, stop = angle.min(), angle.max()

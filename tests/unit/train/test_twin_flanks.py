@@ -13,7 +13,7 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.linear._correction import test_of_runs
-from dtwin.kinds.linear._freeze import flank_graph, flanks_twin_bundle, pitch_mm, reach_mm
+from dtwin.kinds.linear._freeze import _Flanks, flanks_twin_bundle, pitch_mm, reach_mm
 from dtwin.kinds.linear._gates import along, positioning_gates
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
@@ -25,6 +25,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, chosen_terms, predict_um, twin_of
 from dtwin.schema import Floats
+from dtwin.serve.builder import GraphBuilder
 from dtwin.units import UM_PER_MM
 
 LIBRARY = Library()
@@ -70,7 +71,8 @@ def twin(worn: Observations) -> Twin:
 
 
 def evaluated(twin: Twin, obs: Observations, position_mm: Floats, way: str) -> Floats:
-    graph = flank_graph(twin, obs)
+    builder = GraphBuilder()
+    graph = builder.graph({way: _Flanks(builder, twin, obs).limit_um(builder.input("position_mm"), way)})
     found = [graph.evaluate({"position_mm": float(x)}, {})[0][way] for x in position_mm]
     return np.array(found)
 
