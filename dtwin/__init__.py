@@ -48,5 +48,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return what is public."""
     return sorted([*__all__, "__version__"])

@@ -37,7 +37,6 @@ class Bucket:
     below: str = ""
 
     def __truediv__(self, name: str) -> Bucket:
-        """Return a folder below this one."""
         return Bucket(self.url, self.endpoint, f"{self.below}/{name}".strip("/"))
 
     def __str__(self) -> str:

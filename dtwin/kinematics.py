@@ -301,21 +301,6 @@ class KinematicChain:
 UR10E = KinematicChain("UR10e")
 
 
-def forward(q_rad: Floats, tcp_mm: Floats) -> tuple[Floats, Floats]:
-    """Return position (3,) in mm and rotation (3, 3) of the UR10e's tool."""
-    return UR10E.forward(q_rad, tcp_mm)
-
-
-def position_jacobian(q_rad: Floats, tcp_mm: Floats) -> Floats:
-    """Return the UR10e's d(position)/d(joints), shape (3, 6), in mm/rad."""
-    return UR10E.position_jacobian(q_rad, tcp_mm)
-
-
-def inverse(position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
-    """Return the UR10e's joint angles (6,) for a pose, on the branch of the seed."""
-    return UR10E.inverse(position_mm, rotation, tcp_mm, seed_q_rad)
-
-
 def plane_axes(plane: str) -> tuple[Floats, Floats]:
     """Return the base-frame unit vectors (3,) of a plane's first and second axis.
 

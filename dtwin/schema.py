@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -50,6 +50,14 @@ def require_name(name: object, what: str) -> str:
         got=repr(name)[:120],
         allowed="1 to 100 letters, digits and . _ + -, starting with a letter or digit, without '..', no device such as CON",
     )
+
+
+def fresh_name(name: str, taken: Container[str]) -> str:
+    """Return a name that is not taken: itself, else with the first number from 2 that makes it one."""
+    number = 1
+    while (fresh := name if number == 1 else f"{name}-{number}") in taken:
+        number += 1
+    return fresh
 
 
 def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:

@@ -44,7 +44,6 @@ class WindowContract:
     detrend: str = "none"
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be computed."""
         problem = self._problem()
         if problem:
             raise InputError("unusable window contract", code="window.contract", got=problem)

@@ -15,7 +15,7 @@ from dtwin.lifecycle.train import geometry_of, markdown_table
 from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
-from dtwin.schema import Campaign
+from dtwin.schema import Campaign, fresh_name
 from dtwin.serve.bundle import Bundle
 from dtwin.train.evidence import WITH, WITHOUT, Evidence, evidence_of_runs
 from dtwin.train.evidence_record import keep, newest, require_same
@@ -113,7 +113,7 @@ def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredW
     ``version``: whose correction was in force in the runs that say so.
     """
     lake, first = Lake(home.lake), measured.runs[0].meta
-    name = _fresh_name(lake, f"evidence-{version.machine}-v{version.version}")
+    name = fresh_name(f"evidence-{version.machine}-v{version.version}", lake.campaigns())
     geometry = geometry_of(Registry(home), version) | {"virtual": True}
     campaign = Campaign(name, version.machine, first.kind, first.started, geometry)
     lake.commit(campaign, measured.runs)
@@ -233,9 +233,3 @@ def _keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) ->
     text = f"Closed-loop evidence ({evidence.kind}, {found['clock']}):\n\n"
     text += markdown_table(*evidence_table(found))
     registry.mark(version, {}, description=f"{registry.description(version)}\n\n{text}")
-
-
-def _fresh_name(lake: Lake, name: str) -> str:
-    taken = set(lake.campaigns())
-    names = (name if n == 1 else f"{name}-{n}" for n in range(1, 10_000))
-    return next(n for n in names if n not in taken)

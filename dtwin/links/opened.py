@@ -15,13 +15,11 @@ class Closed(ABC):
         """Release the device."""
 
     def __enter__(self) -> Self:
-        """Return the device."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Release the device."""
         self.close()
 
 
@@ -33,6 +31,5 @@ class OpenAndClose(Closed):
         """Connect and set up."""
 
     def __enter__(self) -> Self:
-        """Open the device."""
         self.open()
         return self

@@ -37,7 +37,6 @@ class NoiseParameters:
     reference_feed_mm_min: float = 2300.0
 
     def __post_init__(self) -> None:
-        """Refuse unknown kinds."""
         if self.kind not in _KINDS:
             raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(_KINDS))
 

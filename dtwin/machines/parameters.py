@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from dtwin.errors import InputError
 
@@ -160,17 +160,6 @@ class CobotParameters:
     controller: ControllerParameters
 
 
-_SECTIONS: dict[str, type] = {
-    "motion": MotionParameters,
-    "joints": JointParameters,
-    "structure": StructureParameters,
-    "disturbance": _DisturbanceParameters,
-    "ballbar": BallbarParameters,
-    "accelerometers": AccelerometerParameters,
-    "controller": ControllerParameters,
-}
-
-
 def load_parameters(path: Path | None = None) -> CobotParameters:
     """Return the parameters of a TOML file; without one, the committed ones.
 
@@ -183,7 +172,7 @@ def load_parameters(path: Path | None = None) -> CobotParameters:
     table = tomllib.loads(text)
     sections = {
         name: _section(kind, table.get(name, {}), f"{path or 'cobot.toml'} [{name}]")
-        for name, kind in _SECTIONS.items()
+        for name, kind in get_type_hints(CobotParameters).items()
     }
     return CobotParameters(**sections)
 

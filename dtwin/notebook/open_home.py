@@ -72,7 +72,6 @@ class OpenHome:
         self._library = Library([Path(path) for path in effects])
 
     def __repr__(self) -> str:
-        """Return what is open."""
         campaigns = self._lake.campaigns()
         return f"home {self.home.root}, campaigns: {', '.join(campaigns) or 'none yet'}"
 

@@ -32,7 +32,6 @@ class Result:
     _draw: Callable[[], Sequence[go.Figure]]
 
     def __repr__(self) -> str:
-        """Return the text."""
         return self.text
 
     def plot(self, number: int = 0) -> go.Figure:
@@ -158,7 +157,6 @@ class IngestResult:
     findings: pd.DataFrame
 
     def __repr__(self) -> str:
-        """Return one line."""
         return (
             f"{self.campaign}: {len(self.added)} runs added, {len(self.unchanged)} unchanged, "
             f"{self.rejected_rows} rows rejected, {len(self.findings)} findings"

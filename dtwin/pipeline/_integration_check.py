@@ -39,7 +39,6 @@ class IntegrationCheck:
         return dict(vars(self))
 
     def __str__(self) -> str:
-        """Return one sentence."""
         return (
             f"double integration of ideal accelerations ({_COUPLING_HZ:g} Hz coupling, restarted "
             f"every {1000 * _WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} µm RMS for this "

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.schema import Floats
+from dtwin.errors import InputError
+from dtwin.schema import Floats, Run
 
 # Okabe and Ito: told apart by every kind of colour vision.
 COLOURS = {"measured": "#0072B2", "second": "#D55E00", "third": "#009E73", "fourth": "#CC79A7", "floor": "#999999"}
@@ -17,6 +18,13 @@ _REACH = 0.4
 """Part of the radius that the largest error may take in a polar plot."""
 _ARROW_DEG = 8.0
 _PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
+
+
+def lacks_columns(run: Run, what: str, allowed: str) -> InputError:
+    """Return the refusal to draw a run without the columns of a figure."""
+    return InputError(
+        f"the run has no {what}", code="run.columns", where=run.meta.run_id, got=", ".join(run.samples), allowed=allowed
+    )
 
 
 def polar_figure(

@@ -40,7 +40,6 @@ class AnalogueWiring:
     states_hz: float = 500.0
 
     def __post_init__(self) -> None:
-        """Refuse a rate that is none."""
         if not 1.0 <= self.states_hz <= 10_000.0:
             raise InputError(
                 "the state feed cannot have this rate",

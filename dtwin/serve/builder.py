@@ -21,43 +21,33 @@ class Expression:
     index: int
 
     def __add__(self, other: Term) -> Expression:
-        """Add."""
         return self.builder.apply("add", self, other)
 
     def __radd__(self, other: Term) -> Expression:
-        """Add."""
         return self.builder.apply("add", other, self)
 
     def __sub__(self, other: Term) -> Expression:
-        """Subtract."""
         return self.builder.apply("sub", self, other)
 
     def __rsub__(self, other: Term) -> Expression:
-        """Subtract."""
         return self.builder.apply("sub", other, self)
 
     def __mul__(self, other: Term) -> Expression:
-        """Multiply."""
         return self.builder.apply("mul", self, other)
 
     def __rmul__(self, other: Term) -> Expression:
-        """Multiply."""
         return self.builder.apply("mul", other, self)
 
     def __truediv__(self, other: Term) -> Expression:
-        """Divide."""
         return self.builder.apply("div", self, other)
 
     def __rtruediv__(self, other: Term) -> Expression:
-        """Divide."""
         return self.builder.apply("div", other, self)
 
     def __neg__(self) -> Expression:
-        """Change the sign."""
         return self.builder.apply("neg", self)
 
     def __abs__(self) -> Expression:
-        """Take the magnitude."""
         return self.builder.apply("abs", self)
 
     def __pow__(self, n: int) -> Expression:

@@ -95,7 +95,6 @@ class ServeRequest:
         )
 
     def __post_init__(self) -> None:
-        """Refuse a time that is none."""
         if not 0.0 <= self.patience_s < math.inf:
             raise InputError(
                 "the patience is not a time to wait",

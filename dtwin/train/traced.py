@@ -64,7 +64,6 @@ class Traced(NDArrayOperatorsMixin):
         return 1
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        """Apply an operator column by column."""
         # ``a *= b`` names a as where the result goes; a new value takes its name instead.
         options.pop("out", None)
         if method != "__call__" or options:
@@ -165,11 +164,9 @@ class NotTold(Traced):
         self.what = what
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Traced:
-        """Refuse."""
         raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
 
     def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Traced:
-        """Refuse."""
         raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
 
 

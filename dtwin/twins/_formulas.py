@@ -29,7 +29,6 @@ class WithFormulas(Mapping[str, Effect]):
         return name
 
     def __getitem__(self, name: str) -> Effect:
-        """Return an effect; see ``Library``."""
         path = self.folder / f"{name}.json"
         if not name.startswith(_PREFIX) or not path.exists():
             return self.library[name]
@@ -44,7 +43,6 @@ class WithFormulas(Mapping[str, Effect]):
         return formula_effect(name, text)
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is an effect of that name."""
         return name in self.library or (self.folder / f"{name}.json").exists()
 
     def __iter__(self) -> Iterator[str]:
@@ -52,7 +50,6 @@ class WithFormulas(Mapping[str, Effect]):
         return iter(self.library)
 
     def __len__(self) -> int:
-        """Return how many other effects there are."""
         return len(self.library)
 
 

@@ -47,7 +47,6 @@ class _Change:
         return fell > doubt and abs(self.after) <= _LEFT * abs(self.before)
 
     def __str__(self) -> str:
-        """Return it as a line."""
         return (
             f"{self.name.replace('_', ' ')} {self.before:.3g} ± {self.before_uncertainty:.2g} -> "
             f"{self.after:.3g} ± {self.after_uncertainty:.2g} {self.unit}"

@@ -17,6 +17,7 @@ from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.report.sheet import budget_rows
+from dtwin.schema import fresh_name
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._jobs import Tell
@@ -97,7 +98,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         paths=paths,
         effects=possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],
-        suggested=_free_name([twin.name for twin in twins], line.machine),
+        suggested=fresh_name(line.machine, [twin.name for twin in twins]),
         fitted=[twin.name for twin in twins if name in twin.campaigns],
     )
 
@@ -199,10 +200,3 @@ def _row(bench: Bench, name: str, run_id: str) -> Any:
         if row["run_id"] == run_id:
             return row
     raise InputError("no such run in the campaign", code="page.unknown", where=name, got=run_id[:100])
-
-
-def _free_name(taken: list[str], machine: str) -> str:
-    number = 1
-    while (name := machine if number == 1 else f"{machine}-{number}") in taken:
-        number += 1
-    return name

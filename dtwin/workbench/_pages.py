@@ -42,11 +42,6 @@ def um(value: float | None) -> str:
     return "\u2013" if value is None or not math.isfinite(value) else micrometres(value)
 
 
-def plain(value: float | None, digits: int = 3) -> str:
-    """Return a number for people, without exponents where none is needed."""
-    return number(value, digits)
-
-
 def stated(row: Mapping[str, Any]) -> str:
     """Return the conditions of a run that is no circle, for example ``axis Z, frequency_hz 5``."""
     condition = json.loads(row["condition_json"])
@@ -59,7 +54,7 @@ _ENVIRONMENT = Environment(
 _ENVIRONMENT.filters |= {
     "when": when,
     "um": um,
-    "plain": plain,
+    "plain": number,
     "condition": condition_words,
     "place": place_words,
     "stated": stated,

@@ -32,14 +32,14 @@ def homogeneous_position_mm(q_rad: np.ndarray, tcp_mm: np.ndarray) -> np.ndarray
 
 
 def test_zero_pose_is_the_published_one() -> None:
-    position, _ = kinematics.forward(np.zeros(6), np.zeros(3))
+    position, _ = kinematics.UR10E.forward(np.zeros(6), np.zeros(3))
     np.testing.assert_allclose(position, [-1184.25, -290.7, 60.85], atol=1e-9)
 
 
 @pytest.mark.parametrize("trial", range(5))
 def test_forward_agrees_with_homogeneous_matrices(trial: int) -> None:
     q = np.random.default_rng(trial).uniform(-3, 3, 6)
-    position, rotation = kinematics.forward(q, TCP_MM)
+    position, rotation = kinematics.UR10E.forward(q, TCP_MM)
     np.testing.assert_allclose(position, homogeneous_position_mm(q, TCP_MM), atol=1e-9)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
@@ -50,17 +50,17 @@ def test_jacobian_is_the_derivative_of_position() -> None:
     numeric = np.empty((3, 6))
     for j in range(6):
         shift = step * np.eye(6)[j]
-        ahead, _ = kinematics.forward(SEED_RAD + shift, TCP_MM)
-        behind, _ = kinematics.forward(SEED_RAD - shift, TCP_MM)
+        ahead, _ = kinematics.UR10E.forward(SEED_RAD + shift, TCP_MM)
+        behind, _ = kinematics.UR10E.forward(SEED_RAD - shift, TCP_MM)
         numeric[:, j] = (ahead - behind) / (2 * step)
-    np.testing.assert_allclose(kinematics.position_jacobian(SEED_RAD, TCP_MM), numeric, rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(kinematics.UR10E.position_jacobian(SEED_RAD, TCP_MM), numeric, rtol=1e-6, atol=1e-4)
 
 
 @pytest.mark.parametrize("trial", range(5))
 def test_inverse_returns_to_the_pose_on_the_branch_of_the_seed(trial: int) -> None:
     goal = SEED_RAD + np.random.default_rng(trial).uniform(-0.25, 0.25, 6)
-    position, rotation = kinematics.forward(goal, TCP_MM)
-    found = kinematics.inverse(position, rotation, TCP_MM, SEED_RAD)
+    position, rotation = kinematics.UR10E.forward(goal, TCP_MM)
+    found = kinematics.UR10E.inverse(position, rotation, TCP_MM, SEED_RAD)
     np.testing.assert_allclose(found, goal, atol=1e-8)
 
 
@@ -75,7 +75,7 @@ def test_path_is_inverted_sample_by_sample() -> None:
 
 def test_unreachable_pose_is_refused() -> None:
     with pytest.raises(InputError) as caught:
-        kinematics.inverse(np.array([2000.0, 0.0, 0.0]), np.eye(3), TCP_MM, SEED_RAD)
+        kinematics.UR10E.inverse(np.array([2000.0, 0.0, 0.0]), np.eye(3), TCP_MM, SEED_RAD)
     assert caught.value.code == "kinematics.unreachable"
 
 
@@ -86,7 +86,7 @@ sys.modules["scipy"] = None
 import numpy as np
 from dtwin import kinematics
 q = np.array([0.2, -1.9, 2.1, -1.77, -1.57, 0.3])
-position, rotation = kinematics.forward(q, np.zeros(3))
+position, rotation = kinematics.UR10E.forward(q, np.zeros(3))
 raw = kinematics.inverse_kernel.py_func
 from numba import njit
 fresh = njit(raw)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.errors import InputError
 from dtwin.kinds.kind import Drawing
 from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.report.plots import error_figure, polar_figure, spectrum_figure
+from dtwin.report.plots import error_figure, lacks_columns, polar_figure, spectrum_figure
 from dtwin.schema import Floats, Run
 
 if TYPE_CHECKING:
@@ -64,13 +63,7 @@ def _window(run: Run) -> slice:
 def _centred(run: Run) -> tuple[Floats, Floats]:
     window = _window(run)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):
-        raise InputError(
-            "the run has no deviation over an angle",
-            code="run.columns",
-            where=run.meta.run_id,
-            got=", ".join(run.samples),
-            allowed="angle_deg, deviation_um",
-        )
+        raise lacks_columns(run, "deviation over an angle", "angle_deg, deviation_um")
     angle = np.asarray(run.samples["angle_deg"], float)[window]
     deviation = np.asarray(run.samples["deviation_um"], float)[window]
     radius = float(run.meta.radius_mm or 100.0)

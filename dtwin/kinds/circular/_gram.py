@@ -30,7 +30,6 @@ class Sums:
     penalty: Floats
 
     def __add__(self, other: Sums) -> Sums:
-        """Return the sums over both cells."""
         return Sums(
             self.gram + other.gram,
             self.moment + other.moment,

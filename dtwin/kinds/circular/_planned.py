@@ -7,8 +7,7 @@ from typing import Any
 
 from dtwin.acquire.programs import gcode, urscript
 from dtwin.kinds.kind import Planned
-from dtwin.physics.experiment import REPEATS, planned_observations
-from dtwin.physics.observations import Observations
+from dtwin.physics.experiment import REPEATS
 from dtwin.physics.state import AXES_OF
 from dtwin.plan import Plan, advice, duration_s
 from dtwin.report.text import table
@@ -53,11 +52,6 @@ def programs(plan: Plan) -> dict[str, str]:
     return {
         f"{test.test_id}{suffix}": make(test, plan.directions) for test in plan.tests for suffix, make in makers.items()
     }
-
-
-def foreseen(plan: Plan) -> Observations:
-    """Return the circles of a plan with nothing in them."""
-    return planned_observations(plan)
 
 
 def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:

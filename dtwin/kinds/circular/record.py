@@ -81,9 +81,9 @@ class _Circular(Kind):
         return programs(planned.plan)
 
     def foreseen(self, planned: Planned) -> Observations:
-        from dtwin.kinds.circular._planned import foreseen
+        from dtwin.physics.experiment import planned_observations
 
-        return foreseen(planned.plan)
+        return planned_observations(planned.plan)
 
     def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
         from dtwin.kinds.circular._planned import proposals

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.errors import InputError
 from dtwin.kinds.kind import Drawing
-from dtwin.report.plots import error_figure
+from dtwin.report.plots import error_figure, lacks_columns
 from dtwin.schema import Run
 
 if TYPE_CHECKING:
@@ -19,13 +18,7 @@ if TYPE_CHECKING:
 def _along(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     """Draw the sweeps over their positions."""
     if not {"position_mm", "direction", "error_um"} <= set(run.samples):
-        raise InputError(
-            "the run has no error over a position",
-            code="run.columns",
-            where=run.meta.run_id,
-            got=", ".join(run.samples),
-            allowed="position_mm, direction, error_um",
-        )
+        raise lacks_columns(run, "error over a position", "position_mm, direction, error_um")
     position, error = (np.asarray(run.samples[n], float) for n in ("position_mm", "error_um"))
     ways = np.asarray(run.samples["direction"])
     curves = {str(way): (position[ways == way], error[ways == way]) for way in np.unique(ways)}

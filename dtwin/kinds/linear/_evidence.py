@@ -12,7 +12,7 @@ from dtwin.acquire.virtual import EPOCH
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import axis_number, is_positioning_bundle
 from dtwin.kinds.linear._gates import screw_logged
-from dtwin.kinds.linear._loop import PERIOD_S, exact_correction, looped, measured
+from dtwin.kinds.linear._loop import PERIOD_S, ExactCorrection, looped, measured
 from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._models import MM_PER_IN
 from dtwin.kinds.linear._plan import LinearPlan, better_step
@@ -49,7 +49,7 @@ def measured_days(
         first = 1000 * (seed + 1) + 10 * day
         lathe = virtual_lathe(truth, first)
         runs.append(_run_of_test(measured(lathe, plan), plan.axis, 2 * day))
-        oracle.append(_run_of_test(measured(lathe, plan, exact_correction(lathe)), plan.axis, 2 * day))
+        oracle.append(_run_of_test(measured(lathe, plan, ExactCorrection(lathe)), plan.axis, 2 * day))
         served = looped(virtual_lathe(truth, first + 1), plan, bundle)
         runs.append(_run_of_test(served.test, plan.axis, 2 * day + 1, bundle.model_sha256))
         guards.append(served.guard)

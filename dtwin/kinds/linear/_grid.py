@@ -59,7 +59,6 @@ class Stroke(OneAxis):
         return {"axis": self.axis, "direction": self.direction, "feed_mm_min": self.feed_mm_min}
 
     def __str__(self) -> str:
-        """Return it as people write it."""
         return f"{self.axis} {self.direction}"
 
 

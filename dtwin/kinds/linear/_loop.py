@@ -141,7 +141,7 @@ def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | N
     before = before_after_figures(measured(lathe, chosen))
     after = looped(lathe, chosen, bundle)
     calm = VirtualLathe(lathe.screw, Wander(0.0, 0.0, reading_um=0.0, quantum_um=0.0), seed)
-    floor = before_after_figures(measured(lathe, chosen, exact_correction(lathe)))
+    floor = before_after_figures(measured(lathe, chosen, ExactCorrection(lathe)))
     return {
         "clock": "machine clock, 10 ms cycle, one cycle late",
         "before": before,
@@ -154,14 +154,9 @@ def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | N
     }
 
 
-def exact_correction(lathe: VirtualLathe) -> PositionModel:
-    """Return a correction that knows the screw exactly."""
-    return _Exact(lathe)
-
-
 @dataclass(frozen=True)
-class _Exact:
-    """What would be left if the screw were known exactly: drift and noise of the test itself."""
+class ExactCorrection:
+    """A correction that knows the screw: what would be left if the screw were known exactly: drift and noise of the test itself."""
 
     lathe: VirtualLathe
 

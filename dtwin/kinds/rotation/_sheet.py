@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.errors import InputError
 from dtwin.kinds.kind import Drawing
 from dtwin.kinds.rotation._runout import groups_in, is_over_speed
 from dtwin.kinds.rotation._turns import Turns, Value, figures_of, filtered, once_of, synchronous_um, turns_of
-from dtwin.report.plots import error_figure, polar_figure
+from dtwin.report.plots import error_figure, lacks_columns, polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
 from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Floats, Run
@@ -132,13 +131,7 @@ def _drawn(run: Run, floor_um: Callable[[], float]) -> go.Figure:
 
 def _require(run: Run) -> None:
     if not ({"angle_deg", "displacement_um"} <= set(run.samples) or is_over_speed(run)):
-        raise InputError(
-            "the run has no displacement over an angle",
-            code="run.columns",
-            where=run.meta.run_id,
-            got=", ".join(run.samples),
-            allowed="angle_deg, displacement_um; or speed_rpm, runout_um",
-        )
+        raise lacks_columns(run, "displacement over an angle", "angle_deg, displacement_um; or speed_rpm, runout_um")
 
 
 def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
