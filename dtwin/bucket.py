@@ -232,10 +232,7 @@ def delta_options(bucket: Bucket) -> dict[str, str]:
 def told(bucket: Bucket, name: str, *, missing: bool = False) -> Iterator[None]:
     """Turn what goes wrong at a store into an error that says what, where and what to try.
 
-    Parameters
-    ----------
-    missing : bool
-        Whether an object that is not there is an answer: it raises FileNotFoundError.
+    ``missing``: whether an object that is not there is an answer: it raises FileNotFoundError.
     """
     from obstore.exceptions import BaseError
 

@@ -99,10 +99,7 @@ def read_record(home: Home, machine: str) -> MachineRecord | None:
 def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineRecord:
     """Check what is stated of a machine, and return its record.
 
-    Raises
-    ------
-    InputError
-        When a field is unknown or not usable.
+    Raises ``InputError`` when a field is unknown or not usable.
     """
     unknown = sorted(set(stated) - set(_FIELDS))
     if unknown:

@@ -111,10 +111,7 @@ class DeltaFiles:
     def accepted(self, schemas: Iterable[pa.Schema]) -> pa.Schema:
         """Return the columns of several files that are to be written.
 
-        Raises
-        ------
-        StoreError
-            When a column that holds numbers would hold text, or the other way round.
+        Raises ``StoreError`` when a column that holds numbers would hold text, or the other way round.
         """
         fields = self._open().schema().fields if self.exists() else []
         present = {field.name: str(field.type.type) for field in fields}
@@ -136,11 +133,8 @@ class DeltaFiles:
     def write(self, stem: str, table: pa.Table) -> Written:
         """Write a data file without committing it.
 
-        Parameters
-        ----------
-        stem : str
-            Path of the file inside the table without ending; the hash of what is written is
-            appended, which every read compares.
+        ``stem``: path of the file inside the table without ending; the hash of what is written is appended, which every
+        read compares.
         """
         return self.write_encoded(stem, encoded(table), table.num_rows)
 
@@ -159,24 +153,11 @@ class DeltaFiles:
 
         Files that are live already are left alone, so a repeated commit changes nothing.
 
-        Parameters
-        ----------
-        written : sequence of Written
-            Files from :meth:`write`.
-        schema : pyarrow.Schema
-            Their columns as :meth:`accepted` returned them; new ones extend the table.
-        only_at : int, optional
-            Version that the table must be at.
-
-        Returns
-        -------
-        int
-            Table version after the commit.
-
-        Raises
-        ------
-        Moved
-            When the table is at another version than it must be.
+        ``written``: files from :meth:`write`.
+        ``schema``: their columns as :meth:`accepted` returned them; new ones extend the table.
+        ``only_at``: version that the table must be at.
+        Returns table version after the commit.
+        Raises ``Moved`` when the table is at another version than it must be.
         """
         table = self._with_columns(schema)
         for attempt in range(_COMMIT_TRIES):

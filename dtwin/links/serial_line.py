@@ -72,10 +72,7 @@ class SerialLink(OpenAndClose):
     def send(self, payload: bytes) -> int:
         """Send a frame and return its sequence number.
 
-        Raises
-        ------
-        DeviceError
-            When the device does not take it in time or is gone.
+        Raises ``DeviceError`` when the device does not take it in time or is gone.
         """
         sequence = self._sequence
         data = encode(sequence, payload)
@@ -87,10 +84,7 @@ class SerialLink(OpenAndClose):
     def receive(self) -> list[Frame]:
         """Return the frames that have arrived, waiting for at least one.
 
-        Raises
-        ------
-        DeviceError
-            When no whole frame arrives in time, or the device is gone.
+        Raises ``DeviceError`` when no whole frame arrives in time, or the device is gone.
         """
         until_s = time.monotonic() + self.timeout_s
         while True:
@@ -111,10 +105,7 @@ class SerialLink(OpenAndClose):
     def arrived(self) -> list[Frame]:
         """Return the frames that have arrived, without waiting.
 
-        Raises
-        ------
-        DeviceError
-            When the device is gone.
+        Raises ``DeviceError`` when the device is gone.
         """
         with self._faults():
             waiting = self._device.in_waiting

@@ -111,12 +111,8 @@ class VirtualHexapod:
     def tool_mm(self, condition: CircleCondition, angle_rad: Floats) -> Floats:
         """Return where the ball in the spindle really is, shape (n, 3).
 
-        Parameters
-        ----------
-        condition : CircleCondition
-            In standard form.
-        angle_rad : ndarray, shape (n,)
-            Commanded path angle at ``_RATE_HZ``.
+        ``condition``: in standard form.
+        ``angle_rad`` (n,): commanded path angle at ``_RATE_HZ``.
         """
         first, second = plane_axes(condition.plane)
         spoke = np.cos(angle_rad)[:, None] * first + np.sin(angle_rad)[:, None] * second

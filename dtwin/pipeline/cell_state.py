@@ -68,12 +68,8 @@ class CellFile:
     def read(self) -> dict[str, Any]:
         """Return the state.
 
-        Raises
-        ------
-        InputError
-            When the cell has no job.
-        StoreError
-            When its file is damaged.
+        Raises ``InputError`` when the cell has no job.
+        Raises ``StoreError`` when its file is damaged.
         """
         try:
             document = json.loads(self._path.read_text(encoding="utf-8"))

@@ -37,12 +37,8 @@ class DivergenceWatch:
         grown three windows in a row to more than a fifth of that, or has twice thrown the motion out of the validity box while much of
         it was left: a correction that the box switches off and on again does not settle.
 
-        Parameters
-        ----------
-        left_um : float
-            Length of the error vector that the window foretells, um.
-        inside : bool
-            Whether the window lies in the validity box.
+        ``left_um``: length of the error vector that the window foretells, um.
+        ``inside``: whether the window lies in the validity box.
         """
         if not inside:
             return self._outside(left_um)

@@ -248,10 +248,7 @@ class Tape:
     def run(self, inputs: Floats) -> Floats:
         """Evaluate once; return the outputs, a view that the next run overwrites.
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (n_inputs,)
-            In the order given at the start.
+        ``inputs`` (n_inputs,): in the order given at the start.
         """
         if len(inputs) != len(self.inputs):
             raise ValueError(f"{len(inputs)} inputs given, {len(self.inputs)} wanted")

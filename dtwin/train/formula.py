@@ -58,12 +58,8 @@ class Formula:
     def values(self, inputs: Mapping[str, Floats], constants: Floats) -> Floats:
         """Evaluate over rows.
 
-        Parameters
-        ----------
-        inputs : mapping of str to ndarray, shape (n,)
-            Columns by name.
-        constants : ndarray, shape (k,)
-            Values of the constants.
+        ``inputs`` (n,): columns by name.
+        ``constants`` (k,): values of the constants.
         """
         if self.op == "constant":
             return np.asarray(constants[self.place])

@@ -113,10 +113,7 @@ class TwinShelf:
     def folder(self, name: str) -> Path:
         """Return the folder of a twin.
 
-        Raises
-        ------
-        InputError
-            When there is none.
+        Raises ``InputError`` when there is none.
         """
         require_name(name, "the twin")
         folder = self.root / name

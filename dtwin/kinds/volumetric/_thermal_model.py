@@ -54,14 +54,8 @@ class ThermalModel:
     def run(self, rise_c: Floats) -> Floats:
         """Return the motion in free run: what it remembers is its own prediction.
 
-        Parameters
-        ----------
-        rise_c : ndarray, shape (cycles, sensors)
-            Temperatures of its sensors since the reference.
-
-        Returns
-        -------
-        ndarray, shape (cycles,)
+        ``rise_c`` (cycles, sensors): temperatures of its sensors since the reference.
+        Returns shape (cycles,).
         """
         driven = rise_c @ self.per_k
         if self.memory == 0.0:
