@@ -114,7 +114,6 @@ class _Terminal:
         self.quiet = quiet
 
     def say(self, text: str) -> None:
-        """Show a finished result."""
         if not self.quiet:
             print(text, flush=True)
 

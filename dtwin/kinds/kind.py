@@ -80,7 +80,6 @@ class FileReader(Protocol):
         self, path: Path, campaign: Campaign, stated: Mapping[str, Any]
     ) -> tuple[list[Run], list[dict[str, Any]]]:
         """Return the runs of a file, and the rows that were rejected."""
-        ...
 
 
 @dataclass(frozen=True)

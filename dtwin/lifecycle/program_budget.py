@@ -63,7 +63,6 @@ class _ProgramBudget:
     outside: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
         made = {**vars(self), "causes": [vars(cut) for cut in self.causes], "every": vars(self.every)}
         return {**made, "not_told": dict(self.not_told)}
 

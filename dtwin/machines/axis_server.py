@@ -37,40 +37,32 @@ class AxisMachine(Protocol):
     @property
     def name(self) -> str:
         """Of the control."""
-        ...
 
     @property
     def period_s(self) -> float:
         """From tick to tick."""
-        ...
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Axes that take an offset."""
-        ...
 
     @property
     def provides(self) -> tuple[str, ...]:
         """Names of inputs and channels that it can send."""
-        ...
 
     @property
     def channels_hz(self) -> float:
         """Rate of its channels, 0 when it has none."""
-        ...
 
     @property
     def ticks(self) -> int:
         """Length of the program."""
-        ...
 
     def state(self, tick: int) -> Mapping[str, float]:
         """Return what is sent before a tick: its time, inputs, channels."""
-        ...
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Make a tick with an offset (3,) in force."""
-        ...
 
 
 class ServedMachine(AxisMachine, Protocol):
@@ -78,7 +70,6 @@ class ServedMachine(AxisMachine, Protocol):
 
     def write(self, folder: Path) -> str:
         """Write what was measured; return what it was."""
-        ...
 
 
 class AxisServer:
@@ -339,7 +330,6 @@ class _Client:
             self.gone = True
 
     def close(self) -> None:
-        """Close the connection."""
         self.socket.close()
 
 

@@ -37,11 +37,9 @@ class _Screen(Protocol):
 
     def say(self, text: str) -> None:
         """Show a finished result."""
-        ...
 
     def progress(self, title: str) -> Progress:
         """Return a progress callback for a piece of work."""
-        ...
 
 
 @dataclass(frozen=True)

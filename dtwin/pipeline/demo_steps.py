@@ -31,43 +31,33 @@ class Work(Protocol):
 
     def check(self, source: Path) -> dict[str, Any]:
         """Return what a file or folder says, and what is wrong with it."""
-        ...
 
     def ingest(self, source: Path) -> IngestReport:
         """Bring a file or folder into the lake."""
-        ...
 
     def measure(self, plan: Plan, folder: Path, seed: int) -> CampaignRun:
         """Measure a plan on the virtual cobot."""
-        ...
 
     def features(self, campaign: str) -> measuring.FeatureReport:
         """Compute the signal features of a campaign."""
-        ...
 
     def train(self, campaign: str) -> modelling.Registered:
         """Train every candidate and register the proposed one."""
-        ...
 
     def put_on_trial(self, version: RegisteredVersion, comment: str) -> Path:
         """Put a version on trial."""
-        ...
 
     def serve(self, machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
         """Serve the trial on the wall clock."""
-        ...
 
     def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
         """Measure circles with and without a version."""
-        ...
 
     def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
         """Make a version champion, or return why not."""
-        ...
 
     def reported(self, path: Path, conclusion: str) -> None:
         """Take note of the written report and of what the job came to."""
-        ...
 
 
 class Steps(Protocol):
@@ -81,7 +71,6 @@ class Steps(Protocol):
         do : callable
             The step; calls the methods of the work that it is given.
         """
-        ...
 
 
 class PlainSteps:
@@ -111,23 +100,18 @@ class _PlainWork:
         self._home, self._progress = home, progress
 
     def check(self, source: Path) -> dict[str, Any]:
-        """Return what a file or folder says, and what is wrong with it."""
         return check_source(source)
 
     def ingest(self, source: Path) -> IngestReport:
-        """Bring a file or folder into the lake."""
         return measuring.ingest(source, self._home, self._progress("ingest"))
 
     def measure(self, plan: Plan, folder: Path, seed: int) -> CampaignRun:
-        """Measure a plan on the virtual cobot."""
         return measuring.simulate(plan, folder, seed=seed, progress=self._progress("measure"))
 
     def features(self, campaign: str) -> measuring.FeatureReport:
-        """Compute the signal features of a campaign."""
         return measuring.compute_features(self._home, campaign, self._progress("features"))
 
     def train(self, campaign: str) -> modelling.Registered:
-        """Train every candidate and register the proposed one."""
         lines: dict[str, Progress] = {}
 
         def tell(stage: str, done: int, total: int, what: str) -> None:
@@ -136,19 +120,15 @@ class _PlainWork:
         return modelling.train(self._home, campaign, progress=tell)
 
     def put_on_trial(self, version: RegisteredVersion, comment: str) -> Path:
-        """Put a version on trial."""
         return modelling.put_on_trial(self._home, version, comment)
 
     def serve(self, machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
-        """Serve the trial on the wall clock."""
         return serve_wall_clock(self._home, machine, circle, duration_s, seed)
 
     def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
-        """Measure circles with and without a version."""
         return evidence.measure(self._home, version, seed=seed, plan=plan, progress=self._progress("circles"))
 
     def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
-        """Make a version champion, or return why not."""
         return evidence.make_champion(self._home, version, comment)
 
     def reported(self, path: Path, conclusion: str) -> None:

@@ -35,7 +35,6 @@ class Note(Protocol):
 
     def __call__(self, event: str, **details: object) -> None:
         """Note an event with its details, JSON-ready."""
-        ...
 
 
 def no_journal(event: str, **details: object) -> None:

@@ -33,20 +33,16 @@ class OpenLink(Link, Protocol):
     @property
     def newest(self) -> layout.RobotState:
         """State (N,) that was returned last."""
-        ...
 
     @property
     def realtime(self) -> bool:
         """Whether its own process was given real-time priority."""
-        ...
 
     def begin(self) -> None:
         """Take corrections from now on."""
-        ...
 
     def close(self) -> None:
         """Release the correction and everything else."""
-        ...
 
 
 Connect = Callable[[], OpenLink]

@@ -35,7 +35,6 @@ class SensorSource(Protocol):
     @property
     def contract(self) -> WindowContract:
         """What the sensors deliver."""
-        ...
 
     def newest_window(self) -> tuple[NDArray[np.floating] | None, float]:
         """Return a window (channels, n_samples) newer than the last one, or None, and its age.
@@ -43,11 +42,9 @@ class SensorSource(Protocol):
         The age in s is that of the newest sample of the newest window, new or not;
         infinite before the first.
         """
-        ...
 
     def fault(self) -> DtwinError | None:
         """Return why no more windows come, or None."""
-        ...
 
 
 class Decision:

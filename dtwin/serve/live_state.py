@@ -33,7 +33,6 @@ class _LiveState:
     outside_share: float = 0.0
 
     def as_dict(self) -> dict[str, str | float]:
-        """Return a JSON-ready mapping."""
         return asdict(self)
 
 

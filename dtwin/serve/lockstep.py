@@ -22,15 +22,12 @@ class Controller(Protocol):
     @property
     def done(self) -> bool:
         """Whether its program has ended."""
-        ...
 
     def state(self) -> Floats:
         """Return the newest state (N,)."""
-        ...
 
     def step(self, registers: Floats) -> None:
         """Advance by one period with these correction registers (4,) in force."""
-        ...
 
 
 def serve_lockstep(

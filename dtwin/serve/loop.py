@@ -34,7 +34,6 @@ class Link(Protocol):
     @property
     def received_s(self) -> float:
         """Monotonic time at which the newest state was received."""
-        ...
 
     def wait_state(self, timeout_s: float) -> Floats | None:
         """Return the newest unseen state (N,), or None when none came in time.
@@ -43,11 +42,9 @@ class Link(Protocol):
         has none: before the first, and when its watchdog has let go. What it let go of comes back only
         from zero. The array is valid until the next call, which may renew it though it returns None.
         """
-        ...
 
     def send(self, offset_um: Floats, sequence: int) -> None:
         """Send a correction (3,) in um with its sequence number."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,6 @@ class Engine(Protocol):
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
         """Return a front of formulas, simplest first."""
-        ...
 
 
 class OperonEngine:

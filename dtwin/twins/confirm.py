@@ -68,7 +68,6 @@ class _Intervention:
     confirmed: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
         return {**asdict(self), "grade": _GRADE if self.confirmed else None}
 
 

@@ -33,7 +33,6 @@ class _EncoderSplit:
     runs_without: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
         return {
             "cutoff": self.cutoff.as_dict(),
             "unit_of_replication": "run",

@@ -51,7 +51,6 @@ class _Waiting:
         return f"{self.path.parent.name} {self.path.stem}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
         return {"twin": self.path.parent.name, "version": int(self.path.stem[1:]), "failed": self.failed}
 
 

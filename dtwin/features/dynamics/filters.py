@@ -40,7 +40,6 @@ class Filter(Protocol):
     @property
     def name(self) -> str:
         """What the filter is, with its settings."""
-        ...
 
     def static_um(self, deviation_um: Floats) -> Floats:
         """Return the static part of one closed turn.
@@ -51,7 +50,6 @@ class Filter(Protocol):
             Readings at equal steps of the angle, in the order of travel. What runs forwards
             only has gone round once before: the turn is closed.
         """
-        ...
 
 
 @dataclass(frozen=True)
