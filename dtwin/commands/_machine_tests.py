@@ -10,15 +10,14 @@ import typer
 
 from dtwin.commands._effects import Paths
 from dtwin.commands._machine import Name
+from dtwin.commands._machine import app as machine_app
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
 
-app = typer.Typer()
 
-
-@app.command()
+@machine_app.command()
 def plan(
     name: Name,
     kind: Annotated[str | None, typer.Option(help="Kind of test; the usual one without.")] = None,
@@ -43,7 +42,7 @@ def plan(
     emit(found, lambda: _foretold_text(found), as_json=as_json)
 
 
-@app.command()
+@machine_app.command()
 def measure(
     name: Name,
     file: Annotated[
@@ -96,7 +95,7 @@ def measure(
     emit({"plan": kept, "waits": False, **done}, lambda: _changes_text(home(), kept), as_json=as_json)
 
 
-@app.command()
+@machine_app.command()
 def changes(
     name: Name,
     campaign: Annotated[

@@ -9,6 +9,7 @@ import typer
 
 from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, Report, emit
+from dtwin.commands._twins import app as twin_app
 
 if TYPE_CHECKING:
     from dtwin.kinds.circular import Study
@@ -20,10 +21,8 @@ Centre = Annotated[
 ]
 Zero = Annotated[float, typer.Option(help="Where the bar's 0 deg lies in that frame, deg.")]
 
-app = typer.Typer()
 
-
-@app.command("recording")
+@twin_app.command("recording")
 def study(
     file: File,
     robot_centre_mm: Centre = None,
