@@ -97,8 +97,6 @@ class Chart:
         In standard deviations; zero where a regime is too young to compare with.
     limits : ChartLimits
         An alarm is beyond any of them.
-    regimes : tuple of Regime
-    alarms : tuple of Alarm
     """
 
     single: Floats

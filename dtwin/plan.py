@@ -281,8 +281,6 @@ class EvidencePlan:
     ----------
     conditions : tuple of (plane, radius_mm, feed_mm_min)
         Each is run in both directions.
-    repeats : int
-        Repeats per condition, direction and way.
     trained_feeds : tuple of float
         For the report: the others were never trained.
     """

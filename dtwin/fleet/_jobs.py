@@ -48,8 +48,6 @@ class Job:
 
     Attributes
     ----------
-    name : str
-        Its verb.
     units : callable
         Returns what is to do in a home for some machines (all without names), and what is passed over: names and why.
     work : callable

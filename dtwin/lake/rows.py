@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dtwin.errors import StoreError
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 
+_Row = TypeVar("_Row", bound=Mapping[str, Any])
 _INCOMPLETE = "recording.incomplete"
 RUN_SCHEMA = pa.schema(
     [
@@ -253,6 +254,14 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
         if any(name in stated for name in (*OF_CAMPAIGN, *_OF_RUN)):
             now["content_sha256"] = _hash({"raw": row["content_sha256"], "stated": stated})
         found.append(now)
+    return found
+
+
+def by_campaign(rows: Iterable[_Row]) -> dict[str, list[_Row]]:
+    """Return rows of runs by their campaign."""
+    found: dict[str, list[_Row]] = {}
+    for row in rows:
+        found.setdefault(str(row["campaign"]), []).append(row)
     return found
 
 

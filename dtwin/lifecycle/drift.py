@@ -27,14 +27,10 @@ class DriftCheck:
 
     Attributes
     ----------
-    version, campaign : str
-        The champion, and the campaign it was judged on.
     error : ChampionError or None
         On runs it was never trained on; None without any.
     expected_um : float
         Held-out error that was registered with it; NaN when none fits the campaign.
-    expected_from : str
-        Which of the registered errors.
     excess_um : float
         By how much the error has grown, in quadrature; NaN when not judged.
     drifted : bool

@@ -35,8 +35,6 @@ class VirtualCobot:
 
     Parameters
     ----------
-    parameters : CobotParameters, optional
-        The machine; by default the committed one.
     seed : int
         Which of the machines that share these parameters.
     """

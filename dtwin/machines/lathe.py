@@ -158,8 +158,6 @@ class LatheRecording:
 
     Attributes
     ----------
-    triggered : Triggered
-        Readings by target, with alarms.
     t_s : ndarray, shape (n,)
         End of each reading after the zeroing.
     error_um : ndarray, shape (n,)

@@ -74,12 +74,7 @@ def quick_size() -> _DemoSize:
 def run_demo(
     home: Home, screen: _Screen, size: _DemoSize, *, seed: int = 0, steps: Steps | None = None
 ) -> dict[str, Any]:
-    """Run the five steps and return what they found.
-
-    Parameters
-    ----------
-    steps : Steps, optional
-        Does the steps; plain functions without.
+    """Run the five steps, by plain functions without others, and return what they found.
 
     Returns
     -------

@@ -64,23 +64,11 @@ class Steps(Protocol):
     """Who does the steps of a job."""
 
     def step(self, name: str, title: str, do: Callable[[Work], Result]) -> Result:
-        """Do one step.
-
-        Parameters
-        ----------
-        do : callable
-            The step; calls the methods of the work that it is given.
-        """
+        """Do one step: call it with what does the work."""
 
 
 class PlainSteps:
-    """Plain function calls, nothing else.
-
-    Parameters
-    ----------
-    progress : callable
-        Returns a progress callback for a title.
-    """
+    """Plain function calls, nothing else."""
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:
         self._work = _PlainWork(home, progress)

@@ -16,6 +16,7 @@ from dtwin.documents import read_document, write_document
 from dtwin.errors import StoreError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kinds
+from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.machine_record import tolerances_of
 from dtwin.report.checking import campaign_sheet
@@ -85,10 +86,7 @@ def variation_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]] | N
     lake = Lake(home.lake)
     mine = lake.runs(machine=machine) if rows is None else [row for row in rows if row["left_out"] is None]
     telling = {kind.name: kind for kind in kinds() if kind.offers("variation")}
-    of_campaign: dict[str, list[Mapping[str, Any]]] = {}
-    for row in mine:
-        if row["kind"] in telling:
-            of_campaign.setdefault(row["campaign"], []).append(row)
+    of_campaign = by_campaign(row for row in mine if row["kind"] in telling)
     newest = sorted(of_campaign.items(), key=lambda item: item[1][0]["started"] or "", reverse=True)
     for name, told in newest:
         found = kept(home, "surroundings", name, stamp_of(told), partial(_variation, lake, telling, name, told))

@@ -11,7 +11,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
-from dtwin.lake.rows import campaign_of
+from dtwin.lake.rows import by_campaign, campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record, recorded
 from dtwin.physics.effect import Effect
@@ -102,7 +102,7 @@ def _history(
     # Runs that are left out belong to the stamp of a campaign: taken in again, they change its figures.
     rows = lake.runs(left_out=True, machine=machine)
     record = record_of(home, machine, rows)
-    of_campaign = _of_campaign(rows)
+    of_campaign = by_campaign(rows)
     measured = ((name, mine) for name, mine in of_campaign.items() if not all(row["left_out"] for row in mine))
     ordered = sorted(measured, key=lambda item: (item[1][0]["started"] or "", item[1][0]["kind"]))
     shelf = Twins(home, library)
@@ -140,7 +140,7 @@ def _history(
 def with_sheets(home: Home, history: Mapping[str, Any]) -> dict[str, Any]:
     """Return a history with the whole test sheet of every test, as ``sheet``; None where its kind has none."""
     rows = Lake(home.lake).runs(left_out=True, machine=history["machine"])
-    variation, of_campaign = variation_of(home, history["machine"], rows), _of_campaign(rows)
+    variation, of_campaign = variation_of(home, history["machine"], rows), by_campaign(rows)
 
     def sheet(test: Mapping[str, Any]) -> dict[str, Any] | None:
         if not kind_named(test["kind"]).offers("sheet"):
@@ -149,13 +149,6 @@ def with_sheets(home: Home, history: Mapping[str, Any]) -> dict[str, Any]:
         return sheet_of_campaign(home, test["campaign"], history["machine"], stamp, variation)
 
     return {**history, "tests": [{**test, "sheet": sheet(test)} for test in history["tests"]]}
-
-
-def _of_campaign(rows: Iterable[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        found.setdefault(row["campaign"], []).append(row)
-    return found
 
 
 def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> MachineRecord:

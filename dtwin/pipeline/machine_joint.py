@@ -9,7 +9,7 @@ from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
-from dtwin.lake.rows import campaign_of
+from dtwin.lake.rows import by_campaign, campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import events_of
 from dtwin.physics.diagnose import diagnose
@@ -106,10 +106,7 @@ def _compared(
 
 
 def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:
-    out: dict[str, list[Mapping[str, Any]]] = {}
-    for row in rows:
-        out.setdefault(str(row["campaign"]), []).append(row)
-    return {name: mine for name, mine in out.items() if not all(row["left_out"] for row in mine)}
+    return {name: mine for name, mine in by_campaign(rows).items() if not all(row["left_out"] for row in mine)}
 
 
 def newest_tests(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]]:

@@ -19,8 +19,6 @@ def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]
 
     Parameters
     ----------
-    series : mapping
-        As ``judged_series`` returns them.
     events : sequence of mapping
         With ``on`` and ``what``.
     """

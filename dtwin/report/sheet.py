@@ -29,14 +29,10 @@ class Characteristic:
         Evaluations that it is the mean of; the unit of replication is the run, or the pair of runs.
     deviation_um : float
         Standard deviation of one evaluation, NaN when it is not known.
-    dof : float
-        Degrees of freedom of that.
     expanded_um : float
         Half width that covers 95 %, NaN when it is not known.
     contributions : tuple of Contribution
         What makes it uncertain beside its repeatability, as the kind of campaign says.
-    budget : Budget, optional
-        All of them, combined.
     """
 
     symbol: str

@@ -316,11 +316,7 @@ def _proved(evidence: Evidence | None) -> str:
     """
     real = evidence.runs if evidence is not None and evidence.kind == "real" else ()
     started = [run["started"] for run in real if run["way"] == "with" and run["started"]]
-    return max(started, default=_now())
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
+    return max(started, default=datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def _remember(
@@ -333,7 +329,7 @@ def _remember(
 ) -> None:
     path = machine_folder(version.machine, home) / _HISTORY
     entry = {
-        "time": _now(),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "version": version.version,
         "action": action,
         "who": acting(),

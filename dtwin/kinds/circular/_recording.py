@@ -32,12 +32,8 @@ class Study:
 
     Attributes
     ----------
-    passes : Passes
-        Both passes of what repeats.
     residual_um : tuple of ndarray, shape (n,)
         What is left of each pass by the model that was fitted to the other.
-    result : dict
-        JSON-ready figures.
     """
 
     passes: models.Passes
