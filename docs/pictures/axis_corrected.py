@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.kinds.linear._evidence import evidence_plan
-from dtwin.kinds.linear._loop import exact_correction, looped, measured
+from dtwin.kinds.linear._loop import ExactCorrection, looped, measured
 from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._simulate import virtual_lathe
 from dtwin.schema import Floats
@@ -33,7 +33,7 @@ def axis_picture(mapped: Path, twin: Path) -> str:
         "no correction": measured(lathe, plan),
         "dtwin lathe fit, 1561 targets": looped(lathe, plan, load_bundle(mapped).bundle).test,
         "dtwin twin correct, 76 targets": looped(lathe, plan, load_bundle(twin).bundle).test,
-        "exact map": measured(lathe, plan, exact_correction(lathe)),
+        "exact map": measured(lathe, plan, ExactCorrection(lathe)),
     }
     errors = {title: _both(test) for title, test in tests.items()}
     rms = {title: float(np.sqrt(np.mean(e**2))) for title, e in errors.items()}
