@@ -27,7 +27,7 @@ from machine_years import FIRST_DAY, steady, stepping, wearing, write_tests
 from dtwin.config import Home, quiet_environment
 from dtwin.fleet import nightly
 from dtwin.lake.store import Lake
-from dtwin.machine_record import MachineRecord, write_record
+from dtwin.machine_record import keep_record
 from dtwin.report.text import table
 
 MONTH_DAYS = 30
@@ -60,7 +60,7 @@ def year(folder: Path, machines: int, months: int) -> dict[str, Any]:
     names = [f"mill-{number:03d}" for number in range(machines)]
     story = {name: _story(number) for number, name in enumerate(names)}
     for name in names:
-        write_record(home, MachineRecord(name, {"type": "3-axis mill"}, test_every_days=1.5 * MONTH_DAYS))
+        keep_record(home, name, {"type": "3-axis mill", "test_every_days": 1.5 * MONTH_DAYS})
     arriving = folder / "arriving"
     arriving.mkdir()
     nights, seen = [], set[str]()

@@ -176,7 +176,7 @@ def _text(cell: object) -> str:
         return cell.isoformat()
     if isinstance(cell, timedelta):
         seconds = cell.total_seconds()
-        return f"{int(seconds // 3600)}:{int(seconds // 60) % 60:02d}:{seconds % 60:09.6f}"
+        return f"{int(seconds // 3600)}:{int(seconds // 60) % 60:02d}:{seconds % 60:z09.6f}"
     return repr(cell) if isinstance(cell, float) else str(cell).strip()
 
 

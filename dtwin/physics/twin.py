@@ -137,7 +137,11 @@ class Twin:
         Of an earlier version with what it took to be equal; what it did not know does nothing.
         """
         effect, axis = term.instance.effect, term.instance.axis
-        stored = {e.name: e for e in self.estimates if (e.effect, e.axis) == (effect.name, axis)}
+        mine = [e for e in self.estimates if (e.effect, e.axis) == (effect.name, axis)]
+        if len(mine) == len(effect.parameters):
+            # Of several campaigns they have the names that another one has for them.
+            return mine
+        stored = {e.name: e for e in mine}
         blank = Estimate(effect.name, axis, "", "", 0.0, float("nan"), identifiable=False)
         return [
             replace(stored.get(p.name) or stored.get(p.once) or blank, name=p.name, unit=p.unit)
