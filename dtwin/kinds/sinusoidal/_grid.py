@@ -18,7 +18,10 @@ from dtwin.units import UM_PER_MM
 _HARMONICS = 7
 _POINTS = 2 * _HARMONICS + 1
 _FINE = 64
-_SETTLING_S = 1.0
+# What has not settled is left out: a second, of short runs half, but never so much that no period is left.
+_SETTLING_S, _SETTLING = 1.0, 0.5
+# The last sample of a period is not its end.
+_WHOLE = 0.9
 _NOT_LOGGED = ("cmd_", "act_", "tool_", "t_s")
 
 
@@ -84,7 +87,7 @@ def tone_row(run: Run, time_h: float) -> Row:
     Raises
     ------
     InputError
-        When columns or the tone are missing, or there are too few samples in a period.
+        When columns or the tone are missing, there are too few samples in a period, or no whole one.
     """
     condition = _condition(run)
     names = [f"{part}_{condition.axis.lower()}_mm" for part in ("cmd", "tool")]
@@ -96,37 +99,60 @@ def tone_row(run: Run, time_h: float) -> Row:
             got=", ".join(run.samples),
             allowed=f"t_s, {', '.join(names)}",
         )
-    t_s = np.asarray(run.samples["t_s"], dtype=float)
-    settled = t_s >= t_s[0] + _SETTLING_S
-    command, tool = (np.asarray(run.samples[n], float)[settled] * UM_PER_MM for n in names)
-    rate_hz = (len(t_s) - 1) / max(float(t_s[-1] - t_s[0]), 1e-300)
-    if settled.sum() < 2 * _POINTS or rate_hz < _POINTS * condition.frequency_hz:
+    read = np.stack([np.asarray(run.samples[n], dtype=float) for n in ("t_s", *names)])
+    # A sample that was lost tells nothing, and the others tell the tone without it.
+    t_s, command, tool = read[:, np.isfinite(read).all(axis=0)]
+    used = t_s >= _settled_s(t_s, condition.frequency_hz)
+    if used.sum() < 2 * _POINTS or _rate_hz(t_s) < _POINTS * condition.frequency_hz:
         raise InputError(
             "a tone has too few samples for its harmonics",
             code="twin.short",
             where=f"run {run.meta.run_id}",
-            got=f"{int(settled.sum())} samples after {_SETTLING_S:g} s, "
-            f"{rate_hz / condition.frequency_hz:z.1f} in a period",
+            got=f"{int(used.sum())} samples once it has settled, "
+            f"{_rate_hz(t_s) / condition.frequency_hz:z.1f} in a period",
             allowed=f"at least {_POINTS} in a period",
         )
-    turn = 2.0 * np.pi * condition.frequency_hz * t_s[settled]
+    t_s, command, tool = t_s[used], command[used] * UM_PER_MM, tool[used] * UM_PER_MM
+    if np.ptp(t_s) < _WHOLE / condition.frequency_hz:
+        raise InputError(
+            "a tone is shorter than its period",
+            code="twin.short",
+            where=f"run {run.meta.run_id}",
+            got=f"{np.ptp(t_s):.3g} s of {condition.frequency_hz:g} Hz",
+            allowed=f"at least {1.0 / condition.frequency_hz:.3g} s",
+        )
+    turn = 2.0 * np.pi * condition.frequency_hz * t_s
     sine, cosine = np.linalg.lstsq(
         np.stack([np.sin(turn), np.cos(turn), np.ones_like(turn)], axis=1), command, rcond=None
     )[0][:2]
     phase = turn + np.arctan2(cosine, sine)
     fitted = np.linalg.lstsq(_waves(phase), tool - command, rcond=None)[0]
-    means = {name: float(np.mean(values)) for name, values in run.samples.items() if not name.startswith(_NOT_LOGGED)}
+    logged = {n: np.asarray(v, dtype=float) for n, v in run.samples.items() if not n.startswith(_NOT_LOGGED)}
+    means = {n: float(np.mean(v[np.isfinite(v)])) for n, v in logged.items() if np.isfinite(v).any()}
     columns = {"time_h": time_h, **run.meta.covariates, **means}
     y_um = _waves(_phases(_POINTS)) @ fitted
     mask = np.ones(_POINTS, dtype=bool)
     return Row(run, condition, y_um, mask, columns, condition.feed_mm_min / 60.0)
 
 
+def _rate_hz(t_s: Floats) -> float:
+    """Return the samples in a second, of times of shape (n,)."""
+    return (len(t_s) - 1) / max(float(np.ptp(t_s)), 1e-300) if len(t_s) else 0.0
+
+
+def _settled_s(t_s: Floats, frequency_hz: float) -> float:
+    """Return the time from which a tone counts as settled, of times of shape (n,)."""
+    if not len(t_s):
+        return 0.0
+    length_s = float(t_s[-1] - t_s[0])
+    return float(t_s[0]) + max(0.0, min(_SETTLING_S, _SETTLING * length_s, length_s - 1.0 / frequency_hz))
+
+
 def _condition(run: Run) -> ToneCondition:
     stated = run.meta.condition
     axis = str(stated.get("axis", ""))
     numbers = [stated.get(name) for name in ("amplitude_um", "frequency_hz")]
-    good = [float(v) for v in numbers if isinstance(v, int | float) and v > 0.0]
+    good = [float(v) for v in numbers if isinstance(v, int | float) and 0.0 < v < np.inf]
     if axis not in ("X", "Y", "Z") or len(good) < 2:
         raise InputError(
             "a twin of tones needs axis, amplitude and frequency of every run",
