@@ -27,7 +27,8 @@ def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effe
     ``library``: effects; those that act on the spread are tried.
     """
     deviation, count = within_condition(residual_um, obs.condition_of)
-    rows = np.flatnonzero(count > 1)
+    # Repeats that never differ have no spread of which a logarithm could be taken.
+    rows = np.flatnonzero((count > 1) & deviation.any(axis=1))
     if len(rows) < 6:
         return None
     power = (deviation[rows] ** 2).sum(axis=1) / obs.mask[rows].sum(axis=1)

@@ -270,8 +270,11 @@ def _local_variance(problem: Problem) -> Floats:
     typical = float(np.nanmean(noise.variance))
     level = np.nan_to_num(noise.variance, nan=typical)[obs.condition_of]
     deviation, count = within_condition(from_harmonics(problem.residual), obs.condition_of)
-    rows = count > 1
-    raw = (deviation[rows] ** 2 / level[rows][:, None]).mean(axis=0)
+    # Repeats that never differ do not tell where others do.
+    rows = (count > 1) & (level > 0.0)
+    raw = (deviation[rows] ** 2 / level[rows][:, None]).sum(axis=0) / max(int(rows.sum()), 1)
+    if not raw.any():
+        return np.repeat(level[:, None], obs.n_bins, axis=1)
     kernel = np.hanning(2 * _NEIGHBOURS + 3)[1:-1]
     padded = raw.take(np.arange(-_NEIGHBOURS, len(raw) + _NEIGHBOURS), mode="wrap")
     profile = np.convolve(padded, kernel / kernel.sum(), mode="valid")

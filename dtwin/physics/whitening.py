@@ -11,6 +11,8 @@ from dtwin.schema import Floats
 
 _SEPARATE = 5
 _FLOOR = 1e-4
+# Of the largest: less differs by rounding only.
+_ROUNDING = 1e-20
 
 
 def to_harmonics(values: Floats) -> Floats:
@@ -153,7 +155,9 @@ def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
 
 def inverse_root(power: Floats) -> Floats:
     """Return the weights, of RMS one, that make coefficients of this power white, shape (n,)."""
-    weights = 1.0 / np.sqrt(np.maximum(power, _FLOOR * np.median(power)))
+    least = max(_FLOOR * float(np.median(power)), _ROUNDING * float(power.max()))
+    # Where there is no noise at all, none is larger than another.
+    weights = 1.0 / np.sqrt(np.maximum(power, least)) if least > 0.0 else np.ones(len(power))
     return np.asarray(weights / np.sqrt(np.mean(weights**2)))
 
 

@@ -10,7 +10,10 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._grid import tone_row
-from dtwin.schema import Floats, Run, RunMeta
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.library import Library
+from dtwin.physics.observations import observe
+from dtwin.schema import Campaign, Floats, Run, RunMeta
 
 LATE_UM, THIRD_UM = 0.4, 0.1
 
@@ -83,3 +86,19 @@ def test_an_endless_amplitude_is_refused() -> None:
     stated = {**run.meta.condition, "amplitude_um": float("inf")}
     with pytest.raises(InputError, match="needs axis, amplitude and frequency"):
         tone_row(replace(run, meta=replace(run.meta, condition=stated)), 0.0)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(("late_um", "expected"), [(0.0, set()), (LATE_UM, {"tracking_delay Z"})])
+def test_repeats_without_any_noise_are_judged(late_um: float, expected: set[str]) -> None:
+    runs = []
+    for repeat in (1, 2, 3):
+        for number, frequency_hz in enumerate((5.0, 10.0, 20.0, 40.0)):
+            run = tone(2.0, frequency_hz)
+            turn = 2.0 * np.pi * frequency_hz * run.samples["t_s"]
+            late_mm = 1e-3 * late_um * frequency_hz / 40.0 * np.cos(turn)
+            meta = replace(run.meta, run_id=f"g{number}-{repeat}", repeat=repeat)
+            runs.append(replace(changed(run, tool_z_mm=run.samples["cmd_z_mm"] - late_mm), meta=meta))
+    found = diagnose(observe(Campaign("tones", "slide", kind="sinusoidal"), runs), [], Library())
+    assert expected <= {s.label for s in found.group}, found.headline
+    assert bool(found.found) == bool(expected), found.headline
