@@ -5,6 +5,9 @@ from __future__ import annotations
 from dtwin.physics._second_order import mode_columns
 from dtwin.physics.effect import Effect, Law, Parameter, ShapeParameter
 
+# From heavy stages to fast tools.
+_FREQUENCIES_HZ = (10.0, 18.0, 30.0, 50.0, 80.0, 130.0, 210.0, 350.0, 600.0)
+
 EFFECT = Effect(
     name="servo_response",
     title="Response of the servo loop",
@@ -22,7 +25,7 @@ EFFECT = Effect(
     reference="[D] second-order transfer function at the frequency of the tone",
     kinds=("sinusoidal",),
     shapes=(
-        ShapeParameter("frequency_hz", "Hz", 80.0, (30.0, 50.0, 80.0, 130.0, 210.0)),
+        ShapeParameter("frequency_hz", "Hz", 80.0, _FREQUENCIES_HZ),
         ShapeParameter("damping", "1", 0.3, (0.15, 0.3, 0.6, 1.0)),
     ),
     confusables=("structural_mode", "tracking_delay", "inertial_compliance"),

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dtwin.physics._second_order import mode_columns
 from dtwin.physics.effect import Effect, Law, Parameter, ShapeParameter
 
+# From heavy stages to fast tools.
+_FREQUENCIES_HZ = (10.0, 15.0, 22.0, 33.0, 50.0, 70.0, 100.0, 140.0, 200.0, 300.0, 450.0, 700.0)
+
 EFFECT = Effect(
     name="structural_mode",
     title="Structural mode",
@@ -24,7 +27,7 @@ EFFECT = Effect(
     reference="[D] second-order transfer function at the frequency of the tone",
     kinds=("sinusoidal",),
     shapes=(
-        ShapeParameter("frequency_hz", "Hz", 80.0, (50.0, 70.0, 100.0, 140.0, 200.0)),
+        ShapeParameter("frequency_hz", "Hz", 80.0, _FREQUENCIES_HZ),
         ShapeParameter("damping", "1", 0.05, (0.02, 0.05, 0.1)),
     ),
     confusables=("servo_response", "inertial_compliance", "stiffening_joint"),
