@@ -105,6 +105,8 @@ def _is_local(effect: Found, obs: Observations) -> bool:
     if not obs.there_and_back or cause.law.direction != "even" or cause.within_condition:
         return False
     means = localise.condition_means(obs, does_um(effect, obs)).mean(axis=0)
+    if not means.any():
+        return False
     means = means[means != 0.0]
     power = (means - means.mean()) ** 2
     stretch = np.ones(max(1, len(power) // _STRETCH))

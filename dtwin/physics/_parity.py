@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.physics import localise
+from dtwin.physics._rivals import Found
 from dtwin.physics._trust import does_um
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term
+from dtwin.physics.problem import Problem
 from dtwin.physics.search import Search
 from dtwin.schema import Floats
 
@@ -39,7 +40,7 @@ def curves_left(answer: Diagnosis, first: Search, plain: Problem, candidates: Ca
     obs = plain.obs
     if not obs.there_and_back or obs.n_bins > _MOST_TARGETS:
         return []
-    left = localise.in_angle(candidates.given(plain, _terms(answer.found, [first])))
+    left = localise.in_angle(candidates.given(plain, [f.top.term for f in _leaders(answer.found, first)]))
     means = localise.condition_means(obs, left)
     ways = np.array([c.sense for c in obs.conditions])
     signs = ((np.ones(len(ways)), np.ones(obs.n_rows)), (ways, obs.sense))
@@ -67,19 +68,19 @@ def joined(
     ``plain``: the campaign without weights, with what is known.
     """
     obs, before = plain.obs, answer.unresolved
-    left = localise.in_angle(candidates.given(plain, _terms(answer.found, searches)))
-    groups = list(answer.found)
+    groups, kept = list(answer.found), _leaders(answer.found, searches[0])
+    left = localise.in_angle(candidates.given(plain, [f.top.term for f in kept]))
     for other, search in zip(others, searches[1:], strict=True):
-        does = {f.label: does_um(f, obs) for f in search.found}
         for group in other.found:
-            lead = group[0]
-            large = (lead.size_um or 0.0) >= _SIZE * answer.noise_floor_um
+            lead, leaders = group[0], _leaders([group], search)
+            sure = (lead.size_um or 0.0) >= _SIZE * answer.noise_floor_um and lead.p_value <= _SURE
             new = lead.label not in {s.label for g in groups for s in g}
-            if new and large and lead.p_value <= _SURE and not _looks_like(does[lead.label], left, obs):
+            if new and sure and not any(_looks_like(does_um(f, obs), left, obs) for f in leaders):
                 groups.append(group)
+                kept += leaders
     if len(groups) == len(answer.found) or before is None:
         return answer
-    left = localise.in_angle(candidates.given(plain, _terms(groups, searches)))
+    left = localise.in_angle(candidates.given(plain, [f.top.term for f in kept]))
     rms_um = localise.systematic_rms_um(obs, left)
     words = localise.headline(obs, left)
     labels = {s.label for group in groups for s in group}
@@ -127,7 +128,11 @@ def _as_shown(groups: Sequence[Sequence[Suspect]]) -> list[Suspect]:
     return [replace(s, in_group=group is groups[0]) for group in groups for s in group]
 
 
-def _terms(groups: Sequence[Sequence[Suspect]], searches: Sequence[Search]) -> list[Term]:
-    """Return the leads of groups in the shapes in which a search found them."""
-    terms = {f.label: f.top.term for search in reversed(searches) for f in search.found}
-    return [terms[group[0].label] for group in groups if group[0].label in terms]
+def _leaders(groups: Sequence[Sequence[Suspect]], search: Search) -> list[Found]:
+    """Return what a search found of each group; another member may give the group its name."""
+    found = {f.label: f for f in search.found}
+    return [
+        next(found[s.label] for s in group if s.label in found)
+        for group in groups
+        if {s.label for s in group} & set(found)
+    ]
