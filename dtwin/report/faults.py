@@ -96,7 +96,7 @@ def size_of(estimates: Sequence[Estimate]) -> str:
 def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str]]:
     """Return name, value, uncertainty (k = 2) and unit of what the runs tell of an effect, waves as ``size_of`` says."""
     told = [e for e in estimates if e.identifiable]
-    waves = [e for e in told if e.name.startswith(("cosine", "sine"))]
+    waves = [e for e in told if e.name.startswith(("cosine", "sine", "half_wave"))]
     sizes = [(e.name.replace("_", " "), e.value, e.uncertainty, e.unit) for e in told if e not in waves]
     if waves:
         amplitude = math.hypot(*(e.value for e in waves))

@@ -10,7 +10,7 @@ from defusedxml.ElementTree import fromstring
 
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import size_of
+from dtwin.report.faults import size_of, sizes_of
 from dtwin.report.signature import signature_svg
 
 LIBRARY = Library()
@@ -67,3 +67,12 @@ def test_a_signature_is_drawn_for_both_directions() -> None:
     away = np.abs(np.arange(len(radii[0])) % (2 * quarter) - quarter) > 2
     assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
     assert signature_svg(LIBRARY["stick_slip"]) == ""
+
+
+@pytest.mark.parametrize("names", [("cosine_2", "sine_2"), ("half_wave_2", "half_wave_5")])
+def test_waves_and_half_waves_have_one_size(names: tuple[str, str]) -> None:
+    parts = [
+        Estimate("pitch_error", "X", name, "um", value, 0.2, identifiable=True)
+        for name, value in zip(names, (3.0, -4.0), strict=True)
+    ]
+    assert sizes_of(parts) == [("amplitude", 5.0, pytest.approx(0.2), "um")]
