@@ -55,7 +55,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     if told.get("axis") is not None:
         run["condition"] = {"axis": told["axis"]}
     name = told.get("campaign") or safe_name(path.stem)
-    geometry = {k: told[k] for k in ("screw_pitch_mm",) if told.get(k) is not None}
+    pitch_mm = told.get("screw_pitch_mm")
+    geometry = {} if pitch_mm is None else {"screw_pitch_mm": pitch_mm}
     head = {"name": name, "machine": told.get("machine") or "unknown", "kind": kind, "machine_geometry": geometry}
     entry = entry_from({"id": safe_name(path.stem), "file": path.name, **run}, 1, path)
     return CampaignFolder(campaign_from(head, path), (entry,))

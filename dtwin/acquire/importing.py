@@ -313,7 +313,12 @@ def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool
     write_toml(place, recipe, "the recipe")
     write_text(folder / lone.name, found.text, "the table")
     document = {
-        "campaign": {"name": campaign.name, "machine": campaign.machine, "kind": found.kind},
+        "campaign": {
+            "name": campaign.name,
+            "machine": campaign.machine,
+            "kind": found.kind,
+            **({"machine_geometry": dict(campaign.machine_geometry)} if campaign.machine_geometry else {}),
+        },
         "run": [dict(entry.stated)],
     }
     return write_text(folder / "campaign.toml", source + tomli_w.dumps(document), "the campaign")

@@ -199,10 +199,13 @@ def test_a_table_on_its_side_is_imported_whole(tmp_path: Path) -> None:
     rows = [["Target position [mm]", "0", "", "5", ""], ["Direction", *"+-+-"]]
     rows += [[f"j={j} [µm]", "1", "2", "1,5", "2,5"] for j in (1, 2)]
     path.write_text("\n".join(map(";".join, rows)), encoding="utf-8")
-    found = understand(path, home, {"axis": "X", "machine": "mill-7"}, {})
+    found = understand(path, home, {"axis": "X", "machine": "mill-7", "screw_pitch_mm": 10.0}, {})
     assert (found.kind, [count for _, count in found.runs]) == ("linear", [4, 4])
     write_folder(found, tmp_path / "c", home)
-    run = next(iter(open_source(tmp_path / "c")[1]))[0][0]
+    campaign, sources, _ = open_source(tmp_path / "c")
+    assert campaign.machine_geometry == {"screw_pitch_mm": 10.0}
+    run = next(iter(sources))[0][0]
+    assert run.meta.condition["screw_pitch_mm"] == 10.0
     assert run.samples["error_um"].tolist() == [1.0, 1.5, 2.5, 2.0]
 
 
