@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.features.alignment import align_envelopes, align_periodic, align_stops, nearest_neighbour, unwrap_angle
+from dtwin.features.alignment import align_envelopes, align_stops
 
 STOPS_S = (3.0, 7.1, 11.3, 15.2)
 
@@ -61,46 +61,3 @@ def test_unrelated_records_have_a_large_residual() -> None:
 def test_no_overlap_is_refused() -> None:
     with pytest.raises(InputError, match="in common"):
         align_envelopes(np.ones(100), 100.0, np.ones(100), 100.0, max_lag_s=0.1, around_s=5.0)
-
-
-def profile(angle: np.ndarray) -> np.ndarray:
-    return np.sin(2 * angle) + 0.6 * np.cos(5 * angle + 0.4) + 0.3 * np.sin(angle)
-
-
-@pytest.mark.parametrize("offset_rad", [-2.5, -0.31, 0.0, 1.0, 3.0])
-def test_periodic_records_give_the_angle_between_them(offset_rad: float) -> None:
-    wrapped = np.angle(np.exp(1j * np.linspace(0.3, 0.3 + 4.4 * np.pi, 3000)))
-    other = np.linspace(-1.0, -1.0 + 2.2 * np.pi, 1700)
-    turn, found = align_periodic(profile(wrapped + offset_rad), wrapped, profile(other), other)
-    assert turn == pytest.approx(offset_rad, abs=2e-3)
-    assert found.correlation > 0.999
-
-
-def test_periodic_alignment_works_clockwise() -> None:
-    angle = np.linspace(1.0, 1.0 - 4.4 * np.pi, 3000)
-    turn, _ = align_periodic(profile(angle + 0.5), angle, profile(angle), angle)
-    assert turn == pytest.approx(0.5, abs=2e-3)
-
-
-def test_angles_that_cannot_be_unwrapped_are_refused() -> None:
-    with pytest.raises(InputError, match="coarsely"):
-        unwrap_angle(np.array([0.0, 3.0, 6.0]))
-    with pytest.raises(InputError, match="less than one turn"):
-        align_periodic(np.ones(50), np.linspace(0, 3, 50), np.ones(50), np.linspace(0, 7, 50))
-
-
-def test_nearest_neighbour_takes_the_wrong_passage_of_a_path_that_repeats() -> None:
-    angle = np.linspace(0, 4 * np.pi, 800, endpoint=False)
-    points = 100 * np.column_stack([np.cos(angle), np.sin(angle)])
-    index, distance = nearest_neighbour(points, points + 0.01)
-    assert distance.max() < 0.03
-    assert (np.abs(index - np.arange(800)) > 300).any()
-
-
-def test_nearest_neighbour_agrees_with_brute_force() -> None:
-    rng = np.random.default_rng(2)
-    points, queries = rng.standard_normal((300, 3)), rng.standard_normal((40, 3))
-    index, distance = nearest_neighbour(points, queries)
-    every = np.linalg.norm(points[None] - queries[:, None], axis=2)
-    assert np.array_equal(index, every.argmin(axis=1))
-    np.testing.assert_allclose(distance, every.min(axis=1))
