@@ -7,15 +7,17 @@ import logging
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
+from mlflow.entities.model_registry import ModelVersion
 from mlflow.exceptions import MlflowException
+from mlflow.store.entities import PagedList
 from sqlalchemy import create_engine
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -27,10 +29,12 @@ from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
 
 _EXPERIMENT = "dtwin"
+_PREFIX = "dtwin-"
 _BUNDLE_FOLDER = "bundle"
 _PROCESS = "dtwin.process"
 _CONNECT_S = 10
 _ALIASES = ("candidate", "champion", "previous")
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True)
@@ -197,16 +201,11 @@ class Registry:
                 allowed=", ".join(known) or "none yet",
                 hint="dtwin models lists what there is; dtwin train makes one",
             ) from error
-        # An alias query leaves the aliases out.
-        aliases = self.client.get_registered_model(name).aliases
-        return RegisteredVersion(
-            machine=machine,
-            version=str(found.version),
-            run_id=found.run_id or "",
-            aliases=tuple(sorted(a for a, v in aliases.items() if str(v) == str(found.version))),
-            tags=dict(found.tags),
-            created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
-        )
+        return _registered(machine, found, self._aliases(name))
+
+    def _aliases(self, name: str) -> Mapping[str, str]:
+        """Return what each alias of a model points to: a search for versions, and an alias query, leave it out."""
+        return {alias: str(number) for alias, number in self.client.get_registered_model(name).aliases.items()}
 
     def champion(self, machine: str) -> RegisteredVersion | None:
         """Return the machine's champion, None when nothing was promoted."""
@@ -217,14 +216,18 @@ class Registry:
 
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""
-        versions = self.client.search_model_versions(f"name='{model_name(machine)}'")
-        numbers = sorted((int(v.version) for v in versions), reverse=True)
-        return [self.version(machine, str(number)) for number in numbers]
+        name = model_name(machine)
+        found = _every(self.client.search_model_versions, f"name='{name}'")
+        if not found:
+            return []
+        aliases = self._aliases(name)
+        newest_first = sorted(found, key=lambda v: int(v.version), reverse=True)
+        return [_registered(machine, version, aliases) for version in newest_first]
 
     def machines(self) -> list[str]:
         """Return the machines that have a registered model."""
-        names = [model.name for model in self.client.search_registered_models()]
-        return sorted(n.removeprefix("dtwin-") for n in names if n.startswith("dtwin-"))
+        found = _every(self.client.search_registered_models, f"name LIKE '{_PREFIX}%'")
+        return sorted(model.name.removeprefix(_PREFIX) for model in found)
 
     def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
@@ -388,4 +391,25 @@ def _require_answer(uri: str) -> None:
 
 def model_name(machine: str) -> str:
     """Return the registered model's name for a machine."""
-    return f"dtwin-{machine}"
+    return f"{_PREFIX}{machine}"
+
+
+def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -> RegisteredVersion:
+    return RegisteredVersion(
+        machine=machine,
+        version=str(found.version),
+        run_id=found.run_id or "",
+        aliases=tuple(sorted(alias for alias, number in aliases.items() if number == str(found.version))),
+        tags=dict(found.tags),
+        created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
+    )
+
+
+def _every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found]:
+    """Return what a search of MLflow finds on all its pages: one holds no more than a hundred models."""
+    page = search(filter_string=wanted)
+    found = list(page)
+    while page.token:
+        page = search(filter_string=wanted, page_token=page.token)
+        found += page
+    return found

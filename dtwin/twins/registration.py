@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ from dtwin.shared_documents import following
 if TYPE_CHECKING:
     from dtwin.train.registry import Registry
 
-VERSIONS = "v[0-9][0-9][0-9].json"
+_VERSION = re.compile(r"v(\d{3,})\.json")
 _PLACE = ("parent_run_id", "run_id", "model", "model_version")
 _HINT = "dtwin repair writes it again"
 _POLITE = 10
@@ -51,7 +52,23 @@ class _Waiting:
         return f"{self.path.parent.name} {self.path.stem}"
 
     def as_dict(self) -> dict[str, Any]:
-        return {"twin": self.path.parent.name, "version": int(self.path.stem[1:]), "failed": self.failed}
+        return {"twin": self.path.parent.name, "version": version_number(self.path), "failed": self.failed}
+
+
+def version_paths(folder: Path) -> list[Path]:
+    """Return the files of a twin's versions in the order of their numbers; none where there is no twin."""
+    found = {int(match[1]): path for path in folder.glob("v*.json") if (match := _VERSION.fullmatch(path.name))}
+    return [found[number] for number in sorted(found)]
+
+
+def version_name(version: int) -> str:
+    """Return the name of a version's files, without what comes after the dot."""
+    return f"v{version:03d}"
+
+
+def version_number(path: Path) -> int:
+    """Return the number of the version that a file of ``version_paths`` holds."""
+    return int(path.stem[1:])
 
 
 def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
@@ -76,7 +93,8 @@ def waiting(home: Home, name: str = "*") -> list[_Waiting]:
         return []
     begun: dict[Path, int] = {}
     newest: dict[Path, int] = {}
-    for path in sorted((home.root / "twins").glob(f"{name}/{VERSIONS}")):
+    folders = sorted((home.root / "twins").glob(name))
+    for path in (path for folder in folders for path in version_paths(folder)):
         # No later than its successors, whatever a copy made of the times.
         newest[path.parent] = begun[path] = max(newest.get(path.parent, 0), _written_ns(path))
     known = {path: _known(path) for path in sorted(begun, key=begun.__getitem__)}
@@ -203,8 +221,9 @@ def _description(document: Mapping[str, Any]) -> str:
 
 def _parent(path: Path) -> str | None:
     """Return the run that holds the earlier versions, None for the first."""
-    earlier = [p for p in sorted(path.parent.glob(VERSIONS)) if p < path]
-    return _known(earlier[-1]).get("parent_run_id") if earlier else None
+    every = version_paths(path.parent)
+    at = every.index(path)
+    return _known(every[at - 1]).get("parent_run_id") if at else None
 
 
 def _known(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
-from dtwin.twins.registration import VERSIONS, log_soon, place_of
+from dtwin.twins.registration import log_soon, place_of, version_name, version_number, version_paths
 
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""
@@ -101,9 +101,9 @@ class TwinShelf:
             When its file is damaged.
         """
         folder = self.folder(name)
-        paths = sorted(folder.glob(VERSIONS))
+        paths = version_paths(folder)
         if version is not None:
-            paths = [p for p in paths if p.stem == f"v{version:03d}"]
+            paths = [p for p in paths if p.stem == version_name(version)]
         if not paths:
             raise InputError("no such version of the twin", code="twin.version", where=f"twin {name}", got=str(version))
         document = read_document(paths[-1])
@@ -151,17 +151,17 @@ class TwinShelf:
         # No two files are alike: by that MLflow tells a version from one of another home or of a
         # twin that was removed.
         unique = {**document, "id": uuid.uuid4().hex}
-        self._write(unique, f"v{document['version']:03d}.json")
+        self._write(unique, f"{version_name(document['version'])}.json")
 
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:
         """Write a diagnosis beside its version, and have its verdict noted in MLflow."""
-        self._write(document, f"v{document['version']:03d}.diagnosis.json")
+        self._write(document, f"{version_name(document['version'])}.diagnosis.json")
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return every rung of a twin, oldest first."""
         folder = self.folder(name)
         out = []
-        for path in sorted(folder.glob(VERSIONS)):
+        for path in version_paths(folder):
             document = read_document(path)
             diagnosis = path.with_suffix(".diagnosis.json")
             verdict = read_document(diagnosis) if diagnosis.exists() else {}
@@ -187,7 +187,7 @@ class TwinShelf:
         return out
 
     def _is_ours(self, folder: Path) -> bool:
-        paths = sorted(folder.glob(VERSIONS))
+        paths = version_paths(folder)
         return not paths or read_document(paths[-1]).get("kind", PATHS) == self.kind
 
     def _require_ours(self, name: str, document: Mapping[str, Any]) -> None:
@@ -204,7 +204,7 @@ class TwinShelf:
             )
 
     def _numbers(self, name: str) -> Sequence[int]:
-        return [int(p.stem[1:]) for p in (self.root / name).glob(VERSIONS)]
+        return [version_number(p) for p in version_paths(self.root / name)]
 
     def _write(self, document: Mapping[str, Any], file: str) -> None:
         at_once = self.home.mlflow_at_once
@@ -217,5 +217,5 @@ class TwinShelf:
 def kind_of(home: Home, name: str) -> str:
     """Return the kind of campaign of a twin; of a path, and of none, the default one."""
     require_name(name, "the twin")
-    paths = sorted((home.root / "twins" / name).glob(VERSIONS))
+    paths = version_paths(home.root / "twins" / name)
     return str(read_document(paths[-1]).get("kind", DEFAULT_KIND)) if paths else DEFAULT_KIND

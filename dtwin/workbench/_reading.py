@@ -23,6 +23,7 @@ from dtwin.pipeline.kept import kept, sheet_of_campaign, variation_of
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
+from dtwin.twins.registration import version_name
 from dtwin.workbench._bench import Bench
 
 FLOOR_WORDS = {
@@ -130,7 +131,7 @@ def _floor_um(bench: Bench, campaign: str) -> float | None:
 
 def version_file(bench: Bench, name: str, version: int) -> Path:
     """Return the file of a version of a twin."""
-    return bench.twins.root / require_name(name, "the twin") / f"v{version:03d}.json"
+    return bench.twins.root / require_name(name, "the twin") / f"{version_name(version)}.json"
 
 
 def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:

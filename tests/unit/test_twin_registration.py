@@ -126,6 +126,22 @@ def test_versions_of_several_twins_arrive_in_order_and_once(shelf: TwinShelf) ->
     assert in_mlflow(shelf.home, "a")[1] == ("step 2", "nothing_missing")
 
 
+def test_the_thousandth_version_is_the_newest_and_comes_last(shelf: TwinShelf) -> None:
+    for number in (998, 999):
+        shelf.store(version("a", number))
+    assert shelf.next_version("a") == 1000
+    shelf.store(version("a", 1000))
+    assert shelf.newest_document("a")[0]["version"] == 1000
+    assert shelf.newest_document("a", 1000)[0]["action"] == "step 1000"
+    assert shelf.next_version("a") == 1001
+    assert [rung["version"] for rung in shelf.history("a")] == [998, 999, 1000]
+    assert labels(shelf.home) == ["a v998", "a v999", "a v1000"]
+    log_waiting(shelf.home)
+    assert [action for action, _ in in_mlflow(shelf.home, "a")] == ["step 998", "step 999", "step 1000"]
+    parents = {r.data.tags.get("mlflow.parentRunId") for r in runs(shelf.home, "a")}
+    assert parents == {None, shelf.history("a")[0]["mlflow"]["parent_run_id"]}
+
+
 def test_after_a_kill_at_any_moment_each_version_is_there_exactly_once(shelf: TwinShelf) -> None:
     shelf.store(version("k", 1))
     shelf.store_diagnosis(diagnosis("k", 1, "missing_effect"))

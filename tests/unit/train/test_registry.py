@@ -1,0 +1,36 @@
+"""The registry of a plant: more machines and versions than one answer of MLflow holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dtwin.config import Home
+from dtwin.train.registry import Registry, model_name
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    registry = Registry(Home(tmp_path_factory.mktemp("plant")))
+    registry.ensure_model("twin-a", "a twin, not a machine's correction")
+    for number in range(120):
+        registry.ensure_model(model_name(f"m{number:03d}"), "a correction")
+    return registry
+
+
+def test_every_machine_is_listed(registry: Registry) -> None:
+    assert registry.machines() == [f"m{number:03d}" for number in range(120)]
+
+
+def test_versions_come_newest_first_with_their_aliases_and_tags(registry: Registry) -> None:
+    assert registry.versions("nobody") == registry.versions("m001") == []
+    name = model_name("m000")
+    for number in range(1, 12):
+        registry.client.create_model_version(name, source="file:nowhere", tags={"state": f"s{number}"})
+    registry.client.set_registered_model_alias(name, "champion", "9")
+    found = registry.versions("m000")
+    assert [v.version for v in found] == [str(n) for n in range(11, 0, -1)]
+    assert [v.aliases for v in found if v.aliases] == [("champion",)]
+    assert found == [registry.version("m000", v.version) for v in found]
+    assert registry.champion("m000") == found[2]
