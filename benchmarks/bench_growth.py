@@ -147,19 +147,21 @@ def measured(home: Home, source: Path, size: int, repeats: int) -> dict[str, Any
     return found
 
 
-def used(home: Home, *words: str) -> tuple[float, float]:
-    """Return the seconds of processor and the peak memory, in MB, of a command."""
+def used(
+    home: Home, *words: str, program: tuple[str, ...] = ("-m", "dtwin"), at_once: bool = False
+) -> tuple[float, float]:
+    """Return the seconds of processor and the peak memory, in MB, of a command; ``at_once``: it tells MLflow itself."""
     # A small process between: what a child counts as its peak begins with its parent's.
     done = subprocess.run(
-        [sys.executable, "-c", _WATCHED, sys.executable, "-m", "dtwin", *words],
-        env={**os.environ, "DTWIN_HOME": str(home.root)},
+        [sys.executable, "-c", _WATCHED, sys.executable, *program, *words],
+        env={**os.environ, "DTWIN_HOME": str(home.root), "DTWIN_MLFLOW": "now" if at_once else "later"},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
     )
     code, seconds, memory_kb = done.stdout.split()
     if code != "0":
-        raise SystemExit(f"dtwin {' '.join(words)} ended with {code}")
+        raise SystemExit(f"{' '.join((program[-1], *words))} ended with {code}")
     return float(seconds), float(memory_kb) / 1024
 
 

@@ -7,6 +7,7 @@ import gc
 import socket
 import threading
 from collections.abc import Callable
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
@@ -92,6 +93,8 @@ def run(
     announce : callable
         Gets the address, once it answers.
     """
+    # Plotly looks into a pandas that is loaded: while the thread below loaded it (MLflow does), a page that draws failed.
+    import_module("pandas")
     access = Access(host, int(listening.getsockname()[1]), private, home=home)
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 import threading
 import time
 import tomllib
@@ -194,3 +196,18 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
         time.sleep(0.01)
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
+
+
+_BEGUN = """
+import socket, sys, threading
+from pathlib import Path
+from dtwin.config import Home
+from dtwin.workbench import _server
+threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
+_server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
+"""
+
+
+def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", _BEGUN, str(tmp_path)], capture_output=True, text=True, timeout=60)
+    assert ended.stderr.strip() == "pandas: True"
