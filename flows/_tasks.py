@@ -25,7 +25,7 @@ from dtwin.kinds.registry import machine_named
 from dtwin.lifecycle import drift, schedule
 from dtwin.lifecycle import evidence as closed_loop
 from dtwin.lifecycle import recheck as rechecking
-from dtwin.lifecycle import train as modelling
+from dtwin.lifecycle import train as training
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, measuring
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
@@ -106,9 +106,9 @@ def cell_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
 
 
 @task(name="train", task_run_name="train {campaign}", **_ONCE)
-def train(campaign: str, seed: int) -> modelling.Registered:
+def train(campaign: str, seed: int) -> training.Registered:
     """Train every candidate and register the proposed one."""
-    return modelling.train(home(), campaign, seed=seed, progress=logged_stages())
+    return training.train(home(), campaign, seed=seed, progress=logged_stages())
 
 
 @task(name="scheduled training", **_ONCE)
@@ -120,7 +120,7 @@ def scheduled_training(seed: int) -> schedule.Scheduled:
 @task(name="trial", task_run_name="trial of version {version.version}", **_ONCE)
 def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
     """Put a version on trial; offline gates decide."""
-    return modelling.put_on_trial(home(), version, comment)
+    return training.put_on_trial(home(), version, comment)
 
 
 @task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)

@@ -13,7 +13,7 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
 from dtwin.lifecycle import evidence
-from dtwin.lifecycle import train as modelling
+from dtwin.lifecycle import train as training
 from dtwin.pipeline import measuring
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import EvidencePlan, Plan
@@ -41,7 +41,7 @@ class Work(Protocol):
     def features(self, campaign: str) -> measuring.FeatureReport:
         """Compute the signal features of a campaign."""
 
-    def train(self, campaign: str) -> modelling.Registered:
+    def train(self, campaign: str) -> training.Registered:
         """Train every candidate and register the proposed one."""
 
     def put_on_trial(self, version: RegisteredVersion, comment: str) -> Path:
@@ -99,16 +99,16 @@ class _PlainWork:
     def features(self, campaign: str) -> measuring.FeatureReport:
         return measuring.compute_features(self._home, campaign, self._progress("features"))
 
-    def train(self, campaign: str) -> modelling.Registered:
+    def train(self, campaign: str) -> training.Registered:
         lines: dict[str, Progress] = {}
 
         def tell(stage: str, done: int, total: int, what: str) -> None:
             lines.setdefault(stage, self._progress(stage))(done, total, what)
 
-        return modelling.train(self._home, campaign, progress=tell)
+        return training.train(self._home, campaign, progress=tell)
 
     def put_on_trial(self, version: RegisteredVersion, comment: str) -> Path:
-        return modelling.put_on_trial(self._home, version, comment)
+        return training.put_on_trial(self._home, version, comment)
 
     def serve(self, machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
         return serve_wall_clock(self._home, machine, circle, duration_s, seed)
