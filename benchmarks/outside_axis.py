@@ -25,19 +25,15 @@ Run: python benchmarks/outside_axis.py [--cases N] [--first NUMBER] [--rows full
 
 from __future__ import annotations
 
-import json
 import sys
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "outside"))
 
 from axis_session import axis, measured, spoilt_runs
-from exam import Case, Exam, Mark, arguments, in_columns, summed
-
-from dtwin.physics.diagnosis import Suspect
+from exam import Case, Exam, Mark, effect_of, printed, summed
 
 ROWS = ("full", "null", "unknown", "spoilt")
 
@@ -50,10 +46,6 @@ def machine(row: str, number: int) -> Case:
     return Case(campaign, runs, whole.faults, makes_um, whole.noise_um, spoilt_runs(whole.faults))
 
 
-def _effect(suspect: Suspect) -> str:
-    return suspect.effect
-
-
 def _summed(row: str, marks: Sequence[Mark]) -> dict[str, Any]:
     """Return one row of the first table: the common one, and what was left out."""
     return summed(row, marks) | {
@@ -63,30 +55,9 @@ def _summed(row: str, marks: Sequence[Mark]) -> dict[str, Any]:
     }
 
 
-def _by_mechanism(marks: Mapping[str, Sequence[Mark]]) -> list[dict[str, Any]]:
-    every = [mark for of_row in marks.values() for mark in of_row]
-    shown = Counter(kind for mark in every for kind in mark.shown)
-    missed = Counter(kind for mark in every for kind in mark.missed)
-    return [{"mechanism": kind, "shows": n, "named": n - missed[kind]} for kind, n in sorted(shown.items())]
-
-
-def _false_names(marks: Mapping[str, Sequence[Mark]]) -> list[dict[str, Any]]:
-    false = [(row, group) for row, of_row in marks.items() for mark in of_row for group in mark.false]
-    groups = Counter((row, " / ".join(group)) for row, group in false)
-    return [{"row": row, "false name": names, "times": n} for (row, names), n in groups.most_common()]
-
-
 def main() -> None:
     """Print the tables."""
-    asked = arguments(__doc__, ROWS, short=("full", "null"))
-    marks = Exam(machine, label=_effect).held(asked)
-    tables = {
-        "rows": [_summed(row, of_row) for row, of_row in marks.items()],
-        "mechanisms": _by_mechanism(marks),
-        "false names": _false_names(marks),
-    }
-    said = [in_columns(rows) for rows in tables.values() if rows]
-    print(json.dumps(tables) if asked.json else "\n\n".join(said))
+    printed(Exam(machine, label=effect_of), __doc__, ROWS, ("full", "null"), _summed)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -82,6 +84,11 @@ class Mark:
 def at_most_three(row: str, group: Sequence[Suspect]) -> bool:
     """Return whether a group is small enough to name something."""
     return len(group) <= MOST_IN_GROUP
+
+
+def effect_of(suspect: Suspect) -> str:
+    """Return what a suspect is called where all of a machine is about one axis."""
+    return suspect.effect
 
 
 def _label(suspect: Suspect) -> str:
@@ -176,3 +183,35 @@ def summed(row: str, marks: Sequence[Mark]) -> dict[str, Any]:
 def in_columns(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows as a table; the keys are its head."""
     return table(list(rows[0]), [list(row.values()) for row in rows])
+
+
+def printed(
+    exam: Exam,
+    about: str | None,
+    rows: Sequence[str],
+    short: Sequence[str],
+    of_row: Callable[[str, Sequence[Mark]], dict[str, Any]] = summed,
+) -> None:
+    """Hold an exam as asked for, and print a table of its rows, of its mechanisms, and of the names that were false."""
+    asked = arguments(about, rows, short)
+    marks = exam.held(asked)
+    tables = {
+        "rows": [of_row(row, found) for row, found in marks.items()],
+        "mechanisms": _by_mechanism(marks),
+        "false names": _false_names(marks),
+    }
+    said = [in_columns(table) for table in tables.values() if table]
+    print(json.dumps(tables) if asked.json else "\n\n".join(said))
+
+
+def _by_mechanism(marks: Mapping[str, Sequence[Mark]]) -> list[dict[str, Any]]:
+    every = [mark for of_row in marks.values() for mark in of_row]
+    shown = Counter(kind for mark in every for kind in mark.shown)
+    missed = Counter(kind for mark in every for kind in mark.missed)
+    return [{"mechanism": kind, "shows": n, "named": n - missed[kind]} for kind, n in sorted(shown.items())]
+
+
+def _false_names(marks: Mapping[str, Sequence[Mark]]) -> list[dict[str, Any]]:
+    false = [(row, group) for row, of_row in marks.items() for mark in of_row for group in mark.false]
+    groups = Counter((row, " / ".join(group)) for row, group in false)
+    return [{"row": row, "false name": names, "times": n} for (row, names), n in groups.most_common()]

@@ -56,6 +56,7 @@ def test_none_is_left_out() -> None:
         "bench_verbs.py",
         "bench_workbench.py",
         "bench_growth.py",
+        "bench_databases.py",
         "cobot_family.py",
         "contradictions.py",
         "correction_band.py",
@@ -64,6 +65,7 @@ def test_none_is_left_out() -> None:
         "next_test.py",
         "outside_axis.py",
         "outside_machine.py",
+        "outside_tone.py",
         "plant_year.py",
         "sister_machines.py",
         "two_instruments.py",
@@ -141,6 +143,7 @@ def test_flips() -> None:
         ("bench_tone_tick.py", ["calls"]),
         ("bench_workbench.py", ["runs"]),
         ("bench_growth.py", ["last_to_first.ingest_s", "last_to_first.runs_s"]),
+        ("bench_databases.py", ["last_to_first.fit_and_log_s", "last_to_first.flow_s"]),
     ],
 )
 def test_what_is_timed(script: str, ratios: list[str]) -> None:
@@ -256,6 +259,15 @@ def test_outside_axis() -> None:
     assert 0 < full["named"] <= full["faults that show"] == 2
     assert full["named"] == sum(row["named"] for row in found["mechanisms"])
     assert full["false names per machine"] == sum(row["times"] for row in found["false names"])
+
+
+def test_outside_tone() -> None:
+    found = short("outside_tone.py")
+    null, single = found["rows"]
+    assert (null["row"], single["row"]) == ("null", "single")
+    # Nothing is wrong, and nothing is said to be.
+    assert (null["faults that show"], null["named"], null["false names per machine"]) == (0, 0, 0.0)
+    assert found["mechanisms"] == [{"mechanism": "servo loop", "shows": 1, "named": single["named"]}]
 
 
 @pytest.mark.long
