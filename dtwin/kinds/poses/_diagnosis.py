@@ -30,13 +30,15 @@ _LEVELS = (
 _ALPHA = 0.01
 # A family counts when it takes this share of the squares that are left on poses left out.
 _MATERIAL = 0.005
-# A joint stays in it when the squares grow by more than this share without it.
-_PAYS = 0.002
+# A joint stays in it when the squares grow by more than this share without it, and in most blocks: of a list of joints
+# that help by chance one in six is in it without the second.
+_PAYS, _STAYS = 0.002, 0.05
 # Another family tells the same when it gains nearly as much alone, and little beside the best.
 _AS_GOOD, _LITTLE = 0.8, 0.2
 # A fancier family takes the place of a plainer one when it gains more, has no more parameters than these besides, and
 # leaves nothing to the plainer one.
 _BETTER, _MORE = 1.1, 2
+_LEAST_MM2 = 1e-12
 # Repeats tell that something is left when it is this many times their scatter.
 _BEYOND = 1.5
 
@@ -194,7 +196,7 @@ def idle_terms(grams: Grams, terms: Sequence[Term]) -> list[Term]:
     while kept:
         without = [_left(grams, [t for t in kept if t != term]) for term in kept]
         least = int(np.argmin([w.sum() for w in without]))
-        if without[least].sum() > now.sum() * (1.0 + _PAYS):
+        if _needed(without[least], now):
             break
         idle.append(kept.pop(least))
         now = without[least]
@@ -223,9 +225,7 @@ def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
             more = [term for term in grams.series.slots if term.effect == effect and term not in terms]
             if more:
                 tried.append((effect, *_pruned(grams, terms, more)))
-        p_values: Sequence[float] = (
-            holm([_paid(before - after, counted) for _, _, after in tried]).tolist() if tried else []
-        )
+        p_values: Sequence[float] = holm([_paid(before, after) for _, _, after in tried]).tolist() if tried else []
         for (effect, more, after), p in zip(tried, p_values, strict=True):
             left = float(after.sum())
             gain = 1.0 - left / float(before.sum())
@@ -240,16 +240,21 @@ def _pruned(grams: Grams, terms: Sequence[Term], more: Sequence[Term]) -> tuple[
     while len(kept) > 1:
         without = [_left(grams, [*terms, *(t for t in kept if t != term)]) for term in kept]
         least = int(np.argmin([w.sum() for w in without]))
-        if without[least].sum() > after.sum() * (1.0 + _PAYS):
+        if _needed(without[least], after):
             break
         after = without[least]
         kept.pop(least)
     return kept, after
 
 
-def _paid(gain: Floats, count: Floats) -> float:
-    """Return the one-sided p-value of a gain per pose over blocks."""
-    each = gain / count
+def _needed(without: Floats, now: Floats) -> bool:
+    """Return whether enough is left without a term, and surely, of squares in each block with and without it."""
+    return float(without.sum()) > float(now.sum()) * (1.0 + _PAYS) and _paid(without, now) < _STAYS
+
+
+def _paid(before: Floats, after: Floats) -> float:
+    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides."""
+    each = np.log(np.maximum(before, _LEAST_MM2) / np.maximum(after, _LEAST_MM2))
     spread = float(each.std(ddof=1)) / np.sqrt(len(each))
     return t_tail(float(each.mean()) / spread, len(each) - 1.0) if spread > 0.0 else 1.0
 

@@ -15,8 +15,8 @@ from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
 from dtwin.kinds.poses._setup import Setup, columns, fitted
 from dtwin.schema import Floats
 
-_BLOCKS = 64
-_FEWEST = 30
+# Blocks at most, and poses in each: of thousands, of some, of few. A gain over four blocks is no evidence.
+_BLOCKS = ((64, 30), (24, 5), (8, 2))
 _SAME_DEG, _SAME_MM = 0.03, 0.05
 
 
@@ -130,7 +130,7 @@ def _blocks(joints: Floats, place: Floats) -> Floats:
     """
     first = np.unique(place, return_index=True)[1]
     around = np.concatenate([np.cos(joints[first]), np.sin(joints[first])], axis=1)
-    many = max(min(_BLOCKS, len(first) // _FEWEST), 4)
+    many = max(min(most, len(first) // each) for most, each in _BLOCKS)
     parts = [np.arange(len(first))]
     while len(parts) < many:
         largest = parts.pop(max(range(len(parts)), key=lambda n: len(parts[n])))
