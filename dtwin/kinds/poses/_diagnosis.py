@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.kinds.poses._effects import EFFECTS, Term, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
@@ -24,7 +25,7 @@ _LEVELS = (
     ("link_geometry",),
     ("gravity_sag",),
     ("joint_cyclic_1", "joint_cyclic_2", "joint_cyclic_3", "joint_reversal"),
-    ("ambient_growth",),
+    ("ambient_growth", "setup_drift"),
 )
 """Families from plain to fancy: of two that tell the same, the plainer is named."""
 _ALPHA = 0.01
@@ -39,6 +40,8 @@ _AS_GOOD, _LITTLE = 0.8, 0.2
 # leaves nothing to the plainer one.
 _BETTER, _MORE = 1.1, 2
 _LEAST_MM2 = 1e-12
+# Rows so many times the usual spread off, and no more of them, are told apart.
+_WILD, _MOST_FAR = 8.0, 8
 # Repeats tell that something is left when it is this many times their scatter.
 _BEYOND = 1.5
 
@@ -150,14 +153,18 @@ def pose_figures(grams: Grams, terms: Sequence[Term]) -> dict[str, float]:
     }
 
 
-def diagnose(grams: Grams, terms: Sequence[Term]) -> PoseDiagnosis:
-    """Return what a twin with some terms lacks, and which of them are idle."""
+def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None = None) -> PoseDiagnosis:
+    """Return what a twin with some terms lacks, and which of them are idle.
+
+    ``rows`` (n,): numbers of the readings in their table, for those that are far off the others.
+    """
     found = _candidates(grams, terms)
     group = _group(grams, terms, found)
     labels = {c.effect for c in group}
     shown = (*group, *sorted((c for c in found if c.effect not in labels), key=lambda c: -c.gain))
     figures = pose_figures(grams, terms)
     verdict, headline, p = _verdict(grams, group, figures)
+    headline += _far_off(held_out_mm(grams, terms), rows)
     idle: tuple[Term, ...] = ()
     if terms and not group:
         idle = tuple(idle_terms(grams, terms))
@@ -310,6 +317,18 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
         said = f"{left:z.0f} µm are left, {left / floor:z.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
         return "unknown_effect", said, p
     return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
+
+
+def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:
+    """Return which few rows hold most of what is left (n, 3), as the end of a headline; empty where none do."""
+    size = np.linalg.norm(left_mm, axis=1)
+    typical = float(np.median(size))
+    far = np.flatnonzero(size > typical + _WILD * 1.4826 * float(np.median(np.abs(size - typical))))
+    if rows is None or not 0 < len(far) <= _MOST_FAR or (size[far] ** 2).sum() < 0.5 * (size**2).sum():
+        return ""
+    others = 1000.0 * rms(np.delete(size, far))
+    which = ", ".join(str(n) for n in rows[far])
+    return f"; most of it is in row{'s' if len(far) > 1 else ''} {which}, the others leave {others:z.0f} µm: spoilt readings?"
 
 
 def _beyond(grams: Grams, left_um: float) -> float:
