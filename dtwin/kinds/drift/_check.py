@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, steady
+from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
+from dtwin.statistics import f_tail
 
 _FEWEST = 100
 _JUMP_UM = 200.0
 _JUMPS = 50.0
 _OF_SPAN = 0.25
 _NOISY = 0.1
+_CHANCE = 1e-3
+_PAUSE_S, _TIMES_PAUSE, _LISTED = 300.0, 10.0, 4
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size is doubted."""
 _BEYOND = 1.5
@@ -23,7 +26,7 @@ _BEYOND = 1.5
 
 def judge_drift(run: Run) -> list[Finding]:
     """Return what is wrong with one log."""
-    series = series_of(run)
+    series = series_of(run, as_read=True)
     if len(series.t_s) < _FEWEST:
         said = f"{len(series.t_s)} readings: a fit to temperatures needs at least {_FEWEST}"
         return [Finding("drift.few", "error", said, {"readings_1": float(len(series.t_s))})]
@@ -38,13 +41,42 @@ def judge_drift(run: Run) -> list[Finding]:
             "lost reference, or a probing that went wrong; nothing is to be fitted to this run"
         )
         findings.append(Finding("drift.jump", "error", said, {"largest_um": float(steps.max())}))
+    elif touched := shifts(series):
+        listed = ", ".join(f"{one.size_um:z.1f} µm after {one.at_s / 60.0:z.0f} min" for one in touched[:_LISTED])
+        said = (
+            f"the displacement stepped between two readings and stayed: {listed}; heat does not do that, a touched probe does: "
+            "fits are made without these steps, the test sheet is of the readings as they are"
+        )
+        findings.append(Finding("drift.touched", "warning", said, {"steps_1": float(len(touched))}))
+    pauses = np.diff(series.t_s)
+    long = np.flatnonzero(pauses > max(_PAUSE_S, _TIMES_PAUSE * float(np.median(pauses[pauses > 0.0], axis=None))))
+    if long.size:
+        first = series.t_s[long[0]] / 60.0
+        said = (
+            f"no readings for up to {pauses.max() / 60.0:z.0f} min, {long.size} time{'s' if long.size > 1 else ''}, first after {first:z.0f} min: "
+            "temperatures are taken to have moved evenly meanwhile, and what is late is less sure"
+        )
+        findings.append(Finding("drift.gap", "warning", said, {"longest_s": float(pauses.max())}))
     # What a correction leaves may be little more than noise.
-    if not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
+    if not run.meta.correction and _still(series):
+        said = f"what moved is no more than readings of one sample scatter, {series.floor_um:z.1f} µm: there is nothing to tell"
+        findings.append(Finding("drift.still", "info", said, {"scatter_um": series.floor_um}))
+    elif not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
         said = f"readings of one sample scatter by {series.floor_um:z.1f} µm, a tenth of all that moved or more: the probing does not repeat"
         findings.append(Finding("drift.noise", "error", said, {"scatter_um": series.floor_um}))
     if not np.isfinite(series.floor_um):
         findings.append(Finding("drift.no_repeat", "warning", "no sample was read twice: no noise floor is known"))
     return findings
+
+
+def _still(series: Series) -> bool:
+    """Return whether stretches of time differ by no more than their readings scatter, at 99.9 %."""
+    if not np.isfinite(series.floor_um) or not series.floor_um > 0.0:
+        return False
+    count = np.bincount(series.block)
+    means = np.bincount(series.block, series.moved_um) / count
+    between = float((count * (means - series.moved_um.mean()) ** 2).sum()) / (len(count) - 1)
+    return f_tail(between / series.floor_um**2, (len(count) - 1.0, len(series.t_s) / 2.0)) > _CHANCE
 
 
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:

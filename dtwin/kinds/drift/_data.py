@@ -14,17 +14,25 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._model import Series, series_of
 from dtwin.lake.store import Lake
+from dtwin.schema import Run
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """The longest sound log of a campaign; ``data``: table versions and a hash of what was used."""
+    """The longest sound log of a campaign, of equally long ones that which moved most; ``data``: table versions and a hash
+    of what was used.
+    """
 
     campaign: str
     machine: str
     run_id: str
     series: Series
     data: Mapping[str, Any]
+
+
+def _length(run: Run) -> tuple[float, float]:
+    """Return what sorts logs: the longest first, of equally long ones that which moved most."""
+    return -float(np.ptp(run.samples["t_s"])), -float(np.std(run.samples["displacement_um"]))
 
 
 def load(home: Home, campaign: str) -> Loaded:
@@ -37,7 +45,7 @@ def load(home: Home, campaign: str) -> Loaded:
     if known.kind != "drift":
         raise InputError("not a campaign of drift", code="drift.kind", where=name, got=known.kind, allowed="drift")
     rows = [row for row in lake.runs(name) if row["n_errors"] == 0 and not row["correction"]]
-    runs = sorted((lake.load(row) for row in rows), key=lambda run: -float(np.ptp(run.samples["t_s"])))
+    runs = sorted((lake.load(row) for row in rows), key=_length)
     if not runs:
         raise InputError(
             "the campaign has no sound log without a correction",

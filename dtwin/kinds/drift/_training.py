@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.errors import InputError
+from dtwin.kinds.drift._effects import sensors_of
 from dtwin.kinds.drift._model import Fitted, Series, held_out_um, missing, series_of, steady
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
@@ -67,6 +68,15 @@ def train_drift(
     base = steady(series)
     tell("candidates", 1, 2, "temperatures at once")
     steps = missing(series, base)
+    if not base.terms and not steps:
+        raise InputError(
+            "no temperature of the log says anything of what moved",
+            code="train.nothing",
+            where=f"campaign {name}, log {runs[0].meta.run_id}",
+            got=f"{np.std(series.moved_um):z.2f} µm RMS, sensors {', '.join(sensors_of(series))}",
+            allowed="a displacement that follows a temperature",
+            hint="dtwin check tells what is in the log",
+        )
     tell("candidates", 2, 2, "what that lacks")
     forms = {"temperatures at once": base, **({"temperatures late": steps[-1].fitted} if steps else {})}
     (axis,) = axes
