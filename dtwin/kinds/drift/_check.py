@@ -44,7 +44,7 @@ def judge_drift(run: Run) -> list[Finding]:
     elif touched := shifts(series):
         listed = ", ".join(f"{one.size_um:z.1f} µm after {one.at_s / 60.0:z.0f} min" for one in touched[:_LISTED])
         said = (
-            f"the displacement stepped between two readings and stayed: {listed}; heat does not do that, a touched probe does: "
+            f"the displacement stepped between two readings and stayed: {listed}; heat does not do that, a touched probe or a spindle that starts does: "
             "fits are made without these steps, the test sheet is of the readings as they are"
         )
         findings.append(Finding("drift.touched", "warning", said, {"steps_1": float(len(touched))}))

@@ -571,3 +571,16 @@ def test_what_was_taken_out_again_was_not_found() -> None:
     assert _without(group, [Term("joint_zero", 3)]) == ("joint_zero@J2", "gravity_sag@J2")
     assert _without(group, [Term("joint_zero", 3), Term("joint_zero", 2)]) == ()
     assert _without(("setup_drift",), [Term("setup_drift")]) == ()
+
+
+def test_half_widths_cover_the_truth_of_few_poses() -> None:
+    covered = []
+    for seed in range(40):
+        joints, rng = _joints(30, 50 + seed), np.random.default_rng(seed)
+        measured = _measured(joints + np.array([0, 0.5e-3, 0, 0, 0, 0])) + rng.normal(0.0, 0.02, (len(joints), 3))
+        grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+        for one in parameters(grams, [Term("joint_zero", 2), Term("joint_zero", 4), Term("link_geometry", 3)]):
+            if np.isfinite(one.value):
+                covered.append(abs(one.value - (0.5 if one.term.joint == 2 else 0.0)) <= one.k2)
+    assert len(covered) > 100
+    assert np.mean(covered) > 0.9
