@@ -30,6 +30,9 @@ def judge_drift(run: Run) -> list[Finding]:
     if len(series.t_s) < _FEWEST:
         said = f"{len(series.t_s)} readings: a fit to temperatures needs at least {_FEWEST}"
         return [Finding("drift.few", "error", said, {"readings_1": float(len(series.t_s))})]
+    if not np.ptp(series.moved_um) > 0.0:
+        said = "the displacement never changes: is the probe stuck, or out of its range?"
+        return [Finding("drift.stuck", "error", said)]
     findings = []
     steps = np.abs(np.diff(series.moved_um))
     usual = max(float(np.median(steps)), 1.0)
@@ -81,12 +84,25 @@ def _still(series: Series) -> bool:
 
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
     """Return what logs of one machine say together: whether they move alike for the same temperatures."""
+    findings = []
+    for name, (ratio, others) in contradicting(runs).items():
+        which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
+        said = (
+            f"{name} moves {ratio:z.2f} times as far as models of the same machine predict from its temperatures "
+            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
+        )
+        findings.append(Finding("drift.scale", "error", said, {"ratio_1": ratio}))
+    return findings
+
+
+def contradicting(runs: Sequence[Run]) -> dict[str, tuple[float, list[str]]]:
+    """Return runs that move otherwise than models of others of the same axis predict, by how many times, and of which."""
     sound = [r for r in runs if not r.meta.correction and not any(f.severity == "error" for f in judge_drift(r))]
     known = {r.meta.run_id: series_of(r) for r in sound}
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
     axis = {r.meta.run_id: r.meta.condition.get("axis") for r in sound}
-    findings = []
+    found = {}
     for n, name in enumerate(told):
         alike = [other for other in told if axis[other] == axis[name]]
         others = [other for other in alike if other != name and (len(alike) > 2 or told.index(other) < n)]
@@ -94,13 +110,8 @@ def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
         times = [t for t in times if np.isfinite(t)]
         if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:
             continue
-        which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
-        said = (
-            f"{name} moves {np.median(times):z.2f} times as far as models of the same machine predict from its temperatures "
-            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
-        )
-        findings.append(Finding("drift.scale", "error", said, {"ratio_1": float(np.median(times))}))
-    return findings
+        found[name] = (float(np.median(times)), others)
+    return found
 
 
 def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.drift._check import contradicting
 from dtwin.kinds.drift._model import Series, series_of
 from dtwin.lake.store import Lake
 from dtwin.schema import Run
@@ -30,9 +31,11 @@ class Loaded:
     data: Mapping[str, Any]
 
 
-def _length(run: Run) -> tuple[float, float]:
-    """Return what sorts logs: the longest first, of equally long ones that which moved most."""
-    return -float(np.ptp(run.samples["t_s"])), -float(np.std(run.samples["displacement_um"]))
+def longest_first(runs: Sequence[Run]) -> list[Run]:
+    """Return logs without those that the others contradict, the longest first, of equally long ones that which moved most."""
+    out = contradicting(runs) if len(runs) > 1 else {}
+    kept = [run for run in runs if run.meta.run_id not in out]
+    return sorted(kept, key=lambda run: (-np.ptp(run.samples["t_s"]), -np.std(run.samples["displacement_um"])))
 
 
 def load(home: Home, campaign: str) -> Loaded:
@@ -45,7 +48,7 @@ def load(home: Home, campaign: str) -> Loaded:
     if known.kind != "drift":
         raise InputError("not a campaign of drift", code="drift.kind", where=name, got=known.kind, allowed="drift")
     rows = [row for row in lake.runs(name) if row["n_errors"] == 0 and not row["correction"]]
-    runs = sorted((lake.load(row) for row in rows), key=_length)
+    runs = longest_first([lake.load(row) for row in rows])
     if not runs:
         raise InputError(
             "the campaign has no sound log without a correction",

@@ -18,6 +18,7 @@ _BLOCKS = 24
 _TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
 _FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02))
 _ALPHA = 0.05
+_DIGITS = 4
 _MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
 _SURELY = 0.1
@@ -76,14 +77,24 @@ class Series:
 
     @cached_property
     def floor_um(self) -> float:
-        """Standard deviation of one reading within its sample; NaN without samples that were read again."""
+        """Standard deviation of one reading within its sample, and no less than its last digit leaves; NaN without samples
+        that were read again.
+        """
         if self.sample is None:
             return float("nan")
         label = np.unique(self.sample, return_inverse=True)[1]
         count = np.bincount(label)
         mean = np.bincount(label, self.moved_um) / count
         dof = len(label) - len(count)
-        return float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)) if dof > 0 else float("nan")
+        if dof <= 0:
+            return float("nan")
+        return max(float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)), self.digit_um / np.sqrt(12.0))
+
+    @cached_property
+    def digit_um(self) -> float:
+        """Least difference of two readings: what the display resolves, or nothing where each reading is another."""
+        apart = np.diff(np.unique(np.round(self.moved_um, _DIGITS)))
+        return float(apart.min()) if apart.size else 0.0
 
     def column(self, term: Term) -> Floats:
         """Return the column of a term, shape (n,)."""

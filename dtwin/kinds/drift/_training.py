@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.errors import InputError
+from dtwin.kinds.drift._data import longest_first
 from dtwin.kinds.drift._effects import sensors_of
 from dtwin.kinds.drift._model import Fitted, Series, held_out_um, missing, series_of, steady
 from dtwin.lake.store import Lake
@@ -62,7 +63,7 @@ def train_drift(
             got=", ".join(sorted(axes)) or "no axis",
             allowed='condition = { axis = "Z" } in every [[run]], the same one',
         )
-    runs = sorted((lake.load(row) for row in rows), key=lambda run: -float(np.ptp(run.samples["t_s"])))
+    runs = longest_first([lake.load(row) for row in rows])
     series = series_of(runs[0])
     tell = progress or (lambda *_: None)
     base = steady(series)

@@ -13,7 +13,9 @@ from dtwin.acquire.ingest import ingest, open_source
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.drift._check import judge_campaign_drift, judge_drift
+from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
+from dtwin.kinds.drift._data import longest_first
+from dtwin.kinds.drift._diagnosis import diagnose
 from dtwin.kinds.drift._model import Series, Term, fitted, idle, missing, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log
 from dtwin.kinds.drift._training import train_drift
@@ -493,3 +495,33 @@ def test_a_log_that_follows_no_temperature_trains_nothing(tmp_path: Path) -> Non
     ingest(tmp_path, Lake(home.lake))
     with pytest.raises(InputError, match="says anything of what moved"):
         train_drift(Lake(home.lake), "c")
+
+
+def test_a_display_that_shows_whole_micrometres_has_a_floor() -> None:
+    run = _touched(0.0)
+    # Each sample reads the same three times.
+    sample = run.samples["sample_1"].astype(int)
+    first = np.unique(sample, return_index=True)[1]
+    shown = np.round(run.samples["displacement_um"][first])[np.unique(sample, return_inverse=True)[1]]
+    series = series_of(replace(run, samples={**run.samples, "displacement_um": shown}))
+    assert series.floor_um == pytest.approx(1.0 / np.sqrt(12.0))
+    assert diagnose(series, steady(series).terms).verdict == "missing_effect"
+    assert drift_figures([replace(run, samples={**run.samples, "displacement_um": shown})])["log"]["floor_um"] > 0.0
+
+
+def test_a_probe_that_is_stuck_is_said() -> None:
+    run = _touched(0.0)
+    stuck = replace(run, samples={**run.samples, "displacement_um": np.zeros(run.n_samples)})
+    assert [(f.code, f.severity) for f in judge_drift(stuck)] == [("drift.stuck", "error")]
+    assert drift_figures([stuck]) == {"log": None}
+
+
+def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
+    runs = [replace(_touched(0.0, seed), meta=replace(_touched(0.0).meta, run_id=f"r{seed}")) for seed in range(3)]
+    wrong = {**runs[1].samples, "displacement_um": 5.0 * runs[1].samples["displacement_um"]}
+    runs[1] = replace(runs[1], samples=wrong)
+    assert {run.meta.run_id for run in longest_first(runs)} == {"r0", "r2"}
+    # Of a file with several displacements that which moved most.
+    axes = [replace(runs[0], meta=replace(runs[0].meta, run_id=axis, condition={"axis": axis})) for axis in "XZ"]
+    axes[0] = replace(axes[0], samples={**axes[0].samples, "displacement_um": 0.2 * axes[0].samples["displacement_um"]})
+    assert [run.meta.run_id for run in longest_first(axes)] == ["Z", "X"]
