@@ -19,6 +19,8 @@ from dtwin.statistics import f_tail
 # Blocks at most, and poses in each: of thousands, of some, of few. A gain over four blocks is no evidence.
 _BLOCKS = ((64, 30), (24, 5), (8, 2))
 _SAME_DEG, _SAME_MM = 0.03, 0.05
+# Repeats that never differ scatter by what no tracker resolves.
+_FINEST_MM = 1e-4
 # Repeats move with time when chance does so this seldom.
 _SURELY = 1e-3
 
@@ -144,7 +146,7 @@ def _floor(error: Floats, place: Floats, t_s: Floats | None) -> tuple[float, int
             off, moved = without, float(np.linalg.norm(rate) * np.ptp(t_s))
     squares = np.bincount(place, (off**2).sum(axis=1))[again] / (count[again] - 1.0)
     # Of three directions: the mean square is 3, and the median of chi-squared 2.366.
-    return float(np.sqrt(np.median(squares) * 3.0 / 2.366)), int(again.sum()), moved
+    return max(float(np.sqrt(np.median(squares) * 3.0 / 2.366)), _FINEST_MM), int(again.sum()), moved
 
 
 def _about_mean(values: Floats, place: Floats) -> Floats:

@@ -584,3 +584,13 @@ def test_half_widths_cover_the_truth_of_few_poses() -> None:
                 covered.append(abs(one.value - (0.5 if one.term.joint == 2 else 0.0)) <= one.k2)
     assert len(covered) > 100
     assert np.mean(covered) > 0.9
+
+
+def test_repeats_that_never_differ_and_an_arm_without_error_are_judged() -> None:
+    joints = _joints(60, 11)
+    measured = _measured(joints + np.array([0, 0.5e-3, 0, 0, 0, 0]))
+    grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+    assert grams.series.floor_mm == pytest.approx(1e-4)
+    assert diagnose(grams, ()).additions[0] == "joint_zero@J2"
+    at = frames(joints, KNOWN["ur10"]).origin_mm[-1]
+    assert diagnose(Grams(series_of(np.degrees(joints), at, KNOWN["ur10"], None)), ()).verdict == "nothing_missing"
