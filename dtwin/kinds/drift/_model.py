@@ -211,7 +211,7 @@ def steady(series: Series) -> Fitted:
     while chosen:
         without = [_held_out(series, [t for t in chosen if t != term]) for term in chosen]
         least = int(np.argmin([left.sum() for left in without]))
-        if _needed(without[least], now):
+        if _share(without[least], now) > _MATERIAL and _paid(without[least], now) < _ALPHA:
             break
         chosen.pop(least)
         now = without[least]

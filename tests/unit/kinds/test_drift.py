@@ -14,7 +14,7 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
-from dtwin.kinds.drift._data import longest_first
+from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
 from dtwin.kinds.drift._model import Series, Term, fitted, idle, missing, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log
@@ -524,4 +524,4 @@ def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
     # Of a file with several displacements that which moved most.
     axes = [replace(runs[0], meta=replace(runs[0].meta, run_id=axis, condition={"axis": axis})) for axis in "XZ"]
     axes[0] = replace(axes[0], samples={**axes[0].samples, "displacement_um": 0.2 * axes[0].samples["displacement_um"]})
-    assert [run.meta.run_id for run in longest_first(axes)] == ["Z", "X"]
+    assert of_twin(axes).meta.run_id == "Z"
