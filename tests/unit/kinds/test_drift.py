@@ -16,7 +16,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
-from dtwin.kinds.drift._model import Series, Term, fitted, idle, missing, series_of, steady
+from dtwin.kinds.drift._model import Series, Term, additions, fitted, idle, missing, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
@@ -525,3 +525,29 @@ def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
     axes = [replace(runs[0], meta=replace(runs[0].meta, run_id=axis, condition={"axis": axis})) for axis in "XZ"]
     axes[0] = replace(axes[0], samples={**axes[0].samples, "displacement_um": 0.2 * axes[0].samples["displacement_um"]})
     assert of_twin(axes).meta.run_id == "Z"
+
+
+def test_what_fits_short_stretches_by_being_smooth_is_not_named() -> None:
+    # A spindle warms for 4 h of 8, in quarters of an hour, a column late behind it. What moves is ahead of the spindle's sensor,
+    # which no effect here says; the column has nothing to do with it.
+    rng, t_s = np.random.default_rng(6), 30.0 * np.arange(960)
+    load = (t_s < 14_400.0) * (0.7 + 0.3 * np.sign(np.sin(2.0 * np.pi * t_s / 5400.0)))
+    air = 21.0 + 1.5 * np.sin(2.0 * np.pi * t_s / 43_200.0) + 0.2 * behind(t_s, 3.0 * rng.standard_normal(960), 600.0)
+    spindle = air + behind(t_s, 14.0 * load, 1500.0)
+    column = behind(t_s, air, 5400.0) + 0.12 * behind(t_s, spindle - air, 3600.0)
+    for sensor_s in (200.0, 300.0):
+        moved = 2.0 * (spindle - spindle[0]) + rng.normal(0.0, 0.3, 960)
+        sensors = {
+            "temperature_spindle_c": behind(t_s, spindle, sensor_s) + 0.05 * rng.standard_normal(960),
+            "temperature_column_c": column + 0.05 * rng.standard_normal(960),
+        }
+        log = Series(t_s, moved, sensors, None)
+        assert not [one for one in additions(log, [Term("steady", name) for name in sensors]) if one.pays]
+
+
+def behind(t_s: np.ndarray, values: np.ndarray, tau_s: float) -> np.ndarray:
+    """Return what follows values by a first-order lag, stepped in the middle of each pause."""
+    out = values.copy()
+    for i, pause in enumerate(np.diff(t_s)):
+        out[i + 1] = out[i] + (0.5 * (values[i] + values[i + 1]) - out[i]) * (1.0 - np.exp(-pause / tau_s))
+    return out
