@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, steady
+from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
+from dtwin.statistics import f_tail
 
 _FEWEST = 100
 _JUMP_UM = 200.0
 _JUMPS = 50.0
 _OF_SPAN = 0.25
 _NOISY = 0.1
+_CHANCE = 1e-3
+_PAUSE_S, _TIMES_PAUSE, _LISTED = 300.0, 10.0, 4
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size is doubted."""
 _BEYOND = 1.5
@@ -23,10 +26,13 @@ _BEYOND = 1.5
 
 def judge_drift(run: Run) -> list[Finding]:
     """Return what is wrong with one log."""
-    series = series_of(run)
+    series = series_of(run, as_read=True)
     if len(series.t_s) < _FEWEST:
         said = f"{len(series.t_s)} readings: a fit to temperatures needs at least {_FEWEST}"
         return [Finding("drift.few", "error", said, {"readings_1": float(len(series.t_s))})]
+    if not np.ptp(series.moved_um) > 0.0:
+        said = "the displacement never changes: is the probe stuck, or out of its range?"
+        return [Finding("drift.stuck", "error", said)]
     findings = []
     steps = np.abs(np.diff(series.moved_um))
     usual = max(float(np.median(steps)), 1.0)
@@ -38,8 +44,27 @@ def judge_drift(run: Run) -> list[Finding]:
             "lost reference, or a probing that went wrong; nothing is to be fitted to this run"
         )
         findings.append(Finding("drift.jump", "error", said, {"largest_um": float(steps.max())}))
+    elif touched := shifts(series):
+        listed = ", ".join(f"{one.size_um:z.1f} µm after {one.at_s / 60.0:z.0f} min" for one in touched[:_LISTED])
+        said = (
+            f"the displacement stepped between two readings and stayed: {listed}; heat does not do that, a touched probe or a spindle that starts does: "
+            "fits are made without these steps, the test sheet is of the readings as they are"
+        )
+        findings.append(Finding("drift.touched", "warning", said, {"steps_1": float(len(touched))}))
+    pauses = np.diff(series.t_s)
+    long = np.flatnonzero(pauses > max(_PAUSE_S, _TIMES_PAUSE * float(np.median(pauses[pauses > 0.0], axis=None))))
+    if long.size:
+        first = series.t_s[long[0]] / 60.0
+        said = (
+            f"no readings for up to {pauses.max() / 60.0:z.0f} min, {long.size} time{'s' if long.size > 1 else ''}, first after {first:z.0f} min: "
+            "temperatures are taken to have moved evenly meanwhile, and what is late is less sure"
+        )
+        findings.append(Finding("drift.gap", "warning", said, {"longest_s": float(pauses.max())}))
     # What a correction leaves may be little more than noise.
-    if not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
+    if not run.meta.correction and _still(series):
+        said = f"what moved is no more than readings of one sample scatter, {series.floor_um:z.1f} µm: there is nothing to tell"
+        findings.append(Finding("drift.still", "info", said, {"scatter_um": series.floor_um}))
+    elif not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
         said = f"readings of one sample scatter by {series.floor_um:z.1f} µm, a tenth of all that moved or more: the probing does not repeat"
         findings.append(Finding("drift.noise", "error", said, {"scatter_um": series.floor_um}))
     if not np.isfinite(series.floor_um):
@@ -47,14 +72,37 @@ def judge_drift(run: Run) -> list[Finding]:
     return findings
 
 
+def _still(series: Series) -> bool:
+    """Return whether stretches of time differ by no more than their readings scatter, at 99.9 %."""
+    if not np.isfinite(series.floor_um) or not series.floor_um > 0.0:
+        return False
+    count = np.bincount(series.block)
+    means = np.bincount(series.block, series.moved_um) / count
+    between = float((count * (means - series.moved_um.mean()) ** 2).sum()) / (len(count) - 1)
+    return f_tail(between / series.floor_um**2, (len(count) - 1.0, len(series.t_s) / 2.0)) > _CHANCE
+
+
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
     """Return what logs of one machine say together: whether they move alike for the same temperatures."""
+    findings = []
+    for name, (ratio, others) in contradicting(runs).items():
+        which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
+        said = (
+            f"{name} moves {ratio:z.2f} times as far as models of the same machine predict from its temperatures "
+            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
+        )
+        findings.append(Finding("drift.scale", "error", said, {"ratio_1": ratio}))
+    return findings
+
+
+def contradicting(runs: Sequence[Run]) -> dict[str, tuple[float, list[str]]]:
+    """Return runs that move otherwise than models of others of the same axis predict, by how many times, and of which."""
     sound = [r for r in runs if not r.meta.correction and not any(f.severity == "error" for f in judge_drift(r))]
     known = {r.meta.run_id: series_of(r) for r in sound}
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
     axis = {r.meta.run_id: r.meta.condition.get("axis") for r in sound}
-    findings = []
+    found = {}
     for n, name in enumerate(told):
         alike = [other for other in told if axis[other] == axis[name]]
         others = [other for other in alike if other != name and (len(alike) > 2 or told.index(other) < n)]
@@ -62,13 +110,8 @@ def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
         times = [t for t in times if np.isfinite(t)]
         if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:
             continue
-        which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
-        said = (
-            f"{name} moves {np.median(times):z.2f} times as far as models of the same machine predict from its temperatures "
-            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
-        )
-        findings.append(Finding("drift.scale", "error", said, {"ratio_1": float(np.median(times))}))
-    return findings
+        found[name] = (float(np.median(times)), others)
+    return found
 
 
 def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:

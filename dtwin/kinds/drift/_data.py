@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,19 +12,37 @@ import numpy as np
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.drift._check import contradicting
 from dtwin.kinds.drift._model import Series, series_of
 from dtwin.lake.store import Lake
+from dtwin.schema import Run
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """The longest sound log of a campaign; ``data``: table versions and a hash of what was used."""
+    """The longest sound log of a campaign, of several displacements of it that which moved most; ``data``: table versions
+    and a hash of what was used.
+    """
 
     campaign: str
     machine: str
     run_id: str
     series: Series
     data: Mapping[str, Any]
+
+
+def longest_first(runs: Sequence[Run]) -> list[Run]:
+    """Return logs without those that the others contradict, the longest first."""
+    out = contradicting(runs) if len(runs) > 1 else {}
+    kept = [run for run in runs if run.meta.run_id not in out]
+    return sorted(kept or runs, key=lambda run: -float(np.ptp(run.samples["t_s"])))
+
+
+def of_twin(runs: Sequence[Run]) -> Run:
+    """Return the longest log; of several displacements that were read together that which moved most."""
+    first, *others = longest_first(runs)
+    together = [first, *(run for run in others if np.array_equal(run.samples["t_s"], first.samples["t_s"]))]
+    return max(together, key=lambda run: float(np.std(run.samples["displacement_um"])))
 
 
 def load(home: Home, campaign: str) -> Loaded:
@@ -37,7 +55,7 @@ def load(home: Home, campaign: str) -> Loaded:
     if known.kind != "drift":
         raise InputError("not a campaign of drift", code="drift.kind", where=name, got=known.kind, allowed="drift")
     rows = [row for row in lake.runs(name) if row["n_errors"] == 0 and not row["correction"]]
-    runs = sorted((lake.load(row) for row in rows), key=lambda run: -float(np.ptp(run.samples["t_s"])))
+    runs = [lake.load(row) for row in rows]
     if not runs:
         raise InputError(
             "the campaign has no sound log without a correction",
@@ -49,5 +67,6 @@ def load(home: Home, campaign: str) -> Loaded:
     digest = hashlib.sha256()
     for row in rows:
         digest.update(str(row["content_sha256"]).encode())
-    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(rows), "fitted_to": runs[0].meta.run_id}
-    return Loaded(name, known.machine, runs[0].meta.run_id, series_of(runs[0]), data)
+    run = of_twin(runs)
+    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(rows), "fitted_to": run.meta.run_id}
+    return Loaded(name, known.machine, run.meta.run_id, series_of(run), data)

@@ -14,12 +14,18 @@ import numpy as np
 from dtwin.schema import Floats, Run
 from dtwin.statistics import t_quantile, t_tail
 
-_BLOCKS = 24
+_BLOCKS, _LONG = 24, 6
 _TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
 _FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02))
 _ALPHA = 0.05
+_DIGITS = 4
 _MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
+_SURELY = 0.1
+"""Share that something takes even where blocks do not agree."""
+# A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
+# between readings that are not farther apart than so many times the usual.
+_TIMES_USUAL, _TIMES_AROUND, _BESIDE, _OF_SPAN, _STAYS, _PAUSE = 10.0, 5.0, 6, 0.05, 0.7, 3.0
 
 
 @dataclass(frozen=True)
@@ -54,12 +60,14 @@ class Series:
 
     ``t_s``, ``moved_um`` (n,).
     ``sample`` (n,) or None: readings of one sample follow each other at once: they differ by noise alone.
+    ``touched_s``: times behind steps that were taken out of ``moved_um``; a fit tells what of them is left.
     """
 
     t_s: Floats
     moved_um: Floats
     temperatures_c: dict[str, Floats]
     sample: Floats | None
+    touched_s: tuple[float, ...] = ()
 
     @cached_property
     def block(self) -> Floats:
@@ -69,14 +77,24 @@ class Series:
 
     @cached_property
     def floor_um(self) -> float:
-        """Standard deviation of one reading within its sample; NaN without samples that were read again."""
+        """Standard deviation of one reading within its sample, and no less than its last digit leaves; NaN without samples
+        that were read again.
+        """
         if self.sample is None:
             return float("nan")
         label = np.unique(self.sample, return_inverse=True)[1]
         count = np.bincount(label)
         mean = np.bincount(label, self.moved_um) / count
         dof = len(label) - len(count)
-        return float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)) if dof > 0 else float("nan")
+        if dof <= 0:
+            return float("nan")
+        return max(float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)), self.digit_um / np.sqrt(12.0))
+
+    @cached_property
+    def digit_um(self) -> float:
+        """Least difference of two readings: what the display resolves, or nothing where each reading is another."""
+        apart = np.diff(np.unique(np.round(self.moved_um, _DIGITS)))
+        return float(apart.min()) if apart.size else 0.0
 
     def column(self, term: Term) -> Floats:
         """Return the column of a term, shape (n,)."""
@@ -116,22 +134,63 @@ class Step:
     p_value: float
 
 
-def series_of(run: Run) -> Series:
-    """Return a run as a series."""
+@dataclass(frozen=True)
+class Shift:
+    """A displacement that stepped between two readings and stayed: a probe that was touched. ``at_s``: of the reading behind it."""
+
+    at_s: float
+    size_um: float
+
+
+def series_of(run: Run, *, as_read: bool = False) -> Series:
+    """Return a run as a series, without the steps of a touched probe unless ``as_read``."""
     temperatures = {n: v for n, v in run.samples.items() if n.startswith("temperature_")}
     sample = run.samples.get("sample_1")
     whole = None if sample is None else np.round(sample).astype(int)
-    return Series(run.samples["t_s"], run.samples["displacement_um"], temperatures, whole)
+    series = Series(run.samples["t_s"], run.samples["displacement_um"], temperatures, whole)
+    found = [] if as_read else shifts(series)
+    if not found:
+        return series
+    moved = series.moved_um - sum(shift.size_um * (series.t_s >= shift.at_s) for shift in found)
+    return replace(series, moved_um=np.asarray(moved), touched_s=tuple(shift.at_s for shift in found))
+
+
+def shifts(series: Series) -> list[Shift]:
+    """Return the steps that heat does not make: far beyond all steps around, without a pause, and for good."""
+    label = np.arange(len(series.t_s)) if series.sample is None else np.unique(series.sample, return_inverse=True)[1]
+    count = np.bincount(label)
+    t_s, moved = (np.bincount(label, values) / count for values in (series.t_s, series.moved_um))
+    if len(moved) < 2 * _BESIDE:
+        return []
+    steps, pauses = np.diff(moved), np.diff(t_s)
+    span = float(np.subtract(*np.percentile(moved, [98.0, 2.0])))
+    usual = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    large = np.abs(steps) > max(_TIMES_USUAL * usual, _OF_SPAN * span)
+    found = []
+    for i in map(int, np.flatnonzero(large & (pauses > 0.0) & (pauses <= _PAUSE * np.median(pauses)))):
+        begin, end = i + 1 - _BESIDE, i + 1 + _BESIDE
+        if begin < 0 or end > len(moved):
+            continue
+        near, around = slice(begin, end), np.delete(np.abs(steps[begin : end - 1]), _BESIDE - 1)
+        if np.abs(steps[i]) < _TIMES_AROUND * around.max():
+            continue
+        time = t_s[near] - t_s[i + 1]
+        columns = np.column_stack([np.ones(len(time)), time, time >= 0.0])
+        size = float(np.linalg.lstsq(columns, moved[near], rcond=None)[0][2])
+        if size / steps[i] > _STAYS:
+            found.append(Shift(float(series.t_s[label == i + 1].min()), size))
+    return found
 
 
 def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     """Fit terms and a constant by least squares."""
-    x, y = _design(series, terms), series.moved_um
-    value: Floats = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
-    left = y - x @ value
+    x, y, told = _design(series, terms), series.moved_um, 1 + len(terms)
+    every = np.linalg.lstsq(x, y, rcond=None)[0]
+    value: Floats = np.asarray(every[:told], dtype=np.float64)
+    left = y - x @ every
     # A jackknife over blocks: readings near in time err alike. Time constants move along, in first order, for they were fitted, too.
     moving = [v * _by_time(series, t) for t, v in zip(terms, value[1:], strict=True) if t.tau_s]
-    each = _without_each(series, np.column_stack([x, *moving]))[0][:, : x.shape[1]]
+    each = _without_each(series, np.column_stack([x, *moving]))[0][:, :told]
     squares, blocks = _without_each(series, x)[1], len(each)
     off = (each - each.mean(axis=0)) ** 2
     spread = (blocks - 1) / blocks * off.sum(axis=0)
@@ -175,6 +234,7 @@ class Addition:
 
     ``left`` (blocks,): squares that are left in each block when it was held out, µm².
     ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
+    ``far_gain``: the share on sixths of the log: where more is left than noise, whatever is smooth fits short stretches.
     ``added``: the term that is new, which may stand in place of an old one of the same sensor.
     """
 
@@ -184,11 +244,12 @@ class Addition:
     said: str
     gain: float
     p_value: float
+    far_gain: float
 
     @property
     def pays(self) -> bool:
-        """Whether it takes enough, and surely."""
-        return self.gain > _MATERIAL and self.p_value < _ALPHA
+        """Whether it takes enough, and surely, and on long stretches, too."""
+        return self.gain > _MATERIAL and self.p_value < _ALPHA and self.far_gain > _MATERIAL
 
     def equals(self, other: Addition) -> bool:
         """Tell whether another takes no more than chance may."""
@@ -220,8 +281,17 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             left = _held_out(series, (*terms, term))
             said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
             tried.append((left, (*terms, term), term, said))
+    far = _held_out(series, terms, _LONG)
     made = [
-        Addition(left, new, term, said, _share(before, left), min(1.0, len(tried) * _paid(before, left)))
+        Addition(
+            left,
+            new,
+            term,
+            said,
+            _share(before, left),
+            min(1.0, len(tried) * _paid(before, left)),
+            _share(far, _held_out(series, new, _LONG)),
+        )
         for left, new, term, said in tried
     ]
     return sorted(made, key=lambda one: float(one.left.sum()))
@@ -253,7 +323,13 @@ def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return the terms each of which pays nothing beside the others."""
     now = _held_out(series, terms)
     without = {term: _held_out(series, [t for t in terms if t != term]) for term in terms}
-    return tuple(t for t, left in without.items() if _share(left, now) <= _MATERIAL or _paid(left, now) >= _ALPHA)
+    return tuple(t for t, left in without.items() if not _needed(left, now))
+
+
+def _needed(without: Floats, now: Floats) -> bool:
+    """Return whether a term takes enough, by the squares in each block without it and with it: surely, or much."""
+    share = _share(without, now)
+    return share > _MATERIAL and (share > _SURELY or _paid(without, now) < _ALPHA)
 
 
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
@@ -263,9 +339,9 @@ def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
     return np.asarray(series.moved_um - (x * values[series.block]).sum(axis=1))
 
 
-def _held_out(series: Series, terms: Sequence[Term]) -> Floats:
-    """Return the squares that are left in each block when it was held out, µm²."""
-    return _without_each(series, _design(series, terms))[1]
+def _held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Floats:
+    """Return the squares that are left in each block when it was held out, µm²; ``blocks``: fewer are longer."""
+    return _without_each(series, _design(series, terms), blocks)[1]
 
 
 def _by_time(series: Series, late: Term) -> Floats:
@@ -274,15 +350,18 @@ def _by_time(series: Series, late: Term) -> Floats:
     return (series.column(replace(late, tau_s=late.tau_s * (1.0 + step))) - series.column(late)) / step
 
 
-def _without_each(series: Series, x: Floats) -> tuple[Floats, Floats]:
+def _without_each(series: Series, x: Floats, most: int = _BLOCKS) -> tuple[Floats, Floats]:
     """Return the values of the columns ``x`` fitted without each block, and the squares that they leave in it."""
-    y = series.moved_um
-    blocks = int(series.block.max()) + 1
+    whole = np.column_stack([x, series.moved_um])
+    block_of = series.block * most // _BLOCKS
+    blocks = int(block_of.max()) + 1
+    # Triangles of the blocks give the squares of all readings.
+    parts: list[Floats] = [np.asarray(np.linalg.qr(whole[block_of == b], mode="r")) for b in range(blocks)]
     values, squares = np.empty((blocks, x.shape[1])), np.empty(blocks)
-    for block in range(blocks):
-        here = series.block == block
-        values[block] = np.linalg.lstsq(x[~here], y[~here], rcond=None)[0]
-        squares[block] = float(((y[here] - x[here] @ values[block]) ** 2).sum())
+    for block, part in enumerate(parts):
+        others = np.concatenate([*parts[:block], *parts[block + 1 :]])
+        values[block] = np.linalg.lstsq(others[:, :-1], others[:, -1], rcond=None)[0]
+        squares[block] = float(((part[:, -1] - part[:, :-1] @ values[block]) ** 2).sum())
     return values, squares
 
 
@@ -299,16 +378,18 @@ def _paid(before: Floats, after: Floats) -> float:
 
 
 def _design(series: Series, terms: Sequence[Term]) -> Floats:
-    return np.column_stack([np.ones(len(series.t_s)), *(series.column(term) for term in terms)])
+    """Return a constant, the terms, and a step at each touch of the probe."""
+    steps = [(series.t_s >= at).astype(np.float64) for at in series.touched_s]
+    return np.column_stack([np.ones(len(series.t_s)), *(series.column(term) for term in terms), *steps])
 
 
 def _late(t_s: Floats, values: Floats, tau_s: float) -> Floats:
     """Return values through a first-order lag, exact for straight lines between readings."""
-    out = np.empty_like(values)
-    out[0] = values[0]
-    gaps = np.diff(t_s)
+    gaps, rises = np.diff(t_s), np.diff(values)
+    slope = np.divide(rises, gaps, out=np.zeros_like(rises), where=gaps > 0.0)
     kept = np.exp(-gaps / tau_s)
-    for i, (gap, share) in enumerate(zip(gaps, kept, strict=True)):
-        slope = (values[i + 1] - values[i]) / gap if gap > 0.0 else 0.0
-        out[i + 1] = share * (out[i] - values[i] + slope * tau_s) + values[i + 1] - slope * tau_s
-    return out
+    added = values[1:] - slope * tau_s - kept * (values[:-1] - slope * tau_s)
+    out = [float(values[0])]
+    for share, more in zip(kept.tolist(), added.tolist(), strict=True):
+        out.append(share * out[-1] + more)
+    return np.array(out)

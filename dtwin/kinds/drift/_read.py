@@ -49,6 +49,7 @@ _STEPS = "displacement_step"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
+_OTHER_DEGREES = re.compile(r"\s*(°\s*f|deg\s*f|f|fahrenheit|k|kelvin)\s*", re.I)
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 _COLDEST_C = -60.0
@@ -65,6 +66,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)
+    _require_degrees(said, units, recipe, path)
     heads, factors = _named(said, units, recipe)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
     scales = dict(zip(heads, factors, strict=True))
@@ -72,13 +74,16 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     moved = _displacements(heads)
     clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
     if not moved or not temperatures or not clock or not body:
+        foreign = _unknown(said, units, recipe)
         raise InputError(
             "a log of drift lacks columns",
             code="columns.missing",
             where=str(path),
             got=", ".join(said)[:200] or "nothing",
             allowed=f"a time, a displacement in µm, mm or as {_STEPS}, and a temperature in °C: t_s, displacement_um, temperature_NAME_c",
-            hint='other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
+            hint=f"units that are not known here: {', '.join(foreign)[:120]}; write temperatures in °C"
+            if foreign and not temperatures
+            else 'other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
     cells = column[clock]
     if clock == _STAMPED:
@@ -214,6 +219,21 @@ def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[st
     plain = [cell.strip() for cell in row]
     told = columns_of(plain, units, {})
     return [c.head for c in told if c.unit and c.why_not and c.head not in recipe and not _FORM.search(c.head)]
+
+
+def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any], path: Path) -> None:
+    """Refuse a head that says another unit of temperature than the name that ``campaign.toml`` gives it."""
+    for column in columns_of([cell.strip() for cell in row], units, {}):
+        told = str(recipe.get(column.head, ""))
+        if _TEMPERATURE.fullmatch(told) and _OTHER_DEGREES.fullmatch(column.unit):
+            raise InputError(
+                "a temperature is in another unit than its name says",
+                code="drift.unit",
+                where=str(path),
+                got=f"{column.head} named {told}"[:80],
+                allowed="°C",
+                hint="write it in °C: from °F (T - 32) / 1.8, from K T - 273.15",
+            )
 
 
 def _require_rising(t_s: Floats, path: Path) -> None:

@@ -27,12 +27,12 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     """Evaluate every log: the range of the displacement, of the whole and in the worst hour."""
     parts, notes = [], []
     for run in runs:
-        notes += sound_runs([run])[1]
         if len(run.samples["t_s"]) < 2:
             notes.append(f"{run.meta.run_id} is not evaluated: it has fewer than two readings.")
             continue
+        notes += sound_runs([run])[1]
         sound = not any(f.severity == "error" for f in run.findings)
-        series = series_of(run)
+        series = series_of(run, as_read=True)
         t_s, moved = _means(series)
         spans = _ranges_um(t_s, moved)
         each = len(series.t_s) / len(t_s)
@@ -56,7 +56,7 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
     for run in runs:
         sound = not any(f.severity == "error" for f in run.findings)
         if sound and run.meta.condition.get("test") == AT_REST and len(run.samples["t_s"]) > 1:
-            t_s, moved = _means(series_of(run))
+            t_s, moved = _means(series_of(run, as_read=True))
             hours = min(1.0, float(t_s[-1] - t_s[0]) / _HOUR_S)
             found.append(Variation(float(_ranges_um(t_s, moved).mean()), round(hours, 2), campaign))
     return max(found, key=lambda one: one.range_um, default=None)

@@ -10,6 +10,8 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.errors import InputError
+from dtwin.kinds.drift._data import longest_first
+from dtwin.kinds.drift._effects import sensors_of
 from dtwin.kinds.drift._model import Fitted, Series, held_out_um, missing, series_of, steady
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
@@ -61,12 +63,21 @@ def train_drift(
             got=", ".join(sorted(axes)) or "no axis",
             allowed='condition = { axis = "Z" } in every [[run]], the same one',
         )
-    runs = sorted((lake.load(row) for row in rows), key=lambda run: -float(np.ptp(run.samples["t_s"])))
+    runs = longest_first([lake.load(row) for row in rows])
     series = series_of(runs[0])
     tell = progress or (lambda *_: None)
     base = steady(series)
     tell("candidates", 1, 2, "temperatures at once")
     steps = missing(series, base)
+    if not base.terms and not steps:
+        raise InputError(
+            "no temperature of the log says anything of what moved",
+            code="train.nothing",
+            where=f"campaign {name}, log {runs[0].meta.run_id}",
+            got=f"{np.std(series.moved_um):z.2f} µm RMS, sensors {', '.join(sensors_of(series))}",
+            allowed="a displacement that follows a temperature",
+            hint="dtwin check tells what is in the log",
+        )
     tell("candidates", 2, 2, "what that lacks")
     forms = {"temperatures at once": base, **({"temperatures late": steps[-1].fitted} if steps else {})}
     (axis,) = axes

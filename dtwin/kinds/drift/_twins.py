@@ -119,10 +119,11 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
             else:
                 gone = said.idle[0]
                 terms = tuple(term for term in twin.terms if term != gone)
-                action, group = f"remove {written(gone)}: it pays nothing beside the others", (written(gone),)
+                action, group = f"remove {written(gone)}: it pays nothing beside the others", ()
+                groups = [group for group in groups if group[0] != written(gone)]
             twin = self._store(name, loaded, terms, action)
             made.append(twin)
-            groups.append(group)
+            groups += [group] if group else []
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 

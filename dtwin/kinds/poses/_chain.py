@@ -57,15 +57,19 @@ class Frames:
 def chain_of(geometry: Mapping[str, Any], where: str) -> Floats:
     """Return the Denavit-Hartenberg rows that a campaign states, shape (joints, 4).
 
-    ``geometry``: ``chain`` is a known name; or ``dh`` a list of tables a_mm, d_mm, alpha_deg, theta_deg, one a joint.
-    Raises ``InputError`` when it states neither, or a row is not complete.
+    ``geometry``: ``chain`` is a known name; or ``dh`` a list of tables a_mm, d_mm, alpha_deg, theta_deg, one a joint, 0 where
+    one is not stated.
+    Raises ``InputError`` when it states neither, or a row has other names, or values that are no finite numbers.
     """
     rows = geometry.get("dh")
     if isinstance(rows, list) and rows:
         try:
             table = np.array([[float(row.get(name, 0.0)) for name in _COLUMNS] for row in rows])
+            others = sorted({name for row in rows for name in row} - set(_COLUMNS))
         except (AttributeError, TypeError, ValueError) as error:
             raise _refused(where, str(error)) from error
+        if others or not np.isfinite(table).all():
+            raise _refused(where, f"dh with {', '.join(others) or 'numbers that are not finite'}")
         table[:, 2:] = np.radians(table[:, 2:])
         return table
     name = str(geometry.get("chain", "")).lower()

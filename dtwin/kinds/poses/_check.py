@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from dtwin.kinds.poses._chain import Frames
 from dtwin.kinds.poses._data import chain_in
-from dtwin.kinds.poses._iso9283 import axes, joints_of, measured_of
+from dtwin.kinds.poses._iso9283 import axes, joints_of, measured_of, numbers_of, times_of
 from dtwin.kinds.poses._orientation import QUATERNION
 from dtwin.kinds.poses._series import Series, series_of, series_of_targets
+from dtwin.kinds.poses._setup import fitted
 from dtwin.schema import Finding, Floats, Run
 
 _FEWEST = 20
 _FAR_MM = 50.0
-_WILD = 8.0
+_WILD = 12.0
+_ROUNDS, _MOST_KEPT, _LISTED = 10, 0.8, 8
 _ALIKE = 0.05
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
@@ -30,8 +34,9 @@ def problem_of(run: Run) -> Series:
             if told
             else np.tile(np.eye(3), (run.n_samples, 1, 1))
         )
-        return series_of_targets(axes(run, "target"), turned, measured_of(run))
-    return series_of(joints_of(run), measured_of(run), chain_in(run), run.samples.get("ambient_c"))
+        return series_of_targets(axes(run, "target"), turned, measured_of(run), times_of(run))
+    ambient, t_s = run.samples.get("ambient_c"), times_of(run)
+    return series_of(joints_of(run), measured_of(run), chain_in(run), ambient, t_s=t_s)
 
 
 def judge_poses(run: Run) -> list[Finding]:
@@ -46,7 +51,7 @@ def judge_poses(run: Run) -> list[Finding]:
     if typical > _FAR_MM:
         said = f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after {series.taken_away}"
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
-    return [*_spoilt(size, typical), *_commanded(run, series), *_repeats(series)]
+    return [*_spoilt(run, series), *_commanded(run, series), *_repeats(series)]
 
 
 def _why(run: Run) -> str:
@@ -73,14 +78,39 @@ def _why(run: Run) -> str:
     return "; is the chain that of this robot?"
 
 
-def _spoilt(size: Floats, typical: float) -> list[Finding]:
-    limit = typical + _WILD * 1.4826 * float(np.median(np.abs(size - typical)))
-    rows = np.flatnonzero(size > limit)
+def _spoilt(run: Run, series: Series) -> list[Finding]:
+    """Name rows far off the others, with frame and tool of those others: a few wild rows turn a frame that is fitted to all."""
+    at, measured = series.poses.at, series.poses.measured_mm
+    kept = np.ones(len(measured), dtype=bool)
+    for _ in range(_ROUNDS):
+        setup = fitted(Frames(at.origin_mm[:, kept], at.rotation[:, kept]), measured[kept])
+        point = at.tool_mm(setup.tool_mm)
+        size = np.linalg.norm(setup.in_base(measured) - point, axis=1)
+        typical = float(np.median(size[kept]))
+        limit = typical + _WILD * 1.4826 * float(np.median(np.abs(size[kept] - typical)))
+        before, kept = kept, size <= limit
+        if (kept == before).all() or kept.mean() < _MOST_KEPT:
+            break
+    rows = np.flatnonzero(~kept)
     if not rows.size:
         return []
-    listed = ", ".join(str(r + 1) for r in rows[:8])
-    said = f"{len(rows)} rows lie beyond {limit:z.2f} mm where half lie within {typical:z.2f}: {listed}"
+    number = numbers_of(run)
+    # Of two rows whose points were exchanged each lies where the other should.
+    across = np.linalg.norm(setup.in_base(measured[rows])[:, None] - point[rows][None], axis=2)
+    pairs = np.argwhere(np.triu(np.maximum(across, across.T) <= limit, 1))
+    swapped = "".join(f"; the points of {number[rows[i]]} and {number[rows[j]]} look exchanged" for i, j in pairs[:4])
+    said = (
+        f"{_rows(number[rows])} beyond {limit:z.2f} mm of the commanded pose, where half of the others lie within {typical:z.2f}{swapped}; "
+        f'condition = {{ leave_out = "{", ".join(str(n) for n in number[rows][:_LISTED])}" }} in the run leaves rows out'
+    )
     return [Finding("poses.spoilt", "warning", said, {"rows_1": float(len(rows)), "largest_mm": float(size.max())})]
+
+
+def _rows(numbers: NDArray[np.int64]) -> str:
+    if len(numbers) == 1:
+        return f"row {numbers[0]} lies"
+    more = f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else ""
+    return f"rows {', '.join(str(n) for n in numbers[:_LISTED])}{more} lie"
 
 
 def _commanded(run: Run, series: Series) -> list[Finding]:
@@ -94,7 +124,7 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
     rows = np.flatnonzero(size > max(1.0, 20.0 * float(np.median(size))))
     findings = []
     if rows.size:
-        listed = ", ".join(str(r + 1) for r in rows[:8])
+        listed = ", ".join(str(n) for n in numbers_of(run)[rows[:_LISTED]])
         said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():z.1f} mm: {listed}"
         findings.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
     if "measured_x_mm" in run.samples:
@@ -113,4 +143,11 @@ def _repeats(series: Series) -> list[Finding]:
         said = "no pose was measured twice: the noise floor cannot be known, nor what is significant"
         return [Finding("poses.no_repeats", "warning", said)]
     said = f"{series.repeats} poses were measured again: a reading scatters by {1000.0 * series.floor_mm:z.0f} µm"
-    return [Finding("poses.repeats", "info", said, {"floor_mm": series.floor_mm})]
+    told = [Finding("poses.repeats", "info", said, {"floor_mm": series.floor_mm})]
+    if series.moved_mm:
+        said = (
+            f"poses that were measured again moved by {1000.0 * series.moved_mm:z.0f} µm from the first row to the last: "
+            "the robot's base, the arm or the instrument drifts, and the figures hold it"
+        )
+        told.append(Finding("poses.drift", "warning", said, {"moved_mm": series.moved_mm}))
+    return told

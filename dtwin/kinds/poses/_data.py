@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._chain import KNOWN, chain_of
 from dtwin.kinds.poses._fit import Grams
-from dtwin.kinds.poses._iso9283 import joints_of, measured_of
+from dtwin.kinds.poses._iso9283 import joints_of, measured_of, numbers_of, times_of
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._setup import Setup
 from dtwin.kinds.poses._urdf import stated_chain
@@ -26,12 +27,17 @@ from dtwin.schema import Campaign, Floats, Run
 
 @dataclass(frozen=True)
 class Loaded:
-    """A campaign, ready to fit; ``data``: table versions and a hash of what was used."""
+    """A campaign, ready to fit.
+
+    ``data``: table versions and a hash of what was used.
+    ``rows`` (n,): numbers of its rows in their table.
+    """
 
     campaign: str
     machine: str
     grams: Grams
     data: Mapping[str, Any]
+    rows: NDArray[np.int64]
 
 
 def with_chain(run: Run, campaign: Campaign) -> Run:
@@ -91,9 +97,9 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
             hint="dtwin check tells the figures of ISO 9283 without them",
         )
     ambient = run.samples.get("ambient_c")
-    series = series_of(joints_of(run), measured_of(run), chain_in(run), ambient, setup)
+    series = series_of(joints_of(run), measured_of(run), chain_in(run), ambient, setup, times_of(run))
     digest = hashlib.sha256()
     for row in lake.runs(name):
         digest.update(str(row["content_sha256"]).encode())
     data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(series.error_mm)}
-    return Loaded(name, known.machine, Grams(series), data)
+    return Loaded(name, known.machine, Grams(series), data, numbers_of(run))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.kinds.poses._effects import EFFECTS, Term, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
@@ -25,18 +26,23 @@ _LEVELS = (
     ("gravity_sag",),
     ("joint_cyclic_1", "joint_cyclic_2", "joint_cyclic_3", "joint_reversal"),
     ("ambient_growth",),
+    ("setup_drift",),
 )
 """Families from plain to fancy: of two that tell the same, the plainer is named."""
 _ALPHA = 0.01
 # A family counts when it takes this share of the squares that are left on poses left out.
 _MATERIAL = 0.005
-# A joint stays in it when the squares grow by more than this share without it.
-_PAYS = 0.002
+# A joint stays in it when the squares grow by more than this share without it, and in most blocks: of a list of joints
+# that help by chance one in six is in it without the second.
+_PAYS, _STAYS = 0.002, 0.05
 # Another family tells the same when it gains nearly as much alone, and little beside the best.
 _AS_GOOD, _LITTLE = 0.8, 0.2
 # A fancier family takes the place of a plainer one when it gains more, has no more parameters than these besides, and
 # leaves nothing to the plainer one.
 _BETTER, _MORE = 1.1, 2
+_LEAST_MM2 = 1e-12
+# Rows so many times the usual spread off, and no more of them, are told apart.
+_WILD, _MOST_FAR = 8.0, 8
 # Repeats tell that something is left when it is this many times their scatter.
 _BEYOND = 1.5
 
@@ -148,14 +154,18 @@ def pose_figures(grams: Grams, terms: Sequence[Term]) -> dict[str, float]:
     }
 
 
-def diagnose(grams: Grams, terms: Sequence[Term]) -> PoseDiagnosis:
-    """Return what a twin with some terms lacks, and which of them are idle."""
+def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None = None) -> PoseDiagnosis:
+    """Return what a twin with some terms lacks, and which of them are idle.
+
+    ``rows`` (n,): numbers of the readings in their table, for those that are far off the others.
+    """
     found = _candidates(grams, terms)
     group = _group(grams, terms, found)
     labels = {c.effect for c in group}
     shown = (*group, *sorted((c for c in found if c.effect not in labels), key=lambda c: -c.gain))
     figures = pose_figures(grams, terms)
     verdict, headline, p = _verdict(grams, group, figures)
+    headline += _far_off(held_out_mm(grams, terms), rows)
     idle: tuple[Term, ...] = ()
     if terms and not group:
         idle = tuple(idle_terms(grams, terms))
@@ -194,7 +204,7 @@ def idle_terms(grams: Grams, terms: Sequence[Term]) -> list[Term]:
     while kept:
         without = [_left(grams, [t for t in kept if t != term]) for term in kept]
         least = int(np.argmin([w.sum() for w in without]))
-        if without[least].sum() > now.sum() * (1.0 + _PAYS):
+        if _needed(without[least], now):
             break
         idle.append(kept.pop(least))
         now = without[least]
@@ -223,9 +233,7 @@ def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
             more = [term for term in grams.series.slots if term.effect == effect and term not in terms]
             if more:
                 tried.append((effect, *_pruned(grams, terms, more)))
-        p_values: Sequence[float] = (
-            holm([_paid(before - after, counted) for _, _, after in tried]).tolist() if tried else []
-        )
+        p_values: Sequence[float] = holm([_paid(before, after) for _, _, after in tried]).tolist() if tried else []
         for (effect, more, after), p in zip(tried, p_values, strict=True):
             left = float(after.sum())
             gain = 1.0 - left / float(before.sum())
@@ -240,16 +248,21 @@ def _pruned(grams: Grams, terms: Sequence[Term], more: Sequence[Term]) -> tuple[
     while len(kept) > 1:
         without = [_left(grams, [*terms, *(t for t in kept if t != term)]) for term in kept]
         least = int(np.argmin([w.sum() for w in without]))
-        if without[least].sum() > after.sum() * (1.0 + _PAYS):
+        if _needed(without[least], after):
             break
         after = without[least]
         kept.pop(least)
     return kept, after
 
 
-def _paid(gain: Floats, count: Floats) -> float:
-    """Return the one-sided p-value of a gain per pose over blocks."""
-    each = gain / count
+def _needed(without: Floats, now: Floats) -> bool:
+    """Return whether enough is left without a term, and surely, of squares in each block with and without it."""
+    return float(without.sum()) > float(now.sum()) * (1.0 + _PAYS) and _paid(without, now) < _STAYS
+
+
+def _paid(before: Floats, after: Floats) -> float:
+    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides."""
+    each = np.log(np.maximum(before, _LEAST_MM2) / np.maximum(after, _LEAST_MM2))
     spread = float(each.std(ddof=1)) / np.sqrt(len(each))
     return t_tail(float(each.mean()) / spread, len(each) - 1.0) if spread > 0.0 else 1.0
 
@@ -305,6 +318,18 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
         said = f"{left:z.0f} µm are left, {left / floor:z.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
         return "unknown_effect", said, p
     return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
+
+
+def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:
+    """Return which few rows hold most of what is left (n, 3), as the end of a headline; empty where none do."""
+    size = np.linalg.norm(left_mm, axis=1)
+    typical = float(np.median(size))
+    far = np.flatnonzero(size > typical + _WILD * 1.4826 * float(np.median(np.abs(size - typical))))
+    if rows is None or not 0 < len(far) <= _MOST_FAR or (size[far] ** 2).sum() < 0.5 * (size**2).sum():
+        return ""
+    others = 1000.0 * rms(np.delete(size, far))
+    which = ", ".join(str(n) for n in rows[far])
+    return f"; most of it is in row{'s' if len(far) > 1 else ''} {which}, the others leave {others:z.0f} µm: spoilt readings?"
 
 
 def _beyond(grams: Grams, left_um: float) -> float:

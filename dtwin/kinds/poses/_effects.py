@@ -25,6 +25,7 @@ class Poses:
     ``measured_mm`` (n, 3): in the instrument's frame.
     ``ambient_c`` (n,) or None: temperature beside the robot.
     ``place`` (n,): number of the commanded pose: repeats share it.
+    ``t_s`` (n,) or None: when it was measured.
     """
 
     joints_rad: Floats
@@ -32,11 +33,12 @@ class Poses:
     at: Frames
     ambient_c: Floats | None
     place: Floats
+    t_s: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause. ``per`` is ``joint`` or ``robot``."""
+    """One cause. ``per`` is ``joint`` or ``robot``; ``needs``: what a table must have for it."""
 
     name: str
     title: str
@@ -44,6 +46,7 @@ class Effect:
     parameters: tuple[tuple[str, str], ...]
     columns: Callable[[Poses, Floats, int], Floats]
     remedy: str
+    needs: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,15 +117,22 @@ def _cyclic(order: float) -> Callable[[Poses, Floats, int], Floats]:
 def _reversal(poses: Poses, point: Floats, joint: int) -> Floats:
     came = np.diff(poses.joints_rad[:, joint - 1], prepend=poses.joints_rad[:1, joint - 1])
     side = np.where(np.abs(came) > _STILL_RAD, np.sign(came), 0.0)
-    # A joint that stood keeps the side from which it came.
+    # A joint that stood keeps the side from which it came; it stays behind.
     last = np.maximum.accumulate(np.where(side != 0.0, np.arange(len(side)), 0))
-    return _about(poses, point, joint)[:, :, None] * (0.5e-3 * side[last])[:, None, None]
+    return _about(poses, point, joint)[:, :, None] * (-0.5e-3 * side[last])[:, None, None]
 
 
 def _growth(poses: Poses, point: Floats, joint: int) -> Floats:
     warm = poses.ambient_c
     rise = np.zeros(len(point)) if warm is None else warm - warm.mean()
     return (point * rise[:, None] * 1e-6)[:, :, None]
+
+
+def _setup_drift(poses: Poses, point: Floats, joint: int) -> Floats:
+    if poses.t_s is None:
+        return np.zeros((len(point), 3, 3))
+    hours = (poses.t_s - poses.t_s.mean()) / 3600.0
+    return np.asarray(hours[:, None, None] * np.eye(3))
 
 
 _ANGLE = (("cosine", "mrad"), ("sine", "mrad"))
@@ -144,23 +154,44 @@ _EFFECTS = (
     ),
     Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear"),
     Effect(
-        "joint_reversal", "lost motion of a joint", "joint", (("width", "mrad"),), _reversal, "approach from one side"
+        "joint_reversal", "lost motion of a joint", "joint", (("lost", "mrad"),), _reversal, "approach from one side"
     ),
-    Effect("ambient_growth", "growth with the ambient", "robot", (("rate", "um/(m K)"),), _growth, "let it settle"),
+    Effect(
+        "ambient_growth",
+        "growth with the ambient",
+        "robot",
+        (("rate", "um/(m K)"),),
+        _growth,
+        "let it settle",
+        "ambient_c, by which the temperature changes by more than 0.5 K",
+    ),
+    Effect(
+        "setup_drift",
+        "the robot's base or the instrument moves while it is measured",
+        "robot",
+        (("x", "mm/h"), ("y", "mm/h"), ("z", "mm/h")),
+        _setup_drift,
+        "let robot and instrument warm up; measure a fixed target now and then",
+        "t_s, the times of the rows",
+    ),
 )
 EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in _EFFECTS}
 
 
-def library(joints: int, *, ambient: bool) -> list[Term]:
+def _carrying(joints: int) -> int:
+    """Return how many joints sag: those up to the elbow, which is the fourth of seven; a wrist carries little."""
+    return (joints + 1) // 2
+
+
+def library(joints: int, *, ambient: bool, timed: bool = False) -> list[Term]:
     """Return every term that a robot of so many joints can have."""
     out = [
         Term(e.name, j)
         for e in EFFECTS.values()
         if e.per == "joint"
-        # The wrist carries little: the arm's joints sag.
-        for j in range(1, (joints // 2 if e.name == "gravity_sag" else joints) + 1)
+        for j in range(1, (_carrying(joints) if e.name == "gravity_sag" else joints) + 1)
     ]
-    return [*out, Term("ambient_growth")] if ambient else out
+    return [*out, *([Term("ambient_growth")] if ambient else []), *([Term("setup_drift")] if timed else [])]
 
 
 def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...]:
@@ -172,17 +203,18 @@ def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...
     for name in names:
         effect, _, at = name.partition("@")
         known = EFFECTS.get(effect)
-        allowed = {f"J{j}": j for j in range(1, joints + 1)} if known and known.per == "joint" else {}
+        most = 0 if known is None or known.per != "joint" else _carrying(joints) if effect == "gravity_sag" else joints
+        allowed = {f"J{j}": j for j in range(1, most + 1)}
         wanted = at.split("+") if at else []
         if known is None or not set(wanted) <= set(allowed):
             raise InputError(
                 "unknown effect of a robot arm",
                 code="effect.unknown",
                 got=name[:60],
-                allowed=f"{', '.join(EFFECTS)}; of one joint: joint_zero@J2",
+                allowed=f"{effect} of {', '.join(allowed)}"
+                if allowed
+                else f"{', '.join(EFFECTS)}; of one joint: joint_zero@J2",
             )
         joints_of = [allowed[joint] for joint in wanted] or list(allowed.values()) or [0]
-        if effect == "gravity_sag":
-            joints_of = [j for j in joints_of if j <= joints // 2]
         ordered |= dict.fromkeys(Term(effect, j) for j in joints_of)
     return tuple(ordered)

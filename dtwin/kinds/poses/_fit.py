@@ -14,6 +14,7 @@ from scipy.linalg import solve_triangular
 from dtwin.kinds.poses._effects import EFFECTS, Term
 from dtwin.kinds.poses._series import Series
 from dtwin.schema import Floats
+from dtwin.statistics import t_quantile
 
 # A parameter is told when more than this of its column is not in those of the others.
 _LEAST_OWN = 0.03
@@ -106,7 +107,7 @@ class Grams:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A fitted parameter; ``value`` and ``k2`` are NaN when the poses cannot tell it."""
+    """A fitted parameter; ``value`` and its half width ``k2``, which covers 95 %, are NaN when the poses cannot tell it."""
 
     term: Term
     name: str
@@ -126,8 +127,10 @@ def solve(grams: Grams, chosen: Sequence[int]) -> tuple[Floats, Floats]:
     scores = np.array(
         [to[chosen] - normal[index] @ value for normal, to in zip(grams.normal, grams.right, strict=True)]
     )
-    blocks = len(scores)
-    spread = inverse @ (scores.T @ scores) @ inverse * (blocks / max(blocks - 1, 1))
+    blocks, numbers = len(scores), 3.0 * float(grams.count.sum())
+    # Few blocks, and few readings for the parameters, leave too little: as is usual for clusters.
+    few = blocks / max(blocks - 1, 1) * (numbers - 1.0) / max(numbers - len(chosen), 1.0)
+    spread = inverse @ (scores.T @ scores) @ inverse * few
     scale = grams.scale[list(chosen)]
     return value / scale, spread / np.outer(scale, scale)
 
@@ -137,6 +140,7 @@ def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
     series = grams.series
     told = grams.told(series.chosen(terms))
     value, covariance = solve(grams, told)
+    times = t_quantile(0.975, max(len(grams.power) - 1.0, 1.0))
     at = {i: n for n, i in enumerate(told)}
     out = []
     for term in terms:
@@ -146,7 +150,7 @@ def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
                 continue
             n = at.get(i)
             at_value = float("nan") if n is None else float(value[n])
-            k2 = float("nan") if n is None else 2.0 * float(np.sqrt(covariance[n, n]))
+            k2 = float("nan") if n is None else times * float(np.sqrt(covariance[n, n]))
             out.append(Parameter(term, name, unit, at_value, k2))
     return out
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.kinds.poses._series import Series, mean_mm
 from dtwin.kinds.poses._setup import rigid
@@ -30,6 +31,17 @@ def joints_of(run: Run) -> Floats:
     """Return commanded joints (n, joints) in degrees; (n, 0) where they are not told."""
     names = [f"joint_{j}_deg" for j in range(1, 1 + sum(n.startswith("joint_") for n in run.samples))]
     return np.stack([run.samples[name] for name in names], axis=1) if names else np.zeros((run.n_samples, 0))
+
+
+def numbers_of(run: Run) -> NDArray[np.int64]:
+    """Return the numbers of the rows in their table, counted from 1 below the heads."""
+    told = run.samples.get("row_1")
+    return np.arange(1, run.n_samples + 1) if told is None else np.asarray(told, dtype=np.int64)
+
+
+def times_of(run: Run) -> Floats | None:
+    """Return the times of the rows in s; None where they are not known."""
+    return None if any(f.code == "poses.times" for f in run.findings) else run.samples.get("t_s")
 
 
 def figures(run: Run, series: Series) -> dict[str, Any]:

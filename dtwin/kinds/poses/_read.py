@@ -42,17 +42,29 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         columns, moving = with_joints(columns, _columns(logged, campaign)[0], logged)
         in_motion = [{"row": int(r), "reason": "the robot moved", "values": {}} for r in np.flatnonzero(moving)]
     _require(columns, path, heads, unit)
+    total = len(next(iter(columns.values())))
+    columns["row_1"] = np.arange(1.0, total + 1.0)
+    out = _left_out(stated.get("condition", {}), total, path)
     columns, findings = with_orientation(columns, path)
-    findings += _timed(columns, len(next(iter(columns.values()))))
+    findings += _timed(columns, total)
     needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
     need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
-    if not good.any():
+    left_out = np.isin(columns["row_1"], out)
+    if not (good & ~left_out).any():
         raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
     rejects = [
-        {"row": int(r), "reason": "not finite", "values": {n: repr(c[r].item()) for n, c in columns.items()}}
-        for r in np.flatnonzero(~good)
+        {
+            "row": int(columns["row_1"][r]) - 1,
+            "reason": "left out in campaign.toml" if left_out[r] else "not finite",
+            "values": {n: repr(c[r].item()) for n, c in columns.items() if n != "row_1"},
+        }
+        for r in np.flatnonzero(~good | left_out)
     ]
+    good &= ~left_out
+    if (columns["row_1"][good] == np.arange(1, good.sum() + 1)).all():
+        # The place of a row is its number.
+        del columns["row_1"]
     gone = {n for n, c in columns.items() if not np.isfinite(c[good]).all()}
     samples = {n: c[good] for n, c in columns.items() if n not in gone}
     if gone:
@@ -60,6 +72,21 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         findings.append(Finding("poses.gaps", "warning", said))
     meta = RunMeta(run_id="poses", kind="poses", sample_rate_hz=float("nan"))
     return [Run(meta, samples, source=str(path), findings=tuple(findings))], [*in_motion, *rejects]
+
+
+def _left_out(condition: Mapping[str, Any], n: int, path: Path) -> list[int]:
+    """Return the numbers of rows that ``leave_out`` of a run's condition names."""
+    told = str(condition.get("leave_out", ""))
+    named = [part.strip() for part in told.split(",") if part.strip()]
+    if not all(part.isdecimal() and 1 <= int(part) <= n for part in named):
+        raise InputError(
+            "rows to leave out are told by their numbers",
+            code="poses.leave_out",
+            where=f"{path} condition.leave_out",
+            got=told[:80],
+            allowed=f'numbers from 1, the first row below the heads, to {n}: leave_out = "3, 17"',
+        )
+    return [int(part) for part in named]
 
 
 def is_pose_table(path: Path) -> bool:

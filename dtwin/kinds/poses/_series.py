@@ -14,10 +14,15 @@ from dtwin.kinds.poses._chain import Frames, frames
 from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
 from dtwin.kinds.poses._setup import Setup, columns, fitted
 from dtwin.schema import Floats
+from dtwin.statistics import f_tail
 
-_BLOCKS = 64
-_FEWEST = 30
+# Blocks at most, and poses in each: of thousands, of some, of few. A gain over four blocks is no evidence.
+_BLOCKS = ((64, 30), (24, 5), (8, 2))
 _SAME_DEG, _SAME_MM = 0.03, 0.05
+# Repeats that never differ scatter by what no tracker resolves.
+_FINEST_MM = 1e-4
+# Repeats move with time when chance does so this seldom.
+_SURELY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,8 @@ class Series:
     ``floor_mm``: root of the mean square distance of a reading from the mean of its pose, by the median of the repeats:
     a spoilt one does not lift it. NaN without repeats.
     ``repeats``: poses that were measured more than once.
+    ``moved_mm``: how far repeats moved from the first row to the last, in the mean; 0 where that is no more than chance. The
+    floor is without it.
     """
 
     poses: Poses
@@ -41,6 +48,7 @@ class Series:
     block: Floats
     floor_mm: float
     repeats: int
+    moved_mm: float = 0.0
 
     @property
     def taken_away(self) -> str:
@@ -54,7 +62,12 @@ class Series:
 
 
 def series_of(
-    joints_deg: Floats, measured_mm: Floats, dh: Floats, ambient_c: Floats | None, setup: Setup | None = None
+    joints_deg: Floats,
+    measured_mm: Floats,
+    dh: Floats,
+    ambient_c: Floats | None,
+    setup: Setup | None = None,
+    t_s: Floats | None = None,
 ) -> Series:
     """Return measured poses as a problem.
 
@@ -63,29 +76,33 @@ def series_of(
     ``dh`` (joints, 4): the nominal chain, as :func:`dtwin.kinds.poses._chain.chain_of` gives it.
     ``ambient_c`` (n,) or None: temperature.
     ``setup``: frame and tool of another campaign of the same mounting; fitted without.
+    ``t_s`` (n,) or None: when they were measured.
     """
     joints = np.radians(joints_deg)
     at = frames(joints, dh)
     place = _places(joints_deg)
-    poses = Poses(joints, measured_mm, at, ambient_c, place)
+    poses = Poses(joints, measured_mm, at, ambient_c, place, t_s)
     setup = setup or fitted(at, measured_mm)
     point = at.tool_mm(setup.tool_mm)
     error = setup.in_base(measured_mm) - point
     parts, slots, begin = [columns(at, setup.tool_mm)], {}, 9
-    for term in library(joints.shape[1], ambient=ambient_c is not None and float(np.ptp(ambient_c)) > 0.5):
+    warmed = ambient_c is not None and float(np.ptp(ambient_c)) > 0.5
+    for term in library(joints.shape[1], ambient=warmed, timed=t_s is not None and float(np.ptp(t_s)) > 0.0):
         made = EFFECTS[term.effect].columns(poses, point, term.joint)
         slots[term] = slice(begin, begin + made.shape[2])
         parts.append(made)
         begin += made.shape[2]
-    floor, repeats = _floor(error, place)
-    return Series(poses, setup, error, np.concatenate(parts, axis=2), slots, _blocks(joints, place), floor, repeats)
+    floor, repeats, moved = _floor(error, place, t_s)
+    design, block = np.concatenate(parts, axis=2), _blocks(joints, place)
+    return Series(poses, setup, error, design, slots, block, floor, repeats, moved)
 
 
-def series_of_targets(target_mm: Floats, rotation: Floats, measured_mm: Floats) -> Series:
+def series_of_targets(target_mm: Floats, rotation: Floats, measured_mm: Floats, t_s: Floats | None = None) -> Series:
     """Return measured poses of a robot whose joints are not told: frame and tool, and no term of an arm.
 
     ``target_mm``, ``measured_mm`` (n, 3): commanded, and measured in any frame.
     ``rotation`` (n, 3, 3): commanded orientations; of equal ones the tool is part of the frame.
+    ``t_s`` (n,) or None: when they were measured.
     """
     n = len(target_mm)
     at = Frames(target_mm[None], rotation[None])
@@ -93,8 +110,8 @@ def series_of_targets(target_mm: Floats, rotation: Floats, measured_mm: Floats) 
     setup = fitted(at, measured_mm)
     error = setup.in_base(measured_mm) - at.tool_mm(setup.tool_mm)
     poses = Poses(np.zeros((n, 0)), measured_mm, at, None, place)
-    floor, repeats = _floor(error, place)
-    return Series(poses, setup, error, columns(at, setup.tool_mm), {}, np.zeros(n), floor, repeats)
+    floor, repeats, moved = _floor(error, place, t_s)
+    return Series(poses, setup, error, columns(at, setup.tool_mm), {}, np.zeros(n), floor, repeats, moved)
 
 
 def mean_mm(error_mm: Floats) -> float:
@@ -112,15 +129,31 @@ def _places(joints_deg: Floats) -> Floats:
     return np.asarray(connected_components(linked, directed=False)[1][number])
 
 
-def _floor(error: Floats, place: Floats) -> tuple[float, int]:
+def _floor(error: Floats, place: Floats, t_s: Floats | None) -> tuple[float, int, float]:
+    """Return the floor, how many poses were measured again, and how far these moved over the test."""
     count = np.bincount(place)
     again = count > 1
     if not again.any():
-        return float("nan"), 0
-    mean = np.stack([np.bincount(place, error[:, i]) / count for i in range(3)], axis=1)
-    squares = np.bincount(place, ((error - mean[place]) ** 2).sum(axis=1))[again] / (count[again] - 1.0)
+        return float("nan"), 0, 0.0
+    off, moved = _about_mean(error, place), 0.0
+    if t_s is not None:
+        later = _about_mean(t_s[:, None], place)[:, 0]
+        power, dof = float(later @ later), 3.0 * float((count - 1).sum() - 1)
+        rate = later @ off / power if power > 0.0 else np.zeros(3)
+        without = off - later[:, None] * rate
+        told, left = float(rate @ rate) * power, float((without**2).sum())
+        if dof > 0.0 and left > 0.0 and f_tail(told / 3.0 / (left / dof), (3.0, dof)) < _SURELY:
+            off, moved = without, float(np.linalg.norm(rate) * np.ptp(t_s))
+    squares = np.bincount(place, (off**2).sum(axis=1))[again] / (count[again] - 1.0)
     # Of three directions: the mean square is 3, and the median of chi-squared 2.366.
-    return float(np.sqrt(np.median(squares) * 3.0 / 2.366)), int(again.sum())
+    return max(float(np.sqrt(np.median(squares) * 3.0 / 2.366)), _FINEST_MM), int(again.sum()), moved
+
+
+def _about_mean(values: Floats, place: Floats) -> Floats:
+    """Return values (n, m) less the mean of their pose."""
+    count = np.bincount(place)
+    mean = np.stack([np.bincount(place, column) / count for column in values.T], axis=1)
+    return np.asarray(values - mean[place])
 
 
 def _blocks(joints: Floats, place: Floats) -> Floats:
@@ -130,7 +163,7 @@ def _blocks(joints: Floats, place: Floats) -> Floats:
     """
     first = np.unique(place, return_index=True)[1]
     around = np.concatenate([np.cos(joints[first]), np.sin(joints[first])], axis=1)
-    many = max(min(_BLOCKS, len(first) // _FEWEST), 4)
+    many = max(min(most, len(first) // each) for most, each in _BLOCKS)
     parts = [np.arange(len(first))]
     while len(parts) < many:
         largest = parts.pop(max(range(len(parts)), key=lambda n: len(parts[n])))

@@ -29,7 +29,7 @@ def parameter_table(twin: PoseTwin) -> Table:
         )
         for p in twin.as_dict()["parameters"]
     ]
-    return Table(("effect", "joint", "parameter", "value", "k = 2", "unit"), rows)
+    return Table(("effect", "joint", "parameter", "value", "95 %", "unit"), rows)
 
 
 def twin_text(twin: PoseTwin) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.errors import InputError
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
@@ -20,7 +21,7 @@ from dtwin.twins.shelf import require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
 _MOST_RUNGS = 40
-_PLACES = 5
+_PLACES, _FEWEST = 5, 10
 
 
 PoseTwin = TermTwin[Term]
@@ -60,7 +61,7 @@ class PoseComparison:
             "noise_floor_um": 1000.0 * series.floor_mm if series.repeats else None,
             "where": [
                 {
-                    "row": int(r) + 1,
+                    "row": int(self.loaded.rows[r]),
                     "joints_deg": np.degrees(series.poses.joints_rad[r]).round(2).tolist(),
                     "left_mm": float(size[r]),
                 }
@@ -78,16 +79,41 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
     no_robust = "dtwin check names spoilt rows"
 
     def loaded(self, campaign: str) -> Loaded:
-        return load(self.home, campaign)
+        """Return a campaign that a twin can be fitted to.
+
+        Raises ``InputError`` when it has too few different poses, however often they were measured.
+        """
+        loaded = load(self.home, campaign)
+        poses = int(loaded.grams.series.poses.place.max()) + 1
+        if poses < _FEWEST:
+            raise InputError(
+                "too few different poses for a twin of an arm",
+                code="poses.few",
+                where=loaded.campaign,
+                got=f"{poses} poses, {len(loaded.grams.series.error_mm)} readings",
+                allowed=f"{_FEWEST} and more: frame and tool alone take nine numbers, the arm's errors the rest",
+                hint="dtwin check tells the figures of ISO 9283; thirty poses and more tell what is wrong with the arm",
+            )
+        return loaded
 
     def asked(self, loaded: Loaded, effects: Sequence[str], axis: str) -> Sequence[Term]:
-        return terms_of([f"{effect}@{axis}" if axis else effect for effect in effects], _joints(loaded))
+        terms = terms_of([f"{effect}@{axis}" if axis else effect for effect in effects], _joints(loaded))
+        absent = [term for term in terms if term not in loaded.grams.series.slots]
+        if absent:
+            raise InputError(
+                "the table has no column for this effect",
+                code="effect.column",
+                where=loaded.campaign,
+                got=absent[0].label,
+                allowed=EFFECTS[absent[0].effect].needs,
+            )
+        return terms
 
     def label(self, term: Term) -> str:
         return term.label
 
     def diagnosed(self, loaded: Loaded, terms: Sequence[Term]) -> PoseDiagnosis:
-        return diagnose(loaded.grams, terms)
+        return diagnose(loaded.grams, terms, loaded.rows)
 
     def compare(self, name: str, campaign: str | None = None) -> PoseComparison:
         """Compare a twin with measurements; frame and tool are those of the campaign."""
@@ -95,12 +121,19 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         loaded = load(self.home, campaign or twin.campaign)
         require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
         same = load(self.home, loaded.campaign, _setup(twin))
-        return PoseComparison(twin, loaded, applied(loaded.grams, twin.document["parameters"]), _as_fitted(twin, same))
+        told = twin.document["parameters"]
+        if loaded.campaign != twin.campaign:
+            # How a set-up moved is of its own day.
+            told = [parameter for parameter in told if parameter["effect"] != "setup_drift"]
+        return PoseComparison(twin, loaded, applied(loaded.grams, told), _as_fitted(twin, told, same))
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
-        """Diagnose and add until no effect pays; what pays nothing beside the others at the end is taken out again."""
+        """Diagnose and add until no effect pays; what pays nothing beside the others at the end is taken out again.
+
+        Groups are those of what is in the twin at the end.
+        """
         twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
+        loaded = self.loaded(twin.campaign)
         made: list[PoseTwin] = []
         groups: list[tuple[str, ...]] = []
         said = self._diagnosed(twin, loaded)
@@ -112,9 +145,9 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
             said = self._diagnosed(twin, loaded)
         if made and said.idle:
             kept = [term for term in twin.terms if term not in said.idle]
+            groups = [still for group in groups if (still := _without(group, said.idle))]
             gone = ", ".join(term.label for term in said.idle)
             made.append(self._store(name, loaded, kept, f"remove {gone}: they pay nothing beside the others"))
-            groups.append((gone,))
             said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 
@@ -140,8 +173,22 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         }
 
     def stored(self, document: Mapping[str, Any]) -> PoseTwin:
+        """Return the twin of a document; older ones told a joint that stays behind as a width below zero."""
+        told = [
+            {**p, "name": "lost", "value": None if p["value"] is None else -p["value"]} if p["name"] == "width" else p
+            for p in document["parameters"]
+        ]
+        document = {**document, "parameters": told}
         terms = tuple(Term(e["effect"], int(e["axis"][1:]) if e["axis"] else 0) for e in document["effects"])
         return PoseTwin.of(document, terms)
+
+
+def _without(group: tuple[str, ...], gone: Sequence[Term]) -> tuple[str, ...]:
+    """Return a group that was found, its first name without terms that were taken out again; empty when none is left."""
+    effect, _, joints = group[0].partition("@")
+    out = {term.axis for term in gone if term.effect == effect}
+    kept = [joint for joint in joints.split("+") if joint not in out]
+    return (f"{effect}@{'+'.join(kept)}" if joints else effect, *group[1:]) if kept else ()
 
 
 def applied(grams: Grams, told: Sequence[Mapping[str, Any]]) -> Floats:
@@ -180,8 +227,8 @@ def _setup(twin: PoseTwin) -> Setup:
     return Setup(*(np.array(told[name]) for name in ("rotation", "shift_mm", "tool_mm")))
 
 
-def _as_fitted(twin: PoseTwin, loaded: Loaded) -> Floats:
-    left = _less(loaded.grams, twin.document["parameters"])
+def _as_fitted(twin: PoseTwin, told: Sequence[Mapping[str, Any]], loaded: Loaded) -> Floats:
+    left = _less(loaded.grams, told)
     return np.asarray(left - loaded.grams.series.design[:, :, :9] @ np.array(twin.document["setup"]["change"]))
 
 

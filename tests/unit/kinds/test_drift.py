@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.ingest import open_source
+from dtwin.acquire.ingest import ingest, open_source
 from dtwin.cli import app
+from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.drift._check import judge_campaign_drift, judge_drift
-from dtwin.kinds.drift._model import Series, Term, fitted, missing, series_of, steady
+from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
+from dtwin.kinds.drift._data import longest_first, of_twin
+from dtwin.kinds.drift._diagnosis import diagnose
+from dtwin.kinds.drift._model import Series, Term, additions, fitted, idle, missing, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log
+from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
-from dtwin.schema import Run
+from dtwin.lake.store import Lake
+from dtwin.schema import Run, RunMeta
 
 HEAD = """[campaign]
 name = "log"
@@ -405,3 +411,143 @@ def test_the_axis_of_a_displacement_is_told_by_its_head_and_elapsed_is_a_time(tm
     path.write_text("\n".join(["Elapsed time [min],Verlagerung X [µm],dZ [µm],T [°C]", *rows]), encoding="utf-8")
     runs = next(iter(open_source(path, {"machine": "m"})[1]))[0]
     assert [run.meta.condition for run in runs] == [{"axis": "X"}, {"axis": "Z"}]
+
+
+def _touched(size_um: float, seed: int = 0) -> Run:
+    t_s, sample, moved, skin, bed = machine(seed)
+    samples = {"t_s": t_s, "sample_1": sample * 1.0, "temperature_frame_c": skin, "temperature_bed_c": bed}
+    samples["displacement_um"] = moved + size_um * (t_s > 11_000.0)
+    return Run(
+        RunMeta(run_id="log", kind="drift", condition={}, sample_rate_hz=float("nan")), samples, source="log.csv"
+    )
+
+
+def test_a_touched_probe_is_told_and_does_not_hide_what_is_late() -> None:
+    for seed in range(3):
+        run = _touched(60.0, seed)
+        (said,) = [f for f in judge_drift(run) if f.code == "drift.touched"]
+        assert said.severity == "warning"
+        assert "after 184 min" in said.message
+        found = missing(series_of(run), steady(series_of(run)))
+        assert [step.said for step in found] == ["the lag of frame"]
+        (late,) = [n for n, term in enumerate(found[0].fitted.terms) if term.kind == "lag"]
+        assert found[0].fitted.terms[late].tau_s == pytest.approx(900.0, rel=0.05)
+        assert abs(found[0].fitted.value[late + 1] + 530.0 * 23.4e-3) < 2.0 * found[0].fitted.k2[late + 1]
+        assert series_of(run, as_read=True).moved_um == pytest.approx(run.samples["displacement_um"])
+    assert not [f for f in judge_drift(_touched(0.0)) if f.code == "drift.touched"]
+
+
+def test_a_machine_that_stands_still_is_no_probing_that_does_not_repeat() -> None:
+    run, rng = _touched(0.0), np.random.default_rng(3)
+    still = {**run.samples, "displacement_um": rng.normal(0.0, 0.4, run.n_samples)}
+    assert {f.code: f.severity for f in judge_drift(replace(run, samples=still))} == {"drift.still": "info"}
+    # Readings that scatter as much as the machine moves are another matter.
+    noisy = {**run.samples, "displacement_um": run.samples["displacement_um"] + rng.normal(0.0, 150.0, run.n_samples)}
+    assert ("drift.noise", "error") in {(f.code, f.severity) for f in judge_drift(replace(run, samples=noisy))}
+
+
+def test_a_pause_is_told() -> None:
+    run = _touched(0.0)
+    kept = (run.samples["t_s"] < 5000.0) | (run.samples["t_s"] > 8000.0)
+    paused = replace(run, samples={name: values[kept] for name, values in run.samples.items()})
+    (said,) = [f for f in judge_drift(paused) if f.code == "drift.gap"]
+    assert said.numbers["longest_s"] == pytest.approx(3000.0, abs=120.0)
+
+
+def test_what_takes_a_quarter_of_the_squares_is_not_idle_where_more_is_left() -> None:
+    # A wave that no sensor knows: stretches of time do not agree on what the sensor takes.
+    t_s, sample, moved, skin, bed = machine(1, late_s=0.0)
+    waved = moved + 40.0 * np.sin(2.0 * np.pi * t_s / 4700.0)
+    log = Series(t_s, waved, {"temperature_frame_c": skin, "temperature_bed_c": bed}, sample)
+    frame = Term("steady", "temperature_frame_c")
+    without, now = fitted(log, [Term("steady", "temperature_bed_c")]), fitted(log, steady(log).terms)
+    assert without.held_out_um > 1.2 * now.held_out_um
+    assert frame in now.terms
+    assert frame not in idle(log, now.terms)
+
+
+def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{60 * n},{n / 2},{70 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["t_s,Z [µm],spindle [°F]", *rows]), "utf-8")
+    head = '[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n'
+    entry = '[[run]]\nid = "r"\nfile = "a.csv"\n'
+    (tmp_path / "campaign.toml").write_text(head + entry, encoding="utf-8")
+    with pytest.raises(InputError, match="lacks columns") as caught:
+        next(iter(open_source(tmp_path)[1]))
+    assert "spindle [°F]" in str(caught.value.hint)
+    named = '[campaign.instrument.columns]\n"spindle [°F]" = "temperature_spindle_c"\n'
+    (tmp_path / "campaign.toml").write_text(head + named + entry, encoding="utf-8")
+    with pytest.raises(InputError, match="in another unit"):
+        next(iter(open_source(tmp_path)[1]))
+
+
+def test_a_log_that_follows_no_temperature_trains_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    rows = [f"{30 * n + m},{n},{rng.normal(0.0, 0.4)},{20 + n / 300}" for n in range(400) for m in (0, 2)]
+    heads = "t_s,sample,displacement_um,temperature_air_c"
+    (tmp_path / "a.csv").write_text("\n".join([heads, *rows]), "utf-8")
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n[[run]]\nid = "r"\nfile = "a.csv"\ncondition = { axis = "Z" }\n',
+        encoding="utf-8",
+    )
+    home = Home(tmp_path / "home")
+    ingest(tmp_path, Lake(home.lake))
+    with pytest.raises(InputError, match="says anything of what moved"):
+        train_drift(Lake(home.lake), "c")
+
+
+def test_a_display_that_shows_whole_micrometres_has_a_floor() -> None:
+    run = _touched(0.0)
+    # Each sample reads the same three times.
+    sample = run.samples["sample_1"].astype(int)
+    first = np.unique(sample, return_index=True)[1]
+    shown = np.round(run.samples["displacement_um"][first])[np.unique(sample, return_inverse=True)[1]]
+    series = series_of(replace(run, samples={**run.samples, "displacement_um": shown}))
+    assert series.floor_um == pytest.approx(1.0 / np.sqrt(12.0))
+    assert diagnose(series, steady(series).terms).verdict == "missing_effect"
+    assert drift_figures([replace(run, samples={**run.samples, "displacement_um": shown})])["log"]["floor_um"] > 0.0
+
+
+def test_a_probe_that_is_stuck_is_said() -> None:
+    run = _touched(0.0)
+    stuck = replace(run, samples={**run.samples, "displacement_um": np.zeros(run.n_samples)})
+    assert [(f.code, f.severity) for f in judge_drift(stuck)] == [("drift.stuck", "error")]
+    assert drift_figures([stuck]) == {"log": None}
+
+
+def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
+    runs = [replace(_touched(0.0, seed), meta=replace(_touched(0.0).meta, run_id=f"r{seed}")) for seed in range(3)]
+    wrong = {**runs[1].samples, "displacement_um": 5.0 * runs[1].samples["displacement_um"]}
+    runs[1] = replace(runs[1], samples=wrong)
+    assert {run.meta.run_id for run in longest_first(runs)} == {"r0", "r2"}
+    # Of a file with several displacements that which moved most.
+    axes = [replace(runs[0], meta=replace(runs[0].meta, run_id=axis, condition={"axis": axis})) for axis in "XZ"]
+    axes[0] = replace(axes[0], samples={**axes[0].samples, "displacement_um": 0.2 * axes[0].samples["displacement_um"]})
+    assert of_twin(axes).meta.run_id == "Z"
+
+
+def test_what_fits_short_stretches_by_being_smooth_is_not_named() -> None:
+    # A spindle warms for 4 h of 8, in quarters of an hour, a column late behind it. What moves is ahead of the spindle's sensor,
+    # which no effect here says; the column has nothing to do with it.
+    rng, t_s = np.random.default_rng(6), 30.0 * np.arange(960)
+    load = (t_s < 14_400.0) * (0.7 + 0.3 * np.sign(np.sin(2.0 * np.pi * t_s / 5400.0)))
+    air = 21.0 + 1.5 * np.sin(2.0 * np.pi * t_s / 43_200.0) + 0.2 * behind(t_s, 3.0 * rng.standard_normal(960), 600.0)
+    spindle = air + behind(t_s, 14.0 * load, 1500.0)
+    column = behind(t_s, air, 5400.0) + 0.12 * behind(t_s, spindle - air, 3600.0)
+    for sensor_s in (200.0, 300.0):
+        moved = 2.0 * (spindle - spindle[0]) + rng.normal(0.0, 0.3, 960)
+        sensors = {
+            "temperature_spindle_c": behind(t_s, spindle, sensor_s) + 0.05 * rng.standard_normal(960),
+            "temperature_column_c": column + 0.05 * rng.standard_normal(960),
+        }
+        log = Series(t_s, moved, sensors, None)
+        assert not [one for one in additions(log, [Term("steady", name) for name in sensors]) if one.pays]
+
+
+def behind(t_s: np.ndarray, values: np.ndarray, tau_s: float) -> np.ndarray:
+    """Return what follows values by a first-order lag, stepped in the middle of each pause."""
+    out = values.copy()
+    for i, pause in enumerate(np.diff(t_s)):
+        out[i + 1] = out[i] + (0.5 * (values[i] + values[i + 1]) - out[i]) * (1.0 - np.exp(-pause / tau_s))
+    return out

@@ -13,14 +13,14 @@ from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.poses._chain import KNOWN, frames
+from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
 from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
 from dtwin.kinds.poses._series import series_of
-from dtwin.kinds.poses._twins import PoseTwins
+from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
@@ -108,8 +108,29 @@ def test_all_that_is_missing_is_chosen_from_nothing_and_the_choice_is_judged_wit
     assert {t.label for t in chosen} >= {"joint_zero@J4", "gravity_sag@J2"}
     assert len(chosen) <= 4
     own = float(np.linalg.norm(held_out_mm(grams, chosen), axis=1).mean())
-    assert own <= nested_mean_mm(grams) < 1.3 * own
+    assert 0.98 * own < nested_mean_mm(grams) < 1.3 * own
     assert idle_terms(grams, [*chosen, Term("joint_reversal", 5)]) == [Term("joint_reversal", 5)]
+
+
+@pytest.mark.parametrize("poses", [24, 60, 120])
+def test_few_poses_tell_a_zero_ten_times_their_noise_and_no_joint_besides(poses: int) -> None:
+    for seed in range(3):
+        joints, rng = _joints(poses, seed), np.random.default_rng(seed)
+        measured = _measured(joints + np.array([0, 0.5e-3, 0, 0, 0, 0])) + rng.normal(0.0, 0.02, (len(joints), 3))
+        grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+        assert [t.label for t in selected(grams, ())] == ["joint_zero@J2"]
+        size = np.linalg.norm(held_out_mm(grams, [Term("joint_zero", 2)]), axis=1).mean()
+        assert nested_mean_mm(grams) < 1.5 * size
+
+
+def test_what_a_few_blocks_hold_most_of_is_told() -> None:
+    # Eccentricity of the base's encoder: poses near its nodes gain nothing.
+    joints, rng = _joints(60, 2), np.random.default_rng(2)
+    wave = np.zeros_like(joints)
+    wave[:, 0] = 0.4e-3 * np.cos(joints[:, 0])
+    measured = _measured(joints + wave) + rng.normal(0.0, 0.02, (len(joints), 3))
+    grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+    assert [t.label for t in selected(grams, ())] == ["joint_cyclic_1@J1"]
 
 
 def test_what_the_fit_leaves_of_a_block_is_what_a_fit_without_it_leaves() -> None:
@@ -391,3 +412,185 @@ def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:
     (run,), (rejected,) = next(iter(open_source(folder)[1]))
     assert ([row["row"] for row in rejected.rows], run.n_samples) == ([2], 899)
     assert not any(f.severity == "error" for f in judge_run(run))
+
+
+def _seven(joints: Floats) -> Floats:
+    """Return tool points (n, 3) of seven joints that turn about z and y by turns, links of 0.36, 0.42, 0.4 and 0.2 m."""
+    out = []
+    for angles in joints:
+        here, at = np.eye(3), np.zeros(3)
+        for n, angle in enumerate(angles):
+            here = here @ Rotation.from_rotvec(angle * np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]][n % 2])).as_matrix()
+            at = at + here @ [0.0, 0.0, {0: 360.0, 2: 420.0, 4: 400.0, 6: 126.0}.get(n, 0.0)]
+        out.append(at + here @ [40.0, 15.0, 120.0])
+    return np.array(out)
+
+
+_SEVEN = [
+    {"d_mm": d, "alpha_deg": a} for d, a in ((360, -90), (0, 90), (420, -90), (0, 90), (400, -90), (0, 90), (126, 0))
+]
+
+
+def test_the_elbow_of_seven_joints_sags() -> None:
+    rng = np.random.default_rng(4)
+    joints = np.concatenate([one := rng.uniform(-1.5, 1.5, (120, 7)), one[:30]])
+    bent = joints.copy()
+    for row in bent:
+        # The wrist's weight about the elbow's axis, which lies 0.4 m beneath it; the fourth turn is about y.
+        lower = Rotation.from_euler("ZYZ", row[:3]) * Rotation.from_euler("Y", row[3])
+        axis = lower.apply([0.0, 1.0, 0.0])
+        row[3] += 1e-3 * 0.8 * np.cross(lower.apply([0.0, 0.0, 0.4]), [0.0, 0.0, -1.0]) @ axis
+    measured = _seven(bent) + rng.normal(0.0, 0.02, (150, 3))
+    grams = Grams(series_of(np.degrees(joints), measured, chain_of({"dh": _SEVEN}, "c"), None))
+    assert [t.label for t in selected(grams, ())] == ["gravity_sag@J4"]
+    with pytest.raises(InputError) as caught:
+        terms_of(["gravity_sag@J5"], 7)
+    assert caught.value.allowed == "gravity_sag of J1, J2, J3, J4"
+
+
+def test_a_row_of_the_chain_under_another_name_is_no_zero() -> None:
+    with pytest.raises(InputError) as caught:
+        chain_of({"dh": [{"a": 325.0, "d_mm": 220.0}, {"a_mm": 275.0}]}, "c")
+    assert caught.value.got == "dh with a"
+    with pytest.raises(InputError, match="not known"):
+        chain_of({"dh": [{"a_mm": float("nan")}, {"a_mm": 275.0}]}, "c")
+
+
+def test_a_joint_that_stays_behind_has_lost_motion_above_zero() -> None:
+    joints, rng = _joints(100, 5), np.random.default_rng(5)
+    behind = joints.copy()
+    behind[1:, 1] -= 0.25e-3 * np.sign(np.diff(joints[:, 1]))
+    measured = _measured(behind) + rng.normal(0.0, 0.02, (len(joints), 3))
+    grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+    (found,) = parameters(grams, [Term("joint_reversal", 2)])
+    assert (found.name, found.value) == ("lost", pytest.approx(0.5, abs=0.03))
+
+
+def test_stored_twins_of_before_tell_lost_motion_by_the_sign_of_today(tmp_path: Path) -> None:
+    twins, document = _fitted(tmp_path, ["joint_reversal@J2"])
+    old = {**document.document, "parameters": [{**document.document["parameters"][0], "name": "width", "value": -0.5}]}
+    told = twins.stored(old).document["parameters"][0]
+    assert (told["name"], told["value"]) == ("lost", 0.5)
+
+
+def _written(folder: Path, joints: Floats, measured: Floats, *, head: str = "", timed: bool = True) -> Path:
+    folder.mkdir()
+    heads = [
+        *(f"joint_{n}_deg" for n in range(1, 7)),
+        *(f"measured_{a}_mm" for a in "xyz"),
+        *(["t_s"] if timed else []),
+    ]
+    rows = np.column_stack([np.degrees(joints), measured, *([20.0 * np.arange(len(joints))] if timed else [])])
+    lines = [",".join(heads), *(",".join(map(repr, map(float, row))) for row in rows)]
+    (folder / "poses.csv").write_text("\n".join(lines), "utf-8")
+    (folder / "campaign.toml").write_text(
+        f'[campaign]\nname = "{folder.name}"\nmachine = "m"\nkind = "poses"\n[campaign.machine_geometry]\nchain = "ur10"\n'
+        f'[[run]]\nid = "r"\nfile = "poses.csv"\n{head}',
+        encoding="utf-8",
+    )
+    return folder
+
+
+def _fitted(tmp_path: Path, effects: list[str]) -> tuple[PoseTwins, PoseTwin]:
+    joints, rng = _joints(40, 6), np.random.default_rng(6)
+    folder = _written(tmp_path / "c", joints, _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3)))
+    twins = PoseTwins(Home(tmp_path / "home"))
+    return twins, twins.fit(str(folder), effects, "arm")
+
+
+def test_an_effect_without_its_column_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no column") as caught:
+        _fitted(tmp_path, ["ambient_growth"])
+    assert "ambient_c" in str(caught.value.allowed)
+
+
+@pytest.mark.parametrize("poses", [1, 5])
+def test_repeats_of_a_few_poses_make_no_twin(tmp_path: Path, poses: int) -> None:
+    rng = np.random.default_rng(8)
+    joints = np.tile(rng.uniform(-1.5, 1.5, (poses, 6)), (30 // poses, 1))
+    folder = _written(tmp_path / "c", joints, _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3)))
+    with pytest.raises(InputError, match="too few different poses"):
+        PoseTwins(Home(tmp_path / "home")).fit(str(folder), [], "arm")
+
+
+def test_what_moves_meanwhile_is_told_by_repeats_and_is_no_noise(tmp_path: Path) -> None:
+    joints, rng = _joints(100, 7), np.random.default_rng(7)
+    moved = np.linspace(0.0, 0.4, len(joints))[:, None] * [0.6, 0.0, 0.8]
+    measured = _measured(joints) + moved + rng.normal(0.0, 0.02, (len(joints), 3))
+    folder = _written(tmp_path / "c", joints, measured)
+    ((run,), _) = next(iter(open_source(folder)[1]))
+    (said,) = [f for f in judge_run(run) if f.code == "poses.drift"]
+    assert said.numbers["moved_mm"] == pytest.approx(0.4, abs=0.03)
+    twins = PoseTwins(Home(tmp_path / "home"))
+    twins.fit(str(folder), [], "arm")
+    made, groups, last = twins.discover("arm")
+    assert groups == [("setup_drift",)]
+    assert last.verdict == "nothing_missing"
+    assert last.figures["noise_floor_um"] == pytest.approx(20.0 * np.sqrt(3.0), rel=0.3)
+    # Another day it moves otherwise.
+    again = _written(tmp_path / "again", joints, _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3)))
+    assert twins.compare("arm", str(again)).as_dict()["residual_rms_um"] < 45.0
+    assert made
+
+
+def test_spoilt_rows_are_numbered_as_in_the_file_and_can_be_left_out(tmp_path: Path) -> None:
+    joints, rng = _joints(100, 9), np.random.default_rng(9)
+    measured = _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3))
+    # A gap before, and two rows whose points were exchanged.
+    measured[4, 1] = np.nan
+    measured[[29, 30]] = measured[[30, 29]]
+    folder = _written(tmp_path / "c", joints, measured)
+    ((run,), _) = next(iter(open_source(folder)[1]))
+    (said,) = [f for f in judge_run(run) if f.code == "poses.spoilt"]
+    assert said.message.startswith("rows 30, 31 lie")
+    assert "30 and 31 look exchanged" in said.message
+    folder = _written(tmp_path / "less", joints, measured, head='condition = { leave_out = "30, 31" }')
+    ((run,), (out,)) = next(iter(open_source(folder)[1]))
+    assert "poses.spoilt" not in {f.code for f in judge_run(run)}
+    assert {(row["row"], row["reason"]) for row in out.rows} == {
+        (4, "not finite"),
+        (29, "left out in campaign.toml"),
+        (30, "left out in campaign.toml"),
+    }
+    folder = _written(tmp_path / "wrong", joints, measured, head='condition = { leave_out = "0" }')
+    with pytest.raises(InputError, match="by their numbers"):
+        next(iter(open_source(folder)[1]))
+
+
+def test_a_diagnosis_names_the_row_that_holds_most_of_what_is_left(tmp_path: Path) -> None:
+    joints, rng = _joints(100, 10), np.random.default_rng(10)
+    measured = _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3))
+    measured[70] += [4.0, 2.0, -3.0]
+    twins = PoseTwins(Home(tmp_path / "home"))
+    twins.fit(str(_written(tmp_path / "c", joints, measured)), [], "arm")
+    assert "most of it is in row 71" in twins.diagnose("arm")[1].headline
+
+
+def test_what_was_taken_out_again_was_not_found() -> None:
+    group = ("joint_zero@J2+J3", "gravity_sag@J2")
+    assert _without(group, [Term("joint_zero", 3)]) == ("joint_zero@J2", "gravity_sag@J2")
+    assert _without(group, [Term("joint_zero", 3), Term("joint_zero", 2)]) == ()
+    assert _without(("setup_drift",), [Term("setup_drift")]) == ()
+
+
+def test_half_widths_cover_the_truth_of_few_poses() -> None:
+    covered = []
+    for seed in range(40):
+        joints, rng = _joints(30, 50 + seed), np.random.default_rng(seed)
+        measured = _measured(joints + np.array([0, 0.5e-3, 0, 0, 0, 0])) + rng.normal(0.0, 0.02, (len(joints), 3))
+        grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+        for one in parameters(grams, [Term("joint_zero", 2), Term("joint_zero", 4), Term("link_geometry", 3)]):
+            if np.isfinite(one.value):
+                covered.append(abs(one.value - (0.5 if one.term.joint == 2 else 0.0)) <= one.k2)
+    assert len(covered) > 100
+    assert np.mean(covered) > 0.9
+
+
+def test_repeats_that_never_differ_and_an_arm_without_error_are_judged() -> None:
+    joints = _joints(60, 11)
+    measured = _measured(joints + np.array([0, 0.5e-3, 0, 0, 0, 0]))
+    grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+    assert grams.series.floor_mm == pytest.approx(1e-4)
+    assert diagnose(grams, ()).additions[0] == "joint_zero@J2"
+    at = frames(joints, KNOWN["ur10"]).origin_mm[-1]
+    assert diagnose(Grams(series_of(np.degrees(joints), at, KNOWN["ur10"], None)), ()).verdict == "nothing_missing"
