@@ -13,7 +13,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.util import find_spec
@@ -89,20 +89,37 @@ def waiting(home: Home, name: str = "*") -> list[_Waiting]:
     name : str
         One twin; all without.
     """
+    return _still_waiting(_oldest_first(home, name))
+
+
+def _oldest_first(home: Home, name: str = "*") -> list[Path]:
+    """Return the files of all versions that MLflow is to have."""
     if find_spec("mlflow") is None:
         return []
     begun: dict[Path, int] = {}
-    newest: dict[Path, int] = {}
-    folders = sorted((home.root / "twins").glob(name))
-    for path in (path for folder in folders for path in version_paths(folder)):
-        # No later than its successors, whatever a copy made of the times.
-        newest[path.parent] = begun[path] = max(newest.get(path.parent, 0), _written_ns(path))
-    known = {path: _known(path) for path in sorted(begun, key=begun.__getitem__)}
-    return [
-        _Waiting(path, receipt.get("failed", ""))
-        for path, receipt in known.items()
-        if "model_version" not in receipt or receipt.get("diagnosis", "") != _sha256(_verdict(path))
-    ]
+    for folder in sorted((home.root / "twins").glob(name)):
+        newest = 0
+        for path in version_paths(folder):
+            # No later than its successors, whatever a copy made of the times.
+            newest = begun[path] = max(newest, _written_ns(path))
+    return sorted(begun, key=begun.__getitem__)
+
+
+def _still_waiting(paths: Iterable[Path]) -> list[_Waiting]:
+    return [found for path in paths if (found := _waiting_at(path)) is not None]
+
+
+def _waiting_at(path: Path) -> _Waiting | None:
+    """Return a version if MLflow does not have it, or not its newest diagnosis."""
+    receipt = _known(path)
+    if "model_version" in receipt and receipt.get("diagnosis", "") == _sha256(_verdict(path)):
+        return None
+    return _Waiting(path, receipt.get("failed", ""))
+
+
+def _something_waits(home: Home) -> bool:
+    """Tell whether a version waits: the newest is asked first, for that is the likely one."""
+    return any(_waiting_at(path) is not None for path in reversed(_oldest_first(home)))
 
 
 def waiting_text(left: Sequence[_Waiting]) -> str:
@@ -160,17 +177,21 @@ def log_waiting(home: Home) -> list[_Waiting]:
     StoreError
         When the home cannot be written.
     """
-    if not waiting(home):
+    if not _something_waits(home):
         return []
     with locked(_lock(home, "logging"), wait=True):
-        _log_all(home)
-    return waiting(home)
+        return _log_all(home)
 
 
-def _log_all(home: Home) -> None:
-    waiting_items = waiting(home)
-    if not waiting_items:
-        return
+def _log_all(home: Home) -> list[_Waiting]:
+    """Log what waits, and return what of it still does."""
+    items = waiting(home)
+    if items:
+        _log_each(home, items)
+    return _still_waiting(item.path for item in items if item.path.exists())
+
+
+def _log_each(home: Home, items: Sequence[_Waiting]) -> None:
     # Whatever goes wrong stands in the receipts: nobody looks at this process.
     try:
         from dtwin.train.registry import Registry
@@ -178,11 +199,11 @@ def _log_all(home: Home) -> None:
         registry = Registry(home)
         registry.experiment()
     except Exception as error:
-        for item in waiting_items:
+        for item in items:
             _fail(item.path, error)
         return
     blocked: set[Path] = set()
-    for item in waiting_items:
+    for item in items:
         # A later version of a twin must not come before an earlier one.
         if item.path.parent in blocked:
             continue
@@ -288,7 +309,7 @@ def _main(root: Path) -> None:
 
 
 def _log_next(home: Home) -> None:
-    if not waiting(home):
+    if not _something_waits(home):
         return
     with contextlib.ExitStack() as held:
         with locked(_lock(home, "next")) as mine:
