@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from mlflow.exceptions import MlflowException
+
 from dtwin.train.logged import environment
 from dtwin.train.registry import Registry
 
@@ -83,7 +85,7 @@ def _params(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis: Mapping[str, Any]) -> None:
-    """Set the verdict of a diagnosis as tags of a twin's version.
+    """Set the verdict of a diagnosis as tags of a twin's version; nothing happens when somebody deleted it in MLflow.
 
     Parameters
     ----------
@@ -99,8 +101,12 @@ def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis
         "group": ", ".join(group),
         "lack_of_fit_p": "nan" if p_value is None else f"{p_value:.3g}",
     }
-    for key, value in tags.items():
-        registry.client.set_model_version_tag(model, model_version, key, value)
+    try:
+        for key, value in tags.items():
+            registry.client.set_model_version_tag(model, model_version, key, value)
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
 
 
 def _label(entry: Mapping[str, Any]) -> str:

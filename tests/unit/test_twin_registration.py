@@ -142,6 +142,17 @@ def test_the_thousandth_version_is_the_newest_and_comes_last(shelf: TwinShelf) -
     assert parents == {None, shelf.history("a")[0]["mlflow"]["parent_run_id"]}
 
 
+def test_a_version_that_was_deleted_in_mlflow_holds_up_none(shelf: TwinShelf) -> None:
+    for number in (1, 2):
+        shelf.store(version("a", number))
+    log_waiting(shelf.home)
+    Registry(shelf.home).client.delete_model_version("twin-a", "1")
+    shelf.store_diagnosis(diagnosis("a", 1, "missing_effect"))
+    shelf.store(version("a", 3))
+    assert log_waiting(shelf.home) == []
+    assert [action for action, _ in in_mlflow(shelf.home, "a")] == ["step 2", "step 3"]
+
+
 def test_after_a_kill_at_any_moment_each_version_is_there_exactly_once(shelf: TwinShelf) -> None:
     shelf.store(version("k", 1))
     shelf.store_diagnosis(diagnosis("k", 1, "missing_effect"))
