@@ -356,8 +356,18 @@ class Registry:
             self.client.log_artifacts(run_id, folder)
 
     def experiment(self) -> str:
-        """Return the id of dtwin's experiment, which is made when it is not there."""
+        """Return the id of dtwin's experiment, which is made when it is not there.
+
+        Raises ``StoreError`` when somebody deleted it in MLflow, which keeps it and its name.
+        """
         experiment = self.client.get_experiment_by_name(_EXPERIMENT)
+        if experiment is not None and experiment.lifecycle_stage == "deleted":
+            raise StoreError(
+                f"the experiment {_EXPERIMENT} was deleted in MLflow",
+                code="registry.deleted",
+                where=self.uri,
+                hint=f"MLFLOW_TRACKING_URI={self.uri} mlflow experiments restore --experiment-id {experiment.experiment_id}",
+            )
         if experiment is not None:
             return str(experiment.experiment_id)
         own = not self.uri.startswith("http")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dtwin.config import Home
+from dtwin.errors import StoreError
 from dtwin.train.registry import Registry, model_name
 
 
@@ -32,3 +33,13 @@ def test_versions_come_newest_first_with_their_aliases_and_tags(registry: Regist
     assert [v.aliases for v in found if v.aliases] == [("champion",)]
     assert found == [registry.version("m000", v.version) for v in found]
     assert registry.champion("m000") == found[2]
+
+
+def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(registry: Registry) -> None:
+    number = registry.experiment()
+    registry.client.delete_experiment(number)
+    with pytest.raises(StoreError, match="was deleted in MLflow") as refused:
+        registry.experiment()
+    assert f"experiments restore --experiment-id {number}" in (refused.value.hint or "")
+    registry.client.restore_experiment(number)
+    assert registry.experiment() == number
