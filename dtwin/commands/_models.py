@@ -103,21 +103,15 @@ def train(
 @app.command()
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
-    from dtwin.serve.pointer import proven_states
-    from dtwin.train.promotion import history
+    from dtwin.train.promotion import history, listed
     from dtwin.train.registry import Registry
     from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
-    registry = Registry(home())
-    by_machine = {m: registry.versions(m) for m in ([machine] if machine else registry.machines())}
-    found = [v for versions in by_machine.values() for v in versions]
-    said = {m: {int(v.version): v.tags.get("state", "-") for v in versions} for m, versions in by_machine.items()}
-    proven = {m: proven_states(m, tags, home()) for m, tags in said.items()}
-    states = [proven[v.machine][int(v.version)] for v in found]
-    past = {m: history(home(), m) for m in {v.machine for v in found}}
+    found = listed(Registry(home()), home(), machine)
+    past = {m: history(home(), m) for m in sorted({v.machine for v, _ in found})}
     payload = {
-        "versions": [dict(vars(v)) | {"state": state} for v, state in zip(found, states, strict=True)],
+        "versions": [dict(vars(v)) | {"state": state} for v, state in found],
         "history": past,
         "not_in_mlflow": [item.as_dict() for item in left],
     }
@@ -138,7 +132,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 v.tags.get("proved", "-")[:10],
                 v.created,
             ]
-            for v, state in zip(found, states, strict=True)
+            for v, state in found
         ]
         lines = [table(("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created"), rows)]
         for name, entries in past.items():

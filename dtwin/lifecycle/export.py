@@ -34,7 +34,8 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.export import identifier, to_c, to_latex, to_python
 from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
-from dtwin.serve.pointer import proven_states, resolve
+from dtwin.serve.pointer import resolve
+from dtwin.train.promotion import state_of
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_axes import AXES, own_axis_only
 from dtwin.train.twin_terms import choose
@@ -172,9 +173,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     else:
         version = _of_twin(home, registry, name)
     bundle = Bundle.from_dict(registry.bundle(version))
-    number = int(version.version)
-    states = proven_states(version.machine, {number: version.tags.get("state", "candidate")}, home)
-    return _source(home, bundle, states[number], version, library)
+    return _source(home, bundle, state_of(version, home), version, library)
 
 
 def export(source: Source, request: Request) -> Export:

@@ -16,7 +16,7 @@ from dtwin.people import acting, note, read_people
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
-from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
+from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, proven_states, write_machine, write_pointer
 from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
@@ -228,6 +228,24 @@ def _require_second_person(home: Home, version: RegisteredVersion, comment: str,
         got=f"proposed by {acting()}",
         hint="another person promotes the same version, at the workbench or by dtwin promote",
     )
+
+
+def listed(registry: Registry, home: Home, machine: str | None = None) -> list[tuple[RegisteredVersion, str]]:
+    """Return the versions of a machine, of all without one, each with the state in which serving would take it."""
+    every = registry.every_version() if machine is None else {machine: registry.versions(machine)}
+    return [pair for versions in every.values() for pair in zip(versions, _states(versions, home), strict=True)]
+
+
+def state_of(version: RegisteredVersion, home: Home) -> str:
+    """Return the state in which serving would take a version, whatever its tags say."""
+    return _states([version], home)[0]
+
+
+def _states(versions: Sequence[RegisteredVersion], home: Home) -> list[str]:
+    """Return the states of versions of one machine."""
+    tagged = {int(v.version): v.tags.get("state", "candidate") for v in versions}
+    states = proven_states(versions[0].machine, tagged, home) if versions else {}
+    return [states[number] for number in tagged]
 
 
 def history(home: Home, machine: str) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ import logging
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
-from mlflow.entities.model_registry import ModelVersion
+from mlflow.entities.model_registry import ModelVersion, RegisteredModel
 from mlflow.exceptions import MlflowException
 from mlflow.store.entities import PagedList
 from sqlalchemy import create_engine
@@ -205,7 +205,7 @@ class Registry:
 
     def _aliases(self, name: str) -> Mapping[str, str]:
         """Return what each alias of a model points to: a search for versions, and an alias query, leave it out."""
-        return {alias: str(number) for alias, number in self.client.get_registered_model(name).aliases.items()}
+        return _by_alias(self.client.get_registered_model(name))
 
     def champion(self, machine: str) -> RegisteredVersion | None:
         """Return the machine's champion, None when nothing was promoted."""
@@ -218,11 +218,20 @@ class Registry:
         """Return all versions of a machine's model, newest first."""
         name = model_name(machine)
         found = _every(self.client.search_model_versions, f"name='{name}'")
-        if not found:
-            return []
-        aliases = self._aliases(name)
-        newest_first = sorted(found, key=lambda v: int(v.version), reverse=True)
-        return [_registered(machine, version, aliases) for version in newest_first]
+        return _newest_first(machine, found, self._aliases(name)) if found else []
+
+    def every_version(self) -> dict[str, list[RegisteredVersion]]:
+        """Return all versions of every machine that has one, newest first."""
+        models = _every(self.client.search_registered_models, f"name LIKE '{_PREFIX}%'")
+        of_model: dict[str, list[ModelVersion]] = {model.name: [] for model in sorted(models, key=lambda m: m.name)}
+        for version in _every(self.client.search_model_versions, f"name LIKE '{_PREFIX}%'"):
+            of_model.setdefault(version.name, []).append(version)
+        aliases = {model.name: _by_alias(model) for model in models}
+        return {
+            (machine := name.removeprefix(_PREFIX)): _newest_first(machine, found, aliases.get(name, {}))
+            for name, found in of_model.items()
+            if found
+        }
 
     def machines(self) -> list[str]:
         """Return the machines that have a registered model."""
@@ -402,6 +411,15 @@ def _require_answer(uri: str) -> None:
 def model_name(machine: str) -> str:
     """Return the registered model's name for a machine."""
     return f"{_PREFIX}{machine}"
+
+
+def _by_alias(model: RegisteredModel) -> dict[str, str]:
+    return {alias: str(number) for alias, number in model.aliases.items()}
+
+
+def _newest_first(machine: str, found: Sequence[ModelVersion], aliases: Mapping[str, str]) -> list[RegisteredVersion]:
+    ordered = sorted(found, key=lambda version: int(version.version), reverse=True)
+    return [_registered(machine, version, aliases) for version in ordered]
 
 
 def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -> RegisteredVersion:

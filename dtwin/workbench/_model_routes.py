@@ -35,10 +35,10 @@ def model_list(request: Request) -> Response:
     versions: list[Any] = []
     past: dict[str, list[dict[str, Any]]] = {}
     if registry is not None:
-        from dtwin.train.promotion import history
+        from dtwin.train.promotion import history, listed
 
-        versions = [v for m in registry.machines() for v in registry.versions(m)]
-        past = {m: history(home, m) for m in registry.machines()}
+        versions = listed(registry, home)
+        past = {m: history(home, m) for m in dict.fromkeys(version.machine for version, _ in versions)}
     return rendered(request, "models.html", title="Models", versions=versions, past=past)
 
 
@@ -48,6 +48,7 @@ def model_page(request: Request, machine: str, version: str) -> Response:
     bench = bench_of(request)
     found = _judged(bench, machine, version)
     from dtwin.report.campaign import evidence_table
+    from dtwin.train.promotion import state_of
 
     evidence = Table(*evidence_table(found.evidence)) if found.evidence else None
     number = found.version.version
@@ -58,6 +59,7 @@ def model_page(request: Request, machine: str, version: str) -> Response:
         found=found,
         machine=machine,
         evidence=evidence,
+        state=state_of(found.version, bench.home),
         mlflow=models.mlflow_page(bench.home, f"dtwin-{machine}", number),
     )
 

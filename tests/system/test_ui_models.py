@@ -15,6 +15,7 @@ from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
 from dtwin.lifecycle.evidence import compute
+from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -79,6 +80,17 @@ def test_promoted_with_a_comment_and_rolled_back(page: Page, bench: Workbench) -
     status, text = bench.ask("/models")
     assert status == 200
     assert all(why in text for why in ("first good one", "a little better", "chatter at F4000"))
+
+
+def test_tags_and_aliases_that_somebody_set_in_mlflow_make_no_champion(bench: Workbench) -> None:
+    registry = Registry(Home(bench.home))
+    registry.client.set_model_version_tag("dtwin-mill-a", "1", "state", "champion")
+    registry.client.set_registered_model_alias("dtwin-mill-a", "champion", "1")
+    said = "unpromoted, whatever its tags say"
+    assert said in bench.ask("/models/mill-a/1")[1]
+    listed = bench.ask("/models")[1]
+    assert said in listed
+    assert '<span class="tag good">champion' not in listed
 
 
 def test_nothing_is_promoted_without_the_token(bench: Workbench) -> None:

@@ -33,6 +33,8 @@ def test_versions_come_newest_first_with_their_aliases_and_tags(registry: Regist
     assert [v.aliases for v in found if v.aliases] == [("champion",)]
     assert found == [registry.version("m000", v.version) for v in found]
     assert registry.champion("m000") == found[2]
+    registry.client.create_model_version(model_name("m119"), source="file:nowhere", tags={"state": "candidate"})
+    assert registry.every_version() == {"m000": found, "m119": registry.versions("m119")}
 
 
 def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(registry: Registry) -> None:
