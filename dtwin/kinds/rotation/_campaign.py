@@ -191,7 +191,17 @@ def _judge_orders(found: OverSpeed) -> list[Finding]:
         by_order = [p for p in others if any(_near(o.order, line.order, o, line) for o in p.orders)]
         by_hertz = [p for p in others if any(_near(o.order * p.speed_rpm / 60.0, hertz, o, line) for o in p.orders)]
         if by_hertz and len(by_hertz) > len(by_order):
-            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure"
+            # The slowest run resolves it best.
+            slow = by_hertz[0]
+            hertz = min((o.order * slow.speed_rpm / 60.0 for o in slow.orders), key=lambda at: abs(at - hertz))
+            often = {f"{p.speed_rpm:z.4g}": (60.0 * hertz / p.speed_rpm, p.turns.n) for p in speeds}
+            whole = [rpm for rpm, (times, n) in often.items() if times > 0.5 and abs(times - round(times)) * n < 1.0]
+            counted = (
+                f"; at {', '.join(whole)} rpm it comes a whole number of times a turn, and counts as synchronous"
+                if whole
+                else ""
+            )
+            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
             out.append(Finding("rotation.frequency", "info", said, {"frequency_hz": hertz}))
         elif by_order and len(by_order) > len(by_hertz):
             said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"

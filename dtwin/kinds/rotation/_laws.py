@@ -25,6 +25,8 @@ _TOGETHER = 0.9
 _CHANCE = 0.01
 _SAME_SPEED = 0.01
 _DAMPING = (0.01, 0.02, 0.05, 0.1, 0.2)
+_REACHED = 2.0
+"""Times the highest speed up to which a critical speed is told: what lies farther off bends a square only a little."""
 _CRITICAL = np.geomspace(0.25, 4.0, 385)
 
 
@@ -94,6 +96,8 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
             fitted = designs[name] @ np.linalg.lstsq(designs[name], values, rcond=None)[0]
             chance[name] = _chance(values, fitted, held_dof=2 * values.shape[1], noise=noise)
     able = [name for name in others if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]]
+    if RESONANCE in able and critical > _REACHED * float(speed_rpm.max()):
+        able.remove(RESONANCE)
     left = {name: float(np.sqrt(sse / values.size)) for name, sse in held.items()}
     if not able:
         return Law(CONSTANT, (CONSTANT,), 0.0, left, min(chance.values()), count, bent=bent)

@@ -22,6 +22,7 @@ _REACH_DEG = 25.0
 _ALIKE = 0.9
 _CHANCE = 0.01
 _LEAST_DEG = 0.2
+_OF_A_STEP = 0.25
 _COVERED = 0.97725
 _ONE = "s1"
 """The set-up that is not told."""
@@ -177,7 +178,9 @@ def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
 
 def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:
     mean = turns.read_um.mean(axis=0)
-    return np.asarray(2.0 * np.exp(1j * np.outer(orders, np.radians(turns.angle_deg))) @ mean / len(mean))
+    waves = np.asarray(2.0 * np.exp(1j * np.outer(orders, np.radians(turns.angle_deg))) @ mean / len(mean))
+    # What the steps of a display leave turns with the eccentricity, and is no form.
+    return np.where(np.abs(waves) > _OF_A_STEP * turns.step_um, waves, 0.0)
 
 
 def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
