@@ -73,7 +73,7 @@ def _speeds(found: OverSpeed) -> Floats:
 
 
 def _asked(found: OverSpeed, law: Law | None = None) -> str:
-    again = law is not None and TIME in law.rivals
+    again = law is not None and any(TIME in name for name in law.rivals)
     return "the lowest speed again at the end" if again else f"{next_speed(_speeds(found)):z.3g} rpm"
 
 
@@ -120,7 +120,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
         said = f"{found.probe}: what comes once per turn is the same at all speeds within {found.spread_um:z.2g} µm: {_mounting(found.sense)}, no unbalance"
         return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)} measure {_asked(found, law)} too.{delay}"
+    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(found, law)} too'}.{delay}"
     return [
         Finding(
             "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
@@ -136,13 +136,15 @@ _WORDS: Mapping[str, str] = {
     SQUARE: "the square of the speed",
     TIME: "the time (warming, or a target that moves)",
     RESONANCE: "a resonance",
+    f"{SPEED}+{TIME}": "the speed and the time",
+    f"{SQUARE}+{TIME}": "the square of the speed and the time",
 }
 
 
 def _open(law: Law) -> str:
     if not law.name:
         return "these cannot be told apart with these speeds;"
-    return "a face that tilts or yields, by unbalance or by heat;" if law.name == SQUARE else "no unbalance does so;"
+    return "a face that tilts or yields, by unbalance or by heat" if law.name == SQUARE else "no unbalance does so"
 
 
 def _mounting(sense: str) -> str:
@@ -166,7 +168,12 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
             "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
         )
         return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
+    both = (
+        "speed and time together: heat of the bearings and warming do so, and heat that lags behind the speed nearly so"
+    )
     code, cause = {
+        f"{SPEED}+{TIME}": ("rotation.mean_both", both),
+        f"{SQUARE}+{TIME}": ("rotation.mean_both", f"{both}; what grows with the square alone is centrifugal growth"),
         SQUARE: ("rotation.centrifugal", "forces that grow with the square of the speed do so: centrifugal growth"),
         TIME: ("rotation.drift", "drift: warming, or an instrument that settles"),
         SPEED: ("rotation.mean_speed", "heat of the bearings, or a film of oil or air"),

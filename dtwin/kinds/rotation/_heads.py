@@ -55,10 +55,10 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
 _USUAL = {TIME: "s", ANGLE: "deg", SPEED: "rpm", PULSE: "1"}
 _WORDS = {
     TIME: re.compile(
-        r"^(t|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
+        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
     ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
-    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|转速|轉速|回転"),
+    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|转速|轉速|回転"),
     ANGLE: re.compile(
         r"angle|winkel|angolo|[aá]ngulo|encoder.*(?:deg|°|rad|rev|turn)|角度|\bphi\b|\btheta\b|rotation|position.*(?:deg|°)"
     ),

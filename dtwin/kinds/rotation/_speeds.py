@@ -132,7 +132,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
         delay,
         known,
         law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
-        law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0),
+        law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0, pairs=True),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
         2.0 * math.sqrt(max(noise, default=math.nan)),
     )

@@ -53,7 +53,7 @@ def judge_volumetric_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
-    if largest < _LEAST_UM:
+    if 0.0 < largest < _LEAST_UM:
         text = f"no ball is farther than {largest:z.2g} µm from its place: millimetres under heads of micrometres?"
         return [Finding("balls.small", "error", text, {"largest_um": largest})]
     if largest <= _MAX_ERROR_UM:

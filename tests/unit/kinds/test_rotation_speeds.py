@@ -298,3 +298,20 @@ def test_mains_are_told_with_their_frequency_and_where_they_count_as_synchronous
     (told,) = (f for f in found if f.code == "rotation.frequency")
     assert told.numbers["frequency_hz"] == pytest.approx(50.0, abs=0.3)
     assert "at 1000 rpm it comes a whole number of times a turn" in told.message
+
+
+def test_a_mean_that_moves_with_speed_and_time_is_told_by_both() -> None:
+    right = 0
+    for seed in SEEDS:
+        found = KIND.judge_campaign(measured(Story(mean_um=lambda n, h: 0.05 * (n / 1000.0) ** 2 + 1.5 * h), seed))
+        told = [f for f in found if f.code.startswith(("rotation.mean", "rotation.drift", "rotation.centri"))]
+        right += [f.code for f in told] == ["rotation.mean_both"] and "square of the speed and the time" in told[
+            0
+        ].message
+    assert right >= 38
+
+
+def test_a_target_that_moves_with_time_is_not_asked_for_what_was_measured() -> None:
+    (told,) = KIND.judge_campaign(measured(Story(once=lambda n, h: 1.5 * h), 2))
+    assert told.code == "rotation.once_moves"
+    assert "measure" not in told.message.split(".")[0]
