@@ -73,8 +73,11 @@ def _speeds(found: OverSpeed) -> Floats:
 
 
 def _asked(found: OverSpeed, law: Law | None = None) -> str:
-    again = law is not None and any(TIME in name for name in law.rivals)
-    return "the lowest speed again at the end" if again else f"{next_speed(_speeds(found)):z.3g} rpm"
+    if law is None or all(TIME not in name for name in law.rivals):
+        return f"{next_speed(_speeds(found)):z.3g} rpm"
+    last = max(found.points, key=lambda p: p.place)
+    again = last.speed_rpm < 1.01 * float(_speeds(found).min())
+    return "the same speeds in another order" if again else "the lowest speed again at the end"
 
 
 def _judge_once(found: OverSpeed) -> list[Finding]:
@@ -168,9 +171,7 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
             "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
         )
         return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
-    both = (
-        "speed and time together: heat of the bearings and warming do so, and heat that lags behind the speed nearly so"
-    )
+    both = "heat of the bearings and warming do so, and heat that lags behind the speed nearly so"
     code, cause = {
         f"{SPEED}+{TIME}": ("rotation.mean_both", both),
         f"{SQUARE}+{TIME}": ("rotation.mean_both", f"{both}; what grows with the square alone is centrifugal growth"),
