@@ -21,6 +21,8 @@ _FEWEST_ALIKE = 3
 _BETTER = 0.5
 _SETTLING = (0.1, 0.25, 0.5)
 """Time constants of a warm-up that are tried beside a straight line, of the whole time."""
+_SPREAD = 0.3
+"""Part of the whole spread of times that repeats of one speed must have."""
 _FEWEST_NEIGHBOURS = 8
 
 
@@ -159,7 +161,11 @@ def _with_time(runout: Floats, group: Floats, t_s: Floats, dof: int) -> Floats:
     whole, best, left = float(own @ own), nothing, float(own @ own)
     for shape in shapes:
         along = inside(shape)
-        if along @ along > 0.0 and (rest := whole - (along @ own) ** 2 / (along @ along)) < left:
+        # Repeats that follow each other at once tell nothing of the whole time.
+        if (
+            along @ along > _SPREAD * float(np.sum((shape - shape.mean()) ** 2))
+            and (rest := whole - (along @ own) ** 2 / (along @ along)) < left
+        ):
             left, best = float(rest), (along @ own) / (along @ along) * (shape - shape.mean())
     ratio = (whole - left) / 2.0 / max(left / (dof - 2), 1e-300)
     return best if left < _BETTER * whole and f_tail(ratio, (2.0, dof - 2.0)) < _CHANCE else nothing

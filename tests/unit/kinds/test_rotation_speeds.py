@@ -315,3 +315,11 @@ def test_a_target_that_moves_with_time_is_not_asked_for_what_was_measured() -> N
     (told,) = KIND.judge_campaign(measured(Story(once=lambda n, h: 1.5 * h), 2))
     assert told.code == "rotation.once_moves"
     assert "measure" not in told.message.split(".")[0]
+
+
+def test_repeats_that_follow_each_other_at_once_tell_nothing_of_the_whole_time() -> None:
+    speeds = np.repeat((1000.0, 2000.0, 3000.0, 4000.0), 5)
+    settles = np.tile((0.0, 0.5, 0.8, 1.0, 1.1), 4)
+    samples = {"t_s": np.arange(20.0), "speed_rpm": speeds, "runout_um": 3.0 + settles}
+    run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
+    assert {f.code for f in KIND.judge_campaign([run])} == {"rotation.runout_constant"}
