@@ -31,7 +31,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             code="ingest.condition",
             where=str(path),
             got=", ".join(sorted(k for k, v in told.items() if v is not None)) or "the file alone",
-            allowed="" if needed is None else "with " + ", ".join(needed),
+            allowed="a folder with a file for each run" if needed is None else "with " + ", ".join(needed),
             hint=f'name it in a campaign.toml with kind = "{kind}": docs/how-to/ingest-your-own.md'
             if needed is None
             else f"dtwin ingest {path.name} "

@@ -15,7 +15,7 @@ from dtwin.acquire._recovery import signal_findings
 from dtwin.acquire._tabular import read_columns
 from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
-from dtwin.acquire.signal_files import read_signals
+from dtwin.acquire.signal_files import is_table_of_signals, read_signals
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kind_names
@@ -102,7 +102,7 @@ class CampaignFolder:
             )
             for run in runs
         }
-        noticed = tuple(f for path in entry.signals for f in signal_findings(path))
+        noticed = tuple(f for path in entry.signals if not is_table_of_signals(path) for f in signal_findings(path))
         complete = [replace(r, signals=by_direction[r.meta.run_id], findings=(*r.findings, *noticed)) for r in runs]
         return complete, rejected
 

@@ -1,4 +1,4 @@
-"""High-rate signal files: one Parquet file per device and run, on the device's own clock."""
+"""Signal files: one file per device and run, on the device's own clock; Parquet, or a table of text for slow ones."""
 
 from __future__ import annotations
 
@@ -7,15 +7,25 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dtwin.acquire.foreign_columns import all_units, header_row
+from dtwin.acquire.foreign_columns import columns_of as named_columns
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.time_stamps import FORMS, seconds_of
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.parquet import columns_of, read_encoded, table_of, write_parquet
 from dtwin.schema import Encoded, SignalGroup, require_name
 from dtwin.units import require_units
 
 _KEY = b"dtwin.signals"
+_TABLES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
+_MOST_BYTES = 256 * 1024**2
 
 
 def write_signals(path: Path, group: SignalGroup) -> int:
@@ -36,14 +46,21 @@ def write_signals(path: Path, group: SignalGroup) -> int:
     return write_parquet(path, table.replace_schema_metadata(kept | {_KEY: json.dumps(head)}))
 
 
+def is_table_of_signals(path: Path) -> bool:
+    """Return whether a signal file is a table of text or a spreadsheet, which has no header of dtwin's."""
+    return path.suffix.lower() in _TABLES
+
+
 def read_signals(path: Path) -> list[SignalGroup]:
     """Read a signal file.
 
-    A file without dtwin's own header needs a ``t_s`` column from which the rate is taken.
+    A file without dtwin's own header needs a ``t_s`` column from which the rate is taken; in a table of text it may be time stamps.
 
-    ``path``: a ``.parquet`` file.
+    ``path``: ``.parquet``, or a table of text or a spreadsheet with a unit in each head.
     Raises ``InputError`` when the file is missing, damaged, or does not say its rate.
     """
+    if is_table_of_signals(path):
+        return [_group(_from_text(path), path)]
     try:
         table, data = read_encoded(path)
     except StoreError as error:
@@ -55,6 +72,43 @@ def read_signals(path: Path) -> list[SignalGroup]:
     columns = columns_of(table)
     if header is not None:
         return [_from_header(header, columns, data, path)]
+    return [_group(columns, path)]
+
+
+def _from_text(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the columns of a table of text, NaN where a cell holds no number; columns without a unit that is known are refused."""
+    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    at = header_row(rows, path)
+    below = rows[at + 1] if all_units(rows[at + 1]) else None
+    heads = [head.strip() for head in rows[at]]
+    body = rows[at + (1 if below is None else 2) :]
+    cells = [[row[n].strip() if n < len(row) else "" for row in body] for n in range(len(heads))]
+    known = named_columns(heads, below, {})
+    columns = {
+        c.name: np.array([np.nan if (v := number_or_none(cell)) is None else v * c.factor for cell in cells[n]])
+        for n, c in enumerate(known)
+        if c.name
+    }
+    unknown = {n: c for n, c in enumerate(known) if not c.name and any(cells[n])}
+    if "t_s" not in columns:
+        for n in list(unknown):
+            t_s, _ = seconds_of(cells[n], f"{path} {heads[n]}", heads[n])
+            if np.isfinite(t_s).all():
+                columns["t_s"] = t_s
+                del unknown[n]
+                break
+    if unknown:
+        raise InputError(
+            "a column of signals does not say a unit that is known",
+            code="signals.unit",
+            where=str(path),
+            got="; ".join(f"{c.head}: {c.why_not}" for c in unknown.values())[:200],
+            allowed=f"a unit in each head, such as bed_1_c or bed 1 [°C]; times in seconds, or {FORMS}",
+        )
+    return columns
+
+
+def _group(columns: dict[str, NDArray[Any]], path: Path) -> SignalGroup:
     if "t_s" not in columns or len(columns["t_s"]) < 2:
         raise InputError(
             "the signal file does not say its rate", code="signals.rate", where=str(path), hint="add a column t_s"
@@ -64,7 +118,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
     if not 0 < span < math.inf:
         raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
     name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
-    return [SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))]
+    return SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))
 
 
 def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path) -> SignalGroup:

@@ -281,7 +281,7 @@ def _render_run(run: dict[str, Any]) -> list[str]:
 
 
 def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line for each run, with figures where runs have some of their own, and one for each kind of error."""
+    """Return a line for each run, with figures where runs have some of their own, and one for each kind of error and warning."""
     figures = {"circular_deviation_um": "circular deviation, µm", "rms_um": "RMS, µm"}
     known = [name for name in figures if any(name in run.get("by_file_indices", {}) for run in runs)]
     rows = [
@@ -294,10 +294,11 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     ]
     lines = table(("run", *(figures[name] for name in known), "findings"), rows).splitlines()
     told: dict[str, list[str]] = {}
-    for run in runs:
-        for f in run["findings"]:
-            if f["severity"] == "error":
-                told.setdefault(f["code"], []).append(f"error, {run['run']}: {f['message']}")
+    for severity in ("error", "warning"):
+        for run in runs:
+            for f in run["findings"]:
+                if f["severity"] == severity:
+                    told.setdefault(f"{severity} {f['code']}", []).append(f"{severity}, {run['run']}: {f['message']}")
     return [*lines, *(said[0] + (f" (and {len(said) - 1} more)" if len(said) > 1 else "") for said in told.values())]
 
 

@@ -17,22 +17,29 @@ _TUKEY = 4.685
 _SEARCHED = 0.02
 _ORDERS = 6
 _LARGE_DEG = 1.0
+_WRAP = 0.7
+"""Part of the whole range that every wrap of an angle takes at least."""
+_NOT_A_TURN = 0.05
 
 
 def unwrapped(t_s: Floats, angle_deg: Floats, where: str) -> Floats:
     """Return an angle that goes on over its zero, and over gaps of whole turns at the usual speed.
 
-    Raises ``InputError`` when it is in radians.
+    Raises ``InputError`` when it wraps elsewhere than at a turn: it is in another unit than its head says.
     """
     steps = np.abs(np.diff(angle_deg))
+    whole = float(np.ptp(angle_deg))
     wraps = steps[steps > 0.5 * steps.max()] if steps.size else steps
-    if np.ptp(angle_deg) < 6.4 and wraps.size > 1 and np.all(np.abs(wraps - 2.0 * np.pi) < 0.8):
+    # Of few readings a turn none may be near its ends.
+    most = whole + 2.0 * float(np.max(steps, where=steps < _WRAP * whole, initial=0.0))
+    turn = most > (1.0 - _NOT_A_TURN) * _TURN and whole < (1.0 + _NOT_A_TURN) * _TURN
+    if wraps.size > 1 and np.all(wraps > _WRAP * whole) and not turn:
         raise InputError(
-            "the angle wraps at 2 pi under a head of degrees",
+            "the angle wraps, and not at a turn: it is in another unit than its head says",
             code="rotation.unit",
             where=where,
-            got=f"{angle_deg.min():.3g} to {angle_deg.max():.3g}",
-            allowed='degrees, or a head that says radians: "angle [rad]"',
+            got=f"{angle_deg.min():.4g}° to {angle_deg.max():.4g}°",
+            allowed='a head that says its unit: "angle [deg]", "[rad]", "[rev]", "[gon]"; counts of an encoder are turned into one of these before',
         )
     turned = np.unwrap(angle_deg, period=_TURN)
     step, gap_s = np.diff(turned), np.diff(t_s)

@@ -73,8 +73,11 @@ def _speeds(found: OverSpeed) -> Floats:
 
 
 def _asked(found: OverSpeed, law: Law | None = None) -> str:
-    again = law is not None and TIME in law.rivals
-    return "the lowest speed again at the end" if again else f"{next_speed(_speeds(found)):z.3g} rpm"
+    if law is None or all(TIME not in name for name in law.rivals):
+        return f"{next_speed(_speeds(found)):z.3g} rpm"
+    last = max(found.points, key=lambda p: p.place)
+    again = last.speed_rpm < 1.01 * float(_speeds(found).min())
+    return "the same speeds in another order" if again else "the lowest speed again at the end"
 
 
 def _judge_once(found: OverSpeed) -> list[Finding]:
@@ -120,7 +123,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
         said = f"{found.probe}: what comes once per turn is the same at all speeds within {found.spread_um:z.2g} µm: {_mounting(found.sense)}, no unbalance"
         return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)} measure {_asked(found, law)} too.{delay}"
+    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(found, law)} too'}.{delay}"
     return [
         Finding(
             "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
@@ -136,13 +139,15 @@ _WORDS: Mapping[str, str] = {
     SQUARE: "the square of the speed",
     TIME: "the time (warming, or a target that moves)",
     RESONANCE: "a resonance",
+    f"{SPEED}+{TIME}": "the speed and the time",
+    f"{SQUARE}+{TIME}": "the square of the speed and the time",
 }
 
 
 def _open(law: Law) -> str:
     if not law.name:
         return "these cannot be told apart with these speeds;"
-    return "a face that tilts or yields, by unbalance or by heat;" if law.name == SQUARE else "no unbalance does so;"
+    return "a face that tilts or yields, by unbalance or by heat" if law.name == SQUARE else "no unbalance does so"
 
 
 def _mounting(sense: str) -> str:
@@ -166,7 +171,10 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
             "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
         )
         return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
+    both = "heat of the bearings and warming do so, and heat that lags behind the speed nearly so"
     code, cause = {
+        f"{SPEED}+{TIME}": ("rotation.mean_both", both),
+        f"{SQUARE}+{TIME}": ("rotation.mean_both", f"{both}; what grows with the square alone is centrifugal growth"),
         SQUARE: ("rotation.centrifugal", "forces that grow with the square of the speed do so: centrifugal growth"),
         TIME: ("rotation.drift", "drift: warming, or an instrument that settles"),
         SPEED: ("rotation.mean_speed", "heat of the bearings, or a film of oil or air"),
@@ -191,7 +199,17 @@ def _judge_orders(found: OverSpeed) -> list[Finding]:
         by_order = [p for p in others if any(_near(o.order, line.order, o, line) for o in p.orders)]
         by_hertz = [p for p in others if any(_near(o.order * p.speed_rpm / 60.0, hertz, o, line) for o in p.orders)]
         if by_hertz and len(by_hertz) > len(by_order):
-            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure"
+            # The slowest run resolves it best.
+            slow = by_hertz[0]
+            hertz = min((o.order * slow.speed_rpm / 60.0 for o in slow.orders), key=lambda at: abs(at - hertz))
+            often = {f"{p.speed_rpm:z.4g}": (60.0 * hertz / p.speed_rpm, p.turns.n) for p in speeds}
+            whole = [rpm for rpm, (times, n) in often.items() if times > 0.5 and abs(times - round(times)) * n < 1.0]
+            counted = (
+                f"; at {', '.join(whole)} rpm it comes a whole number of times a turn, and counts as synchronous"
+                if whole
+                else ""
+            )
+            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
             out.append(Finding("rotation.frequency", "info", said, {"frequency_hz": hertz}))
         elif by_order and len(by_order) > len(by_hertz):
             said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"

@@ -8,6 +8,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.rotation._features import Feature
 from dtwin.kinds.rotation._heads import OVER_SPEED
 from dtwin.kinds.rotation._orders import orders_of, said_orders
+from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
 
@@ -18,6 +19,7 @@ _SMALL_UM = 0.005
 _CLIPPED = 0.02
 _TURN = 360.0
 _FEWEST_A_TURN = 16
+_FINE_A_TURN = 60
 _LATE = 0.02
 _SPIKE = 12.0
 _MANY = 6
@@ -51,6 +53,9 @@ def judge_rotation(run: Run) -> list[Finding]:
     if turns is None:
         said = "no turn is whole: each has a gap of more than 6° or three steps"
         return [*findings, Finding("rotation.gaps", "error", said)]
+    if per_turn < _FINE_A_TURN:
+        said = f"{per_turn:z.0f} readings a turn: TIR and A miss what lies between them, no local feature is sought, and no order above {per_turn / 2:z.0f} is known"
+        findings.append(Finding("rotation.sparse", "info", said, {"readings_1": per_turn}))
     findings += _judge_turns(turns, run)
     findings += _features(turns)
     lines = orders_of(turns)
@@ -66,6 +71,11 @@ def _judge_table(run: Run) -> list[Finding]:
     findings = []
     if float(runout.max()) > _LARGE_UM:
         findings.append(_size(float(runout.max()), "the run-out is"))
+    for n in np.flatnonzero(spoilt(run)):
+        said = f"{runout[n]:z.3g} µm at {speed[n]:g} rpm stands far off the other run-outs of that speed: dirt, a chip or a mistake; it is left out"
+        findings.append(
+            Finding("rotation.spoilt", "warning", said, {"speed_rpm": float(speed[n]), "runout_um": float(runout[n])})
+        )
     if len(np.unique(speed)) == len(speed):
         said = (
             "no speed was measured twice: what run-outs differ by from speed to speed cannot be compared with repeats"
@@ -121,7 +131,7 @@ def _spikes(turns: Turns) -> list[Finding]:
     if turns.n < 4:
         return []
     off = turns.moved_um - np.median(turns.moved_um, axis=0)
-    scale = 1.4826 * float(np.median(np.abs(off)))
+    scale = max(1.4826 * float(np.median(np.abs(off))), turns.step_um / 2.0)
     far = np.abs(off) > _SPIKE * scale
     alone = far & (far.sum(axis=0) == 1)
     rows = np.flatnonzero(alone.any(axis=1))
@@ -140,7 +150,7 @@ def _spikes(turns: Turns) -> list[Finding]:
 def _features(turns: Turns) -> list[Finding]:
     if len(turns.features) <= _MANY:
         return [_feature(f) for f in turns.features]
-    share = 100.0 * sum(len(f.bins) for f in turns.features) / turns.moved_um.shape[1]
+    share = 100.0 * sum(len(f.bins) - 2 for f in turns.features) / turns.moved_um.shape[1]
     said = (
         f"an interrupted surface: readings stand out at {len(turns.features)} places, in {share:z.0f} % of the turn, in every turn: teeth, slots or "
         "segments, no error motion; TIR has them, the other figures are of the smooth rest"

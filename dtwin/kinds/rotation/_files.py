@@ -86,6 +86,7 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
     """Return the row of heads, what they mean, and where values begin; None when no row is surely one."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
+        found = None
         below = rows[begin + 1] if begin + 1 < len(rows) else []
         for units in ([], below):
             if units is below and (len(below) != len(row) or any(number_or_none(c) is not None for c in below)):
@@ -93,7 +94,11 @@ def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[i
             cells = [*units, *[""] * (len(row) - len(units))]
             columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
             if is_turning(columns) or (recipe and any(c.role == PROBE and c.factor for c in columns)):
-                return begin, columns, begin + (2 if units else 1)
+                found = found or (begin, columns, begin + (2 if units else 1))
+                if all(c.factor for c in columns if c.role not in ("", PATH)):
+                    return begin, columns, begin + (2 if units else 1)
+        if found is not None:
+            return found
     return None
 
 
@@ -113,7 +118,9 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     begin, columns, first = found
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
-    by_speed = any(c.role == RUNOUT for c in columns) or not any(c.role == TIME for c in columns)
+    roles = {c.role for c in columns}
+    # Run-out beside an angle is read at each place of the turn.
+    by_speed = TIME not in roles or (RUNOUT in roles and not roles & {ANGLE, PULSE})
     probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
     if by_speed and any(columns[n].role == RUNOUT for n in probes):
         probes = [n for n in probes if columns[n].role == RUNOUT]
@@ -227,7 +234,8 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             code="rotation.unit",
             where=str(path),
             got=", ".join(without)[:120],
-            allowed="[mm], [µm], [nm] or [in] behind a displacement (volts need the scale of the probe); s, ms; deg, rad, rev; rpm, 1/min, Hz",
+            allowed="[mm], [µm], [nm] or [in] behind a displacement (volts need the scale of the probe); s, ms; deg, rad, rev; rpm, 1/min, Hz, rad/s",
+            hint='the unit behind the name in the head, such as "run-out [µm]"',
         )
     roles = [c.role for c in columns if c.role in (TIME, ANGLE, SPEED)]
     twice = sorted(role for role in set(roles) if roles.count(role) > 1)

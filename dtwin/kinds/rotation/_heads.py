@@ -20,24 +20,57 @@ RADIAL = "radial"
 
 # Metres are no probe's.
 _LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
+_RAD_DEG = 57.29577951308232
+_PER_MINUTE = (
+    "rpm",
+    "1/min",
+    "/min",
+    "min-1",
+    "1_min",
+    "u/min",
+    "upm",
+    "umdr/min",
+    "rev/min",
+    "r/min",
+    "tr/min",
+    "giri/min",
+    "g/min",
+    "转/分",
+)
+"""Units that nothing but a speed of rotation has."""
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     TIME: TIMES_S,
-    ANGLE: {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232, "gon": 0.9, "rev": 360.0, "turns": 360.0},
-    SPEED: {"rpm": 1.0, "1/min": 1.0, "min-1": 1.0, "min^-1": 1.0, "u/min": 1.0, "rev/min": 1.0, "r/min": 1.0}
-    | {"1_min": 1.0, "hz": 60.0, "rps": 60.0, "rev/s": 60.0, "1/s": 60.0, "deg/s": 1.0 / 6.0, "deg_s": 1.0 / 6.0},
+    ANGLE: dict.fromkeys(("deg", "°", "degree", "degrees"), 1.0)
+    | dict.fromkeys(("rad", "radian", "radians"), _RAD_DEG)
+    | {"mrad": 1e-3 * _RAD_DEG, "gon": 0.9}
+    | dict.fromkeys(
+        ("rev", "revs", "revolutions", "turn", "turns", "umdrehung", "umdrehungen", "umdr", "tours", "giri"), 360.0
+    ),
+    SPEED: dict.fromkeys(_PER_MINUTE, 1.0)
+    | dict.fromkeys(("hz", "rps", "rev/s", "r/s", "u/s", "tr/s", "1/s", "s-1"), 60.0)
+    | {"krpm": 1000.0, "rad/s": _RAD_DEG / 6.0}
+    | dict.fromkeys(("deg/s", "deg_s", "°/s"), 1.0 / 6.0),
     PULSE: {"1": 1.0, "v": 1.0},
 }
 _USUAL = {TIME: "s", ANGLE: "deg", SPEED: "rpm", PULSE: "1"}
 _WORDS = {
-    TIME: re.compile(r"^(t|time|zeit|timestamp|elapsed)\b"),
+    TIME: re.compile(
+        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
+    ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
-    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel"),
-    ANGLE: re.compile(r"angle|winkel|\bphi\b|\btheta\b|rotation|position.*(deg|°)"),
+    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|转速|轉速|回転"),
+    ANGLE: re.compile(
+        r"angle|winkel|angolo|[aá]ngulo|encoder.*(?:deg|°|rad|rev|turn)|角度|\bphi\b|\btheta\b|rotation|position.*(?:deg|°)"
+    ),
 }
-_RUNOUT = re.compile(r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b")
-_PROBE = re.compile(r"displ|\bdisp\b|probe|radial|axial|face|gap|taster|weg\b|^[xyz]\d?$|cap\d|sensor")
-_AXIAL = re.compile(r"axial|face|planlauf|^z\d?$")
-_RADIAL = re.compile(r"radial|rundlauf|^[xy]\d?$")
+_RUNOUT = re.compile(
+    r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
+)
+_PROBE = re.compile(
+    r"displ|\bdisp\b|probe|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|sensor|\bdial\b|indicator|messuhr|comparateur"
+)
+_AXIAL = re.compile(r"axial|face|planlauf|轴向|端面|^d?z\d?$")
+_RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
@@ -66,13 +99,14 @@ class Column:
 
 def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
+    head, unit_below = (cell.replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below))
     text = " ".join(head.replace("_", " ").split()).lower()
-    found = _UNIT.search(head.strip().lower())
-    inside = _IN_BRACKETS.search(head.strip().lower())
+    found = _UNIT.search(head.lower())
+    inside = _IN_BRACKETS.search(head.lower())
     if found is not None and inside is not None and inside[1] not in _UNITS:
         # Of 1000 rpm it is the last word only.
         found = None
-    told = unit_below.strip().strip("[]()").lower() or (found[1] if found else "")
+    told = unit_below.strip("[]()").lower() or (found[1] if found else "")
     if "winkel" in text and "grad" in (told, inside and inside[1]):
         # Elsewhere than in German it may be 1/400 of a turn.
         told = "deg"
@@ -81,7 +115,11 @@ def column_of(head: str, unit_below: str = "") -> Column:
     )
     if not words and found is not None:
         words = text
+    # Of "run-out in µm" the last word is none of the name.
+    words = re.sub(r"\s+in$", "", words)
     if told not in _LENGTH_UM:
+        if told in _PER_MINUTE:
+            return Column(SPEED, factor=1.0, likely=True)
         for role, word in _WORDS.items():
             if word.search(words) or word.search(text):
                 return Column(
@@ -90,7 +128,7 @@ def column_of(head: str, unit_below: str = "") -> Column:
         # A probe in volts is one without its scale, which is refused; what else is in volts is of no use here.
         if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(words)):
             return Column("")
-    name = re.sub(r"[^A-Za-z0-9.+-]+", "_", words).strip("_.-+") or "probe"
+    name = re.sub(r"[^\w.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)
     if _RUNOUT.search(words):
         return Column(RUNOUT, name, scale, likely=True)
@@ -115,7 +153,7 @@ def is_turning(columns: list[Column]) -> bool:
         return False
     if SPEED in roles and RUNOUT in roles:
         return True
-    probes = [c for c in columns if c.role == PROBE and c.likely and c.factor]
+    probes = [c for c in columns if c.role in (PROBE, RUNOUT) and c.likely and c.factor]
     if TIME not in roles or not probes:
         return False
     # x, y and z beside a speed may be positions of axes.

@@ -25,6 +25,8 @@ _TOGETHER = 0.9
 _CHANCE = 0.01
 _SAME_SPEED = 0.01
 _DAMPING = (0.01, 0.02, 0.05, 0.1, 0.2)
+_REACHED = 2.0
+"""Times the highest speed up to which a critical speed is told: what lies farther off bends a square only a little."""
 _CRITICAL = np.geomspace(0.25, 4.0, 385)
 
 
@@ -32,7 +34,7 @@ _CRITICAL = np.geomspace(0.25, 4.0, 385)
 class Law:
     """What values follow.
 
-    ``name``: ``constant``, ``speed``, ``square``, ``time``, ``resonance``; empty when several would do.
+    ``name``: ``constant``, ``speed``, ``square``, ``time``, ``resonance``, or ``speed+time``, ``square+time``; empty when several would do.
     ``rivals``: those that cannot be told apart, the best first; one when it is named.
     ``change``: largest distance of two fitted values, of the best law.
     ``left``: RMS on speeds held out, by law.
@@ -62,10 +64,11 @@ def groups_of(speed_rpm: Floats) -> Floats:
     return out
 
 
-def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law | None:
+def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float, *, pairs: bool = False) -> Law | None:
     """Return what values (n, parts) follow; None with fewer than four distinct speeds, or near ones.
 
     ``noise``: variance of one part of a value, by its repeats within a run; what is left is taken to be no less.
+    ``pairs``: whether speed and time together are tried where neither does alone.
     """
     group = groups_of(speed_rpm)
     count = len(np.unique(group))
@@ -94,7 +97,14 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
             fitted = designs[name] @ np.linalg.lstsq(designs[name], values, rcond=None)[0]
             chance[name] = _chance(values, fitted, held_dof=2 * values.shape[1], noise=noise)
     able = [name for name in others if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]]
+    if RESONANCE in able and critical > _REACHED * float(speed_rpm.max()):
+        able.remove(RESONANCE)
     left = {name: float(np.sqrt(sse / values.size)) for name, sse in held.items()}
+    if not able and pairs and TIME in designs:
+        both = _pair(values, designs, group, held, noise)
+        if both is not None:
+            names, change, p_value = both
+            return Law(names[0] if len(names) == 1 else "", names, change, left, p_value, count)
     if not able:
         return Law(CONSTANT, (CONSTANT,), 0.0, left, min(chance.values()), count, bent=bent)
     able.sort(key=lambda name: held[name])
@@ -118,6 +128,27 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float) -> Law
     change = float(max(np.linalg.norm(a - b) for a in fitted for b in fitted))
     name = best if len(rivals) == 1 else ""
     return Law(name, rivals, change, left, chance[best], count, critical if best == RESONANCE else float("nan"), bent)
+
+
+def _pair(
+    values: Floats, designs: Mapping[str, Floats], group: Floats, held: Mapping[str, float], noise: float
+) -> tuple[tuple[str, ...], float, float] | None:
+    """Return which of speed or its square with the time values follow, the largest change, and how probable it is by chance; else None."""
+    found: dict[str, tuple[float, float, float]] = {}
+    for name in (SPEED, SQUARE):
+        if _together(TIME, name, designs):
+            continue
+        design = np.column_stack([designs[name], designs[TIME][:, 1]])
+        fitted = design @ np.linalg.lstsq(design, values, rcond=None)[0]
+        chance = _chance(values, fitted, held_dof=3 * values.shape[1], noise=noise)
+        sse = _held_out(design, values, group)
+        if chance < _CHANCE / 2.0 and sse < _BETTER * min(held[n] for n in (CONSTANT, SPEED, SQUARE, TIME)):
+            found[f"{name}+{TIME}"] = (sse, float(np.ptp(fitted)), chance)
+    if not found:
+        return None
+    best = min(found, key=lambda name: found[name][0])
+    names = sorted((n for n in found if found[n][0] < _AS_GOOD * found[best][0]), key=lambda n: found[n][0])
+    return tuple(names), *found[best][1:]
 
 
 def _together(one: str, other: str, designs: Mapping[str, Floats]) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.acquire.campaign_folder import inside
 from dtwin.errors import InputError
@@ -26,6 +27,10 @@ from dtwin.units import is_number
 _TOLD_OFF = 0.05
 _UM_PER_MM = 1e3
 _MOST_RPM = 1e6
+_FAR = 20.0
+"""Times the range of nearly all readings that a reading without meaning lies off them at least."""
+_FEW = 0.02
+_FEW_TURNS = 0.3
 
 
 def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -116,6 +121,12 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
                 )
             t, x = t[inside_it], x[inside_it]
             a = np.interp(t, angle.t_s, angle.value)
+        far = _far(a, x)
+        if far.any():
+            off = float(np.abs(x[far] - np.median(x)).max())
+            text = f"{int(far.sum())} reading{'s lie' if far.sum() > 1 else ' lies'} up to {off:z.3g} µm off the others, in few turns: a code for no reading, or a fault of the signal; they are left out"
+            said.append(Finding("rotation.far", "warning", text, {"readings_1": float(far.sum()), "largest_um": off}))
+            t, x, a = t[~far], x[~far], a[~far]
         rpm = abs(a[-1] - a[0]) / 6.0 / max(float(t[-1] - t[0]), 1e-12)
         if told is not None and abs(rpm - float(told)) > _TOLD_OFF * float(told):
             text = f"{told:g} rpm are stated, the axis turned at {rpm:z.4g} rpm"
@@ -127,6 +138,15 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
         rate = 1.0 / float(np.median(np.diff(t))) if len(t) > 1 and np.median(np.diff(t)) > 0.0 else float("nan")
         runs.append(Run(replace(meta, sample_rate_hz=rate), samples, source=str(path), findings=tuple(said)))
     return runs
+
+
+def _far(angle_deg: Floats, x: Floats) -> NDArray[np.bool_]:
+    """Return which readings lie so far off all others that no surface is there: a groove is in every turn, and these are in few."""
+    low, middle, high = np.quantile(x, (0.05, 0.5, 0.95))
+    far = np.asarray(np.abs(x - middle) > _FAR * (high - low))
+    turn = np.floor(angle_deg / 360.0)
+    few = len(np.unique(turn[far])) <= max(1.0, _FEW_TURNS * float(np.ptp(turn))) and far.mean() < _FEW
+    return far if high > low and few and np.ptp(turn) > 1.0 else np.zeros_like(far)
 
 
 def _angle(reading: Reading, path: Path) -> tuple[Channel | None, str, list[Finding]]:

@@ -22,6 +22,7 @@ _REACH_DEG = 25.0
 _ALIKE = 0.9
 _CHANCE = 0.01
 _LEAST_DEG = 0.2
+_OF_A_STEP = 0.25
 _COVERED = 0.97725
 _ONE = "s1"
 """The set-up that is not told."""
@@ -131,7 +132,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
         delay,
         known,
         law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
-        law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0),
+        law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0, pairs=True),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
         2.0 * math.sqrt(max(noise, default=math.nan)),
     )
@@ -177,7 +178,9 @@ def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
 
 def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:
     mean = turns.read_um.mean(axis=0)
-    return np.asarray(2.0 * np.exp(1j * np.outer(orders, np.radians(turns.angle_deg))) @ mean / len(mean))
+    waves = np.asarray(2.0 * np.exp(1j * np.outer(orders, np.radians(turns.angle_deg))) @ mean / len(mean))
+    # What the steps of a display leave turns with the eccentricity, and is no form.
+    return np.where(np.abs(waves) > _OF_A_STEP * turns.step_um, waves, 0.0)
 
 
 def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from dtwin.kinds.rotation._features import Feature, features_of
 from dtwin.kinds.rotation._heads import AXIAL
@@ -14,6 +15,8 @@ from dtwin.schema import Floats, Run
 
 _TURN = 360.0
 _BINS = (360, 180, 120, 90, 72, 60, 36, 24, 16)
+_COARSE_BINS = 60
+_FINE = 360
 _HIGHEST_ORDER = 50
 _GAP_DEG = 6.0
 _GAP_BINS = 3
@@ -33,6 +36,7 @@ class Turns:
     ``t_s`` (turns,): middle of each turn.
     ``whole``: turns of the run, with those that gaps spoil.
     ``forward``: whether the angle rose.
+    ``step_um``: least difference of two readings, the resolution of a coarse display.
     """
 
     angle_deg: Floats
@@ -44,6 +48,7 @@ class Turns:
     features: tuple[Feature, ...]
     axial: bool
     forward: bool = True
+    step_um: float = 0.0
 
     @property
     def n(self) -> int:
@@ -147,7 +152,12 @@ def turns_of(run: Run) -> Turns | None:
     at, of, when = (np.bincount(place[inside], v[inside], cells)[full] / count[full] for v in (a, x, t))
     # Backlash of an encoder and jitter leave an order that is not quite that of the angle.
     order = np.argsort(at, kind="stable")
-    read = np.interp(grid, at[order], of[order]).reshape(whole, bins)
+    if bins < _COARSE_BINS:
+        # Straight lines between few readings flatten what comes several times a turn.
+        rising = np.append(True, np.diff(np.maximum.accumulate(a)) > 0.0)
+        read = CubicSpline(a[rising], x[rising])(np.clip(grid, a[0], a[-1])).reshape(whole, bins)
+    else:
+        read = np.interp(grid, at[order], of[order]).reshape(whole, bins)
     middle = np.interp(grid, at[order], when[order]).reshape(whole, bins).mean(axis=1)
     sound = np.array([_largest_gap(row) <= max(_GAP_BINS, _GAP_DEG / width) for row in full[1:-1].reshape(whole, bins)])
     if not sound.any():
@@ -166,7 +176,14 @@ def turns_of(run: Run) -> Turns | None:
         moved = feature.bridged(moved)
     found = tuple(replace(f, angle_deg=float(np.mod(begin + f.angle_deg, _TURN))) for f in found)
     moved = moved - moved.mean()
-    return Turns(angle, kept, moved, middle[sound], whole, slope * (whole - 1), found, axial, forward)
+    return Turns(angle, kept, moved, middle[sound], whole, slope * (whole - 1), found, axial, forward, _step(x))
+
+
+def _step(x: Floats) -> float:
+    steps = np.diff(np.unique(x))
+    # Less is what arithmetic leaves.
+    steps = steps[steps > 1e-6]
+    return float(steps.min()) if steps.size else 0.0
 
 
 def _line(at: Floats, mean: Floats) -> tuple[float, float]:
@@ -188,6 +205,14 @@ def filtered(curve_um: Floats) -> Floats:
     waves = np.fft.rfft(curve_um, axis=-1)
     waves[..., _HIGHEST_ORDER + 1 :] = 0.0
     return np.asarray(np.fft.irfft(waves, curve_um.shape[-1], axis=-1))
+
+
+def _range(curve_um: Floats) -> float:
+    """Return the range of a curve over one turn, also between the places of a coarse grid."""
+    bins = curve_um.shape[-1]
+    if bins >= _COARSE_BINS:
+        return float(np.ptp(curve_um))
+    return float(np.ptp(np.fft.irfft(np.fft.rfft(curve_um), _FINE)) * _FINE / bins)
 
 
 def once_of(curve_um: Floats, angle_deg: Floats) -> complex:
@@ -237,8 +262,8 @@ def figures_of(turns: Turns) -> Figures:
         figure(lambda of: abs(once(of))),
         once(np.arange(turns.n)),
         covariance,
-        figure(lambda of: float(np.ptp(synchronous_um(turns, moved[of])[0]))),
-        figure(lambda of: float(np.ptp(synchronous_um(turns, moved[of])[1]))),
+        figure(lambda of: _range(synchronous_um(turns, moved[of])[0])),
+        figure(lambda of: _range(synchronous_um(turns, moved[of])[1])),
         Value(wide, wide * share, len(parts)),
         rms,
         float(means.mean()),

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
+from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
+from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
+_LEAST_UM = 0.2
 _STUCK_C = 1e-6
-_PLAUSIBLE_C = (-20.0, 90.0)
 
 
 def judge_volumetric_run(run: Run) -> list[Finding]:
@@ -34,8 +38,24 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
     ]
 
 
+def judge_volumetric_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return which readings and cycles stand off those before and after them."""
+    sound = [
+        run
+        for run in runs
+        if {"pose_1", "ball_1"} <= set(run.samples) and all(f.severity != "error" for f in run.findings)
+    ]
+    hour_by_run = hours_of(sound)
+    sound.sort(key=lambda run: hour_by_run[run.meta.run_id])
+    cycles = [balls_of(run) for run in sound]
+    return spoilt_findings([run.meta.run_id for run in sound], cycles, spoilt_in(cycles)) if cycles else []
+
+
 def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
+    if 0.0 < largest < _LEAST_UM:
+        text = f"no ball is farther than {largest:z.2g} µm from its place: millimetres under heads of micrometres?"
+        return [Finding("balls.small", "error", text, {"largest_um": largest})]
     if largest <= _MAX_ERROR_UM:
         return []
     text = f"a ball was found {largest:z.0f} µm beside its place: wrong ball, wrong unit, or a missed touch"
@@ -67,10 +87,10 @@ def _temperatures(group: SignalGroup) -> list[Finding]:
             continue
         gaps = float(np.mean(~np.isfinite(values)))
         if gaps > 0.0:
-            text = f"{name} has no reading in {gaps:.0%} of the cycle"
+            text = f"{name} has no reading in {100.0 * gaps:z.2g} % of the cycle"
             findings.append(Finding("sensor.gap", "warning", text, {"share_1": gaps}))
             continue
-        if values.min() < _PLAUSIBLE_C[0] or values.max() > _PLAUSIBLE_C[1]:
+        if values.min() < PLAUSIBLE_C[0] or values.max() > PLAUSIBLE_C[1]:
             text = f"{name} reads {values.min():z.1f} to {values.max():z.1f} degC: a broken wire"
             findings.append(Finding("sensor.implausible", "warning", text))
         elif len(values) > 10 and np.ptp(values) < _STUCK_C:

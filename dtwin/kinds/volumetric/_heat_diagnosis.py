@@ -334,7 +334,7 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
         return None
     text = (
         f"put a thermocouple on what has none (foundation, tanks, spindle, scales): what moves "
-        f"{_listed(unknown)} is not measured"
+        f"{_listed(unknown)} is not measured, or lags far behind what is"
     )
     return {"text": text, "heat_alone": [], "watch": unknown}
 

@@ -92,8 +92,8 @@ class Artefact:
 
         ``cycle``, ``reference``: readings; where the machine goes too far its scales read less.
         """
-        place = {key: i for i, key in enumerate(_keys(reference))}
-        kept = [(i, place[key]) for i, key in enumerate(_keys(cycle)) if key in place]
+        place = {key: i for i, key in enumerate(keys_of(reference))}
+        kept = [(i, place[key]) for i, key in enumerate(keys_of(cycle)) if key in place]
         mine, theirs = (np.array([pair[k] for pair in kept], dtype=int) for k in (0, 1))
         moved = -(cycle.error_um[mine] - reference.error_um[theirs])
         shown = Balls(cycle.position_mm[mine], cycle.error_um[mine], cycle.pose[mine], cycle.ball[mine])
@@ -203,13 +203,13 @@ class Artefact:
 def averaged_balls(cycles: Sequence[Balls]) -> Balls:
     """Return the mean readings of some cycles, of the balls that each of them has."""
     first = cycles[0]
-    sums = {key: [first.error_um[i]] for i, key in enumerate(_keys(first))}
+    sums = {key: [first.error_um[i]] for i, key in enumerate(keys_of(first))}
     for cycle in cycles[1:]:
-        for i, key in enumerate(_keys(cycle)):
+        for i, key in enumerate(keys_of(cycle)):
             if key in sums:
                 sums[key].append(cycle.error_um[i])
-    whole = [i for i, key in enumerate(_keys(first)) if len(sums[key]) == len(cycles)]
-    keys = _keys(first)
+    whole = [i for i, key in enumerate(keys_of(first)) if len(sums[key]) == len(cycles)]
+    keys = keys_of(first)
     return Balls(
         first.position_mm[whole],
         np.array([np.mean(sums[keys[i]], axis=0) for i in whole]),
@@ -218,7 +218,7 @@ def averaged_balls(cycles: Sequence[Balls]) -> Balls:
     )
 
 
-def _keys(balls: Balls) -> list[tuple[int, int, int]]:
+def keys_of(balls: Balls) -> list[tuple[int, int, int]]:
     """Return pose, ball and how often it came before, for every reading."""
     seen: dict[tuple[int, int], int] = {}
     out = []

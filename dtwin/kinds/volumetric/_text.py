@@ -17,8 +17,8 @@ def judged_text(found: Mapping[str, Any]) -> str:
         f"{found['campaign']}: {found['cycles']} cycles, {found['sensors']} thermocouples; identification "
         f"leaves {found['identified_um']:z.2f} µm, {found['held_out_poses_um']:z.2f} µm in held-out poses",
         f"distances between balls: RMS {d['rms_um']:z.2f} -> {d['rms_left_um']:z.2f} µm "
-        f"(-{d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} µm "
-        f"(-{d['p2p_reduction_pct']:z.0f} %)",
+        f"({-d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} µm "
+        f"({-d['p2p_reduction_pct']:z.0f} %)",
     ]
     if found["slots"]:
         s = found["slots"]

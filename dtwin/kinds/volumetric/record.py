@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 class _Volumetric(Kind):
     name = "volumetric"
     columns = ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um")
+    campaign_columns = (*columns, "pose_1", "ball_1")
+    sheet_columns = campaign_columns
     always_fitted = "Error motions, each driven by a few temperatures."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
@@ -51,6 +53,11 @@ class _Volumetric(Kind):
 
         # Between the poses the array is turned: gaps in time are no lost samples.
         return judge_volumetric_run(run)
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        from dtwin.kinds.volumetric._check import judge_volumetric_campaign
+
+        return judge_volumetric_campaign(runs)
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
         from dtwin.kinds.volumetric._twins import HeatTwins

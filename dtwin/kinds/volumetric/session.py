@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,14 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._heat_series import require_temperatures
 from dtwin.kinds.volumetric._identify import Artefact, Balls, Identified, averaged_balls
+from dtwin.kinds.volumetric._spoilt import spoilt_in
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 
 _SENSORS = "thermocouples"
+PLAUSIBLE_C = (-20.0, 90.0)
+"""What a sound sensor on a machine may read; a broken wire reads more or less."""
 REFERENCE_CYCLES = 3
 Strokes = dict[str, tuple[float, float]]
 
@@ -37,7 +41,7 @@ class Session:
     found : tuple of Identified
         Error motions of each cycle.
     sensors : tuple of str
-        Thermocouples without gaps.
+        Thermocouples with plausible readings in every cycle.
     rise_c : ndarray, shape (cycles, sensors)
         Their means over the cycle.
     begun_c : ndarray, shape (sensors,)
@@ -103,7 +107,8 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
             "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind, allowed="volumetric"
         )
     runs = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
-    runs.sort(key=lambda run: float(run.meta.condition.get("time_h", 0.0)))
+    hour_by_run = hours_of(runs)
+    runs.sort(key=lambda run: hour_by_run[run.meta.run_id])
     if len(runs) <= REFERENCE_CYCLES:
         raise InputError(
             "too few usable cycles",
@@ -114,7 +119,9 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
             hint=f"dtwin check: what is wrong with {name}",
         )
     artefact = _artefact(known.machine_geometry, name)
-    balls = [_balls(run) for run in runs]
+    cycles = [balls_of(run) for run in runs]
+    sound = spoilt_in(cycles).kept(cycles, REFERENCE_CYCLES + 1)
+    runs, balls = [runs[n] for n, _ in sound], [cycle for _, cycle in sound]
     reference = averaged_balls(balls[:REFERENCE_CYCLES])
     moved = tuple(artefact.variation_um(cycle, reference) for cycle in balls)
     found = []
@@ -134,7 +141,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     begun = absolute[:REFERENCE_CYCLES].mean(axis=0)
     return Session(
         name,
-        np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
+        np.array([hour_by_run[run.meta.run_id] for run in runs]),
         artefact,
         moved,
         tuple(found),
@@ -195,7 +202,19 @@ def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
     return Artefact(strokes, held_out, repeat)
 
 
-def _balls(run: Run) -> Balls:
+def hours_of(runs: Sequence[Run]) -> dict[str, float]:
+    """Return the hour of each cycle: as stated, else by when runs began, else their number in the order of the campaign."""
+    if all("time_h" in run.meta.condition for run in runs):
+        return {run.meta.run_id: float(run.meta.condition["time_h"]) for run in runs}
+    try:
+        began = [datetime.fromisoformat(run.meta.started).timestamp() / 3600.0 for run in runs]
+    except ValueError:
+        began = [float(n) for n in range(len(runs))]
+    return {run.meta.run_id: hour - min(began) for run, hour in zip(runs, began, strict=True)}
+
+
+def balls_of(run: Run) -> Balls:
+    """Return the readings of a cycle."""
     place, error = (
         np.stack([run.samples[name.format(axis)] for axis in "xyz"], axis=1).astype(float)
         for name in ("{}_mm", "error_{}_um")
@@ -205,7 +224,7 @@ def _balls(run: Run) -> Balls:
 
 
 def _temperatures(runs: Sequence[Run]) -> dict[str, tuple[str, Floats]]:
-    """Return group and mean over each cycle of every temperature that has no gap."""
+    """Return group and mean over each cycle of every temperature that has plausible readings in half of each cycle or more."""
     means: dict[str, list[float]] = {}
     groups: dict[str, str] = {}
     for run in runs:
@@ -213,7 +232,9 @@ def _temperatures(runs: Sequence[Run]) -> dict[str, tuple[str, Floats]]:
             for name, values in group.columns.items():
                 if name.endswith("_c"):
                     groups.setdefault(name, group.name)
-                    means.setdefault(name, []).append(float(np.mean(values)))
+                    sound = values[(values >= PLAUSIBLE_C[0]) & (values <= PLAUSIBLE_C[1])]
+                    enough = 2 * len(sound) >= len(values) > 0
+                    means.setdefault(name, []).append(float(np.mean(sound)) if enough else float("nan"))
     return {
         name: (groups[name], np.array(values))
         for name, values in means.items()

@@ -343,7 +343,9 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"t_s": TIME, "angle_deg": np.radians(ANGLE) % (2.0 * np.pi), "radial_um": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "axial_um": UM, "radial [V]": UM}), "rotation.unit"),
-        (table({"speed [krpm]": TIME, "run-out [µm]": UM}), "rotation.unit"),
+        (table({"speed [m/s]": TIME, "run-out [µm]": UM}), "rotation.unit"),
+        (table({"t_s": TIME, "angle_deg": ANGLE / 360.0 % 1.0, "radial_um": UM}), "rotation.unit"),
+        (table({"t_s": TIME, "angle_deg": ANGLE / 0.9 % 400.0, "radial_um": UM}), "rotation.unit"),
         (table({"speed [1000 rpm]": TIME, "run-out [µm]": UM}), "rotation.unit"),
         (table({"speed [rpm]": TIME, "run-out [tenths]": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
@@ -476,3 +478,71 @@ def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> 
     with pytest.raises(InputError) as refused:
         read(tmp_path, probes, CHANNELS, "probes.log", angle_log="../angle.log")
     assert refused.value.code == "campaign.escape"
+
+
+@pytest.mark.parametrize(
+    ("speed", "per_rpm", "runout"),
+    [
+        ("n [min⁻¹]", 1.0, "Rundlauffehler [µm]"),
+        ("Drehzahl in U/min", 1.0, "Rundlaufabweichung in µm"),
+        ("vitesse de rotation [tr/min]", 1.0, "faux-rond [µm]"),
+        ("velocità [giri/min]", 1.0, "oscillazione radiale [µm]"),
+        ("转速 [r/min]", 1.0, "径向跳动 [µm]"),
+        ("omega [rad/s]", np.pi / 30.0, "TIR [um]"),
+        ("speed [krpm]", 1e-3, "TIR [micron]"),
+    ],
+)
+def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per_rpm: float, runout: str) -> None:
+    rpm = np.tile([1000.0, 2000.0, 4000.0], 3)
+    path = tmp_path / "a.csv"
+    path.write_text(table({speed: rpm * per_rpm, runout: 3.0 + 0.0 * rpm}, ";"), encoding="utf-8")
+    assert is_rotation_file(path)
+    (run,) = read(tmp_path, path.read_text(encoding="utf-8"))
+    assert run.samples["speed_rpm"] == pytest.approx(rpm, rel=1e-5)
+
+
+def test_units_in_a_row_below_the_heads_are_read_though_the_words_alone_are_known(tmp_path: Path) -> None:
+    (run,) = read(tmp_path, "Protokoll\nDrehzahl;Rundlauf\n1/min;mm\n1000;0,003\n2000;0,004\n")
+    assert run.samples["runout_um"].tolist() == pytest.approx([3.0, 4.0])
+
+
+def test_run_out_beside_an_angle_is_a_displacement(tmp_path: Path) -> None:
+    (run,) = read(tmp_path, table({"t [s]": TIME, "Drehwinkel [Umdrehungen]": ANGLE / 360.0, "Rundlauf [µm]": UM}))
+    assert np.ptp(run.samples["angle_deg"]) == pytest.approx(np.ptp(ANGLE), abs=0.01)
+    assert "displacement_um" in run.samples
+
+
+def test_a_code_for_no_reading_is_left_out_and_a_keyway_is_not(tmp_path: Path) -> None:
+    far = UM.copy()
+    far[[500, 501]] = 9999.0
+    (run,) = read(tmp_path, table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": far}))
+    assert [f.code for f in run.findings] == ["rotation.far"]
+    assert run.samples["displacement_um"].size == UM.size - 2
+    keyway = Target(dips=((200.0, 6.0, 2000.0),)).read(ANGLE, 9)
+    (run,) = read(tmp_path, table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": keyway}))
+    assert not run.findings
+    assert run.samples["displacement_um"].size == UM.size
+
+
+def test_few_readings_a_turn_do_not_flatten_the_form() -> None:
+    angle = turned(30.0, readings=20)
+    run = run_of(angle, Target().read(angle, 3))
+    turns = turns_of(run)
+    assert turns is not None
+    figures = figures_of(turns)
+    assert abs(figures.once) == pytest.approx(8.0, abs=0.05)
+    assert figures.synchronous.um == pytest.approx(Target().synchronous_um(), rel=0.05)
+    assert [f.code for f in judged(run)] == ["rotation.sparse"]
+
+
+def test_the_steps_of_a_display_are_no_spikes() -> None:
+    angle = turned(30.0)
+    run = run_of(angle, np.round(Target(noise_um=0.15).read(angle, 3)))
+    assert "rotation.single" not in {f.code for f in judged(run)}
+
+
+def test_the_share_of_slots_is_theirs() -> None:
+    angle = turned(20.0)
+    um = Target().read(angle, 4) - 50.0 * ((angle % 15.0) < 6.75)
+    (told,) = (f for f in judged(run_of(angle, um)) if f.code == "rotation.interrupted")
+    assert 35.0 < told.numbers["share_pct"] < 60.0

@@ -241,3 +241,85 @@ def test_a_table_of_run_outs_alone_is_checked(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "radial_run-out, 1000 rpm" in done.output
     assert "spindle-axial_tir: 3 speeds" in done.output
+
+
+@pytest.mark.parametrize("shape", [lambda k: 0.17 * k, lambda k: 3.0 * (1.0 - np.exp(-k / 6.0))])
+def test_time_beside_speed_is_told_in_a_table_of_run_outs(shape: Callable[[Floats], Floats]) -> None:
+    right = 0
+    for seed in SEEDS:
+        told = KIND.judge_campaign([runout(lambda n, k: 0.1 * (n / 1000.0) ** 2 + shape(k), seed)])
+        right += {f.code for f in told} == {"rotation.runout_time", "rotation.runout_speed"}
+    assert right >= 38
+
+
+@pytest.mark.parametrize("grows", [0.0, 0.1])
+def test_a_spoilt_run_out_is_left_out_and_told(grows: float) -> None:
+    right = 0
+    for seed in SEEDS:
+        run = runout(lambda n, k: grows * (n / 1000.0) ** 2 + 40.0 * (k == 7), seed)
+        told = KIND.judge_run(run)
+        law = {f.code for f in KIND.judge_campaign([run])}
+        right += [f.code for f in told] == ["rotation.spoilt"] and law == {
+            "rotation.runout_speed" if grows else "rotation.runout_constant"
+        }
+    assert right >= 38
+    assert not any(KIND.judge_run(runout(lambda n, k: 0.15 * k, seed)) for seed in SEEDS)
+
+
+def test_a_peak_of_many_speeds_is_told_without_repeats() -> None:
+    speeds = np.array([1000, 2000, 3000, 4000, 5000, 5500, 6000, 6500, 7000, 8000, 9000, 10000.0])
+    r = speeds / 6000.0
+    peak = 2.0 + 0.5 * r**2 / np.hypot(1.0 - r**2, 0.1 * r)
+    found = {"peak": 0, "nothing": 0}
+    for seed in SEEDS:
+        noise = np.random.default_rng(seed).normal(0.0, 0.1, speeds.size)
+        for name, um in (("peak", peak + noise), ("nothing", 3.0 + noise)):
+            samples = {"t_s": np.arange(12.0), "speed_rpm": speeds, "runout_um": um}
+            run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
+            found[name] += any(f.code == "rotation.runout_peak" for f in KIND.judge_campaign([run]))
+    assert found["peak"] >= 38
+    assert found["nothing"] <= 2
+
+
+def test_a_display_of_whole_micrometres_shows_neither_delay_nor_resonance() -> None:
+    runs = []
+    for k, rpm in enumerate(SPEEDS):
+        angle = turned(30.0)
+        at = 10.0 * np.exp(1j * np.radians(30.0)) + 6.0 * (rpm / 1e4) ** 2 * np.exp(1j * np.radians(120.0))
+        um = np.round(Target(once=(abs(at), float(np.degrees(np.angle(at)))), noise_um=0.15).read(angle, k))
+        condition: dict[str, float | str] = {"probe": "p", "sense": "radial", "angle": "encoder", "speed_rpm": rpm}
+        samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": angle, "displacement_um": um}
+        runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
+    assert codes(KIND.judge_campaign(runs)) == {"rotation.unbalance"}
+
+
+def test_mains_are_told_with_their_frequency_and_where_they_count_as_synchronous() -> None:
+    found = KIND.judge_campaign(measured(Story(orders=lambda n: 3000.0 / n), 1, (1000.0, 2100.0, 3300.0, 4700.0)))
+    (told,) = (f for f in found if f.code == "rotation.frequency")
+    assert told.numbers["frequency_hz"] == pytest.approx(50.0, abs=0.3)
+    assert "at 1000 rpm it comes a whole number of times a turn" in told.message
+
+
+def test_a_mean_that_moves_with_speed_and_time_is_told_by_both() -> None:
+    right = 0
+    for seed in SEEDS:
+        found = KIND.judge_campaign(measured(Story(mean_um=lambda n, h: 0.05 * (n / 1000.0) ** 2 + 1.5 * h), seed))
+        told = [f for f in found if f.code.startswith(("rotation.mean", "rotation.drift", "rotation.centri"))]
+        right += [f.code for f in told] == ["rotation.mean_both"] and "square of the speed and the time" in told[
+            0
+        ].message
+    assert right >= 38
+
+
+def test_a_target_that_moves_with_time_is_not_asked_for_what_was_measured() -> None:
+    (told,) = KIND.judge_campaign(measured(Story(once=lambda n, h: 1.5 * h), 2))
+    assert told.code == "rotation.once_moves"
+    assert "measure" not in told.message.split(".")[0]
+
+
+def test_repeats_that_follow_each_other_at_once_tell_nothing_of_the_whole_time() -> None:
+    speeds = np.repeat((1000.0, 2000.0, 3000.0, 4000.0), 5)
+    settles = np.tile((0.0, 0.5, 0.8, 1.0, 1.1), 4)
+    samples = {"t_s": np.arange(20.0), "speed_rpm": speeds, "runout_um": 3.0 + settles}
+    run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
+    assert {f.code for f in KIND.judge_campaign([run])} == {"rotation.runout_constant"}

@@ -1,0 +1,47 @@
+"""Signals as tables of text: thermocouples of a logger beside the runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.signal_files import read_signals
+from dtwin.errors import InputError
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t_s,bed_1_c,column_c\n0,20.5,21\n60,20.6,\n120,20.7,22\n",
+        "Zeit [s];bed 1 [°C];column [°C]\n0;20,5;21\n60;20,6;\n120;20,7;22\n",
+        "Datum;bed_1_c;column_c\n31.12.2026 08:00:00;20,5;21\n31.12.2026 08:01:00;20,6;\n31.12.2026 08:02:00;20,7;22\n",
+        "time;bed 1;column\ns;°C;°C\n0;20,5;21\n60;20,6;\n120;20,7;22\n",
+    ],
+)
+def test_a_table_of_temperatures_is_a_group_of_signals(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "c000.thermocouples.csv"
+    path.write_text(text, encoding="utf-8")
+    (group,) = read_signals(path)
+    assert group.name == "thermocouples"
+    assert group.rate_hz == pytest.approx(1.0 / 60.0)
+    assert group.columns["bed_1_c"].tolist() == [20.5, 20.6, 20.7]
+    assert np.isnan(group.columns["column_c"][1])
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("t_s,T_bed\n0,20.5\n60,20.6\n", "signals.unit"),
+        ("t_s,bed [°F]\n0,68\n60,69\n", "signals.unit"),
+        ("bed_c,column_c\n20,21\n20,21\n", "signals.rate"),
+        ("nothing here\n", "import.table"),
+    ],
+)
+def test_a_table_that_tells_no_unit_or_clock_is_refused(tmp_path: Path, text: str, code: str) -> None:
+    path = tmp_path / "c000.thermocouples.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == code

@@ -1,0 +1,119 @@
+"""Ball arrays that went wrong: what is left out, and what heat does is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dtwin.kinds.registry import kind_named
+from dtwin.kinds.volumetric._identify import Balls
+from dtwin.kinds.volumetric._spoilt import spoilt_in
+from dtwin.kinds.volumetric.session import _temperatures, hours_of
+from dtwin.schema import Finding, Floats, Run, RunMeta, SignalGroup
+
+KIND = kind_named("volumetric")
+GRID = np.array([[110.0 * i, 110.0 * j, 0.0] for i in range(4) for j in range(3)])
+POSES = {
+    k: GRID + np.array(at)
+    for k, at in enumerate([(100, 100, 500), (900, 100, 500), (400, 700, 1100), (300, 300, 800)], 1)
+}
+PLACES = {**POSES, 0: np.array([[60.0, 80.0, 480.0], [1400.0, 90.0, 480.0], [700.0, 1150.0, 480.0]])}
+Spoil = Callable[[int, Balls, np.random.Generator], Balls]
+
+
+def measured(spoil: Spoil = lambda n, balls, rng: balls, heat: float = 1.0, scale: float = 1.0) -> list[Balls]:
+    """Return 40 cycles, three hours apart, of a machine whose Y axis grows in bursts, as a spindle that goes on and off makes it."""
+    rng = np.random.default_rng(3)
+    place = np.vstack(list(PLACES.values()))
+    pose = np.concatenate([np.full(len(v), k) for k, v in PLACES.items()])
+    ball = np.concatenate([np.arange(1, len(v) + 1) for v in PLACES.values()])
+    array, warm, out = rng.normal(0.0, 15.0, place.shape), 0.0, []
+    for n in range(40):
+        warm += 0.85 * (12.0 * heat * (np.sin(2.0 * np.pi * n / 17.0) > 0.0) - warm)
+        error = array + rng.normal(0.0, 1.0, place.shape)
+        error[:, 1] += 0.011 * (place[:, 1] - 50.0) * warm
+        out.append(spoil(n, Balls(place, scale * error, pose, ball), rng))
+    return out
+
+
+def told(cycles: Sequence[Balls]) -> list[Finding]:
+    runs = []
+    for n, cycle in enumerate(cycles):
+        samples = {"t_s": np.arange(len(cycle.pose), dtype=float), "pose_1": cycle.pose.astype(float)}
+        samples |= {"ball_1": cycle.ball.astype(float)}
+        samples |= {f"{a}_mm": cycle.position_mm[:, i] for i, a in enumerate("xyz")}
+        samples |= {f"error_{a}_um": cycle.error_um[:, i] for i, a in enumerate("xyz")}
+        runs.append(Run(RunMeta(f"c{n:03d}", "volumetric", condition={"time_h": 3.0 * n}), samples))
+    return KIND.judge_campaign(runs)
+
+
+def touch(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
+    error = balls.error_um.copy()
+    error[30] += np.array([0.0, 200.0, 0.0]) * (n == 20)
+    return replace(balls, error_um=error)
+
+
+def exchanged(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
+    ball = balls.ball.copy()
+    if n == 20:
+        ball[[16, 17]] = ball[[17, 16]]
+    return replace(balls, ball=ball)
+
+
+def wild(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
+    return replace(balls, error_um=balls.error_um + (n == 20) * rng.normal(0.0, 60.0, balls.error_um.shape))
+
+
+def crash(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
+    return replace(balls, error_um=balls.error_um + (n >= 20) * np.where(balls.pose == 2, 80.0, 0.0)[:, None])
+
+
+@pytest.mark.parametrize("spoil", [lambda n, balls, rng: balls, crash])
+def test_heat_that_comes_and_goes_and_a_step_that_stays_spoil_nothing(spoil: Spoil) -> None:
+    assert told(measured(spoil)) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "named"),
+    [
+        (touch, "balls.spoilt", "c020 pose 3 ball 7 (19"),
+        (exchanged, "balls.spoilt", "c020 pose 2 ball"),
+        (wild, "cycle.spoilt", "c020:"),
+    ],
+)
+def test_what_went_wrong_is_named_and_left_out(spoil: Spoil, code: str, named: str) -> None:
+    cycles = measured(spoil)
+    (finding,) = told(cycles)
+    assert finding.code == code
+    assert named in finding.message
+    kept = spoilt_in(cycles).kept(cycles, 4)
+    gone = {"balls.spoilt": {touch: 1, exchanged: 2}.get(spoil), "cycle.spoilt": len(cycles[20].pose)}[code]
+    assert sum(len(c.pose) for c in cycles) - sum(len(c.pose) for _, c in kept) == gone
+
+
+def test_a_broken_wire_is_no_temperature_and_a_short_gap_spoils_none() -> None:
+    def run(**columns: Floats) -> Run:
+        return Run(RunMeta("c", "volumetric"), {}, signals=(SignalGroup("thermocouples", 1.0, columns, 0.0),))
+
+    steady = np.full(20, 21.0)
+    gap = np.where(np.arange(20) < 3, np.nan, 21.0)
+    found = _temperatures([run(a_c=steady, b_c=gap, d_c=steady), run(a_c=steady, b_c=steady, d_c=steady + 800.0)])
+    assert set(found) == {"a_c", "b_c"}
+    assert found["b_c"][1].tolist() == [21.0, 21.0]
+
+
+def test_millimetres_under_heads_of_micrometres_are_an_error() -> None:
+    cycle = measured(scale=1e-3)[0]
+    samples = {"pose_1": cycle.pose.astype(float), "ball_1": cycle.ball.astype(float)}
+    samples |= {f"error_{a}_um": cycle.error_um[:, i] for i, a in enumerate("xyz")}
+    assert [f.code for f in KIND.judge_run(Run(RunMeta("c", "volumetric"), samples))] == ["balls.small"]
+
+
+def test_cycles_without_a_stated_hour_are_ordered_by_their_begin() -> None:
+    runs = [
+        Run(RunMeta(name, "volumetric", started=f"2026-03-0{day}T08:00:00Z"), {}) for name, day in (("b", 1), ("a", 3))
+    ]
+    assert hours_of(runs) == {"b": 0.0, "a": 48.0}
