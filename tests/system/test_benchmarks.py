@@ -261,6 +261,7 @@ def test_outside_axis() -> None:
     assert full["false names per machine"] == sum(row["times"] for row in found["false names"])
 
 
+@pytest.mark.long
 def test_outside_tone() -> None:
     found = short("outside_tone.py")
     null, single = found["rows"]
