@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import json
-import logging
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mlflow import MlflowClient
 from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities.model_registry import ModelVersion, RegisteredModel
 from mlflow.exceptions import MlflowException
 from mlflow.store.entities import PagedList
-from sqlalchemy import create_engine
-from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.locks import locked
 from dtwin.processes import is_gone, process
+from dtwin.train._registry_client import client_of
 from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
 
 _EXPERIMENT = "dtwin"
 _PREFIX = "dtwin-"
+_OURS = f"name LIKE '{_PREFIX}%'"
 _BUNDLE_FOLDER = "bundle"
 _PROCESS = "dtwin.process"
-_CONNECT_S = 10
 _ALIASES = ("candidate", "champion", "previous")
 _Found = TypeVar("_Found")
 
@@ -69,29 +64,9 @@ class Registry:
     """
 
     def __init__(self, home: Home) -> None:
-        logging.getLogger("mlflow").setLevel(logging.WARNING)
-        logging.getLogger("alembic").setLevel(logging.WARNING)
         self.home = home
         self.uri = home.mlflow_uri
-        if self.uri.startswith("sqlite:///"):
-            try:
-                home.made()
-                database = Path(self.uri.removeprefix("sqlite:///"))
-                database.parent.mkdir(parents=True, exist_ok=True)
-                database.touch(mode=0o600)
-            except OSError as error:
-                raise StoreError(
-                    "the model registry cannot be written", code="registry.write", where=self.uri, got=str(error)
-                ) from error
-        if home.file.endpoint:
-            # MLflow asks the environment only.
-            os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
-        if self.uri.startswith("postgresql"):
-            _require_answer(self.uri)
-        # The first client of an empty database makes its tables; two at once would both make them.
-        alone = self.uri.startswith(("sqlite", "postgresql"))
-        with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
-            self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
+        self.client = client_of(home)
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
@@ -201,11 +176,8 @@ class Registry:
                 allowed=", ".join(known) or "none yet",
                 hint="dtwin models lists what there is; dtwin train makes one",
             ) from error
-        return _registered(machine, found, self._aliases(name))
-
-    def _aliases(self, name: str) -> Mapping[str, str]:
-        """Return what each alias of a model points to: a search for versions, and an alias query, leave it out."""
-        return _by_alias(self.client.get_registered_model(name))
+        # A search for versions, and an alias query, leave the aliases out.
+        return _registered(machine, found, self.client.get_registered_model(name).aliases)
 
     def champion(self, machine: str) -> RegisteredVersion | None:
         """Return the machine's champion, None when nothing was promoted."""
@@ -218,25 +190,25 @@ class Registry:
         """Return all versions of a machine's model, newest first."""
         name = model_name(machine)
         found = _every(self.client.search_model_versions, f"name='{name}'")
-        return _newest_first(machine, found, self._aliases(name)) if found else []
+        return _newest_first(machine, found, self.client.get_registered_model(name).aliases) if found else []
 
     def every_version(self) -> dict[str, list[RegisteredVersion]]:
         """Return all versions of every machine that has one, newest first."""
-        models = _every(self.client.search_registered_models, f"name LIKE '{_PREFIX}%'")
-        of_model: dict[str, list[ModelVersion]] = {model.name: [] for model in sorted(models, key=lambda m: m.name)}
-        for version in _every(self.client.search_model_versions, f"name LIKE '{_PREFIX}%'"):
+        of_model: dict[str, list[ModelVersion]] = {}
+        for version in _every(self.client.search_model_versions, _OURS):
             of_model.setdefault(version.name, []).append(version)
-        aliases = {model.name: _by_alias(model) for model in models}
         return {
-            (machine := name.removeprefix(_PREFIX)): _newest_first(machine, found, aliases.get(name, {}))
-            for name, found in of_model.items()
-            if found
+            (machine := model.name.removeprefix(_PREFIX)): _newest_first(machine, of_model[model.name], model.aliases)
+            for model in self._models()
+            if model.name in of_model
         }
 
     def machines(self) -> list[str]:
         """Return the machines that have a registered model."""
-        found = _every(self.client.search_registered_models, f"name LIKE '{_PREFIX}%'")
-        return sorted(model.name.removeprefix(_PREFIX) for model in found)
+        return [model.name.removeprefix(_PREFIX) for model in self._models()]
+
+    def _models(self) -> list[RegisteredModel]:
+        return sorted(_every(self.client.search_registered_models, _OURS), key=lambda model: model.name)
 
     def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
@@ -391,30 +363,9 @@ class Registry:
             return str(experiment.experiment_id)
 
 
-def _require_answer(uri: str) -> None:
-    """Ask a database for nothing: MLflow would try again for minutes, and end in a traceback."""
-    engine = create_engine(uri, connect_args={"connect_timeout": _CONNECT_S})
-    try:
-        engine.connect().close()
-    except SQLAlchemyError as error:
-        raise StoreError(
-            "the model registry does not answer",
-            code="registry.away",
-            where=uri,
-            got=str(error).split("\n")[0][:200],
-            hint="run this again when it is back; its password: PGPASSWORD or ~/.pgpass",
-        ) from error
-    finally:
-        engine.dispose()
-
-
 def model_name(machine: str) -> str:
     """Return the registered model's name for a machine."""
     return f"{_PREFIX}{machine}"
-
-
-def _by_alias(model: RegisteredModel) -> dict[str, str]:
-    return {alias: str(number) for alias, number in model.aliases.items()}
 
 
 def _newest_first(machine: str, found: Sequence[ModelVersion], aliases: Mapping[str, str]) -> list[RegisteredVersion]:
@@ -427,7 +378,7 @@ def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -
         machine=machine,
         version=str(found.version),
         run_id=found.run_id or "",
-        aliases=tuple(sorted(alias for alias, number in aliases.items() if number == str(found.version))),
+        aliases=tuple(sorted(alias for alias, number in aliases.items() if str(number) == str(found.version))),
         tags=dict(found.tags),
         created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
     )

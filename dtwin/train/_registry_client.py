@@ -1,0 +1,64 @@
+"""The client of a home's model registry: its database is made, asked whether it answers, and only then used."""
+
+from __future__ import annotations
+
+import logging
+import os
+from contextlib import nullcontext
+from pathlib import Path
+
+from mlflow import MlflowClient
+from sqlalchemy import create_engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from dtwin.config import Home
+from dtwin.errors import StoreError
+from dtwin.locks import locked
+
+_CONNECT_S = 10
+
+
+def client_of(home: Home) -> MlflowClient:
+    """Return MLflow's client of a home.
+
+    Raises ``StoreError`` when its database cannot be written, or does not answer.
+    """
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+    uri = home.mlflow_uri
+    if uri.startswith("sqlite:///"):
+        try:
+            home.made()
+            database = Path(uri.removeprefix("sqlite:///"))
+            database.parent.mkdir(parents=True, exist_ok=True)
+            database.touch(mode=0o600)
+        except OSError as error:
+            raise StoreError(
+                "the model registry cannot be written", code="registry.write", where=uri, got=str(error)
+            ) from error
+    if home.file.endpoint:
+        # MLflow asks the environment only.
+        os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
+    if uri.startswith("postgresql"):
+        _require_answer(uri)
+    # The first client of an empty database makes its tables; two at once would both make them.
+    alone = uri.startswith(("sqlite", "postgresql"))
+    with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
+        return MlflowClient(tracking_uri=uri, registry_uri=uri)
+
+
+def _require_answer(uri: str) -> None:
+    """Ask a database for nothing: MLflow would try again for minutes, and end in a traceback."""
+    engine = create_engine(uri, connect_args={"connect_timeout": _CONNECT_S})
+    try:
+        engine.connect().close()
+    except SQLAlchemyError as error:
+        raise StoreError(
+            "the model registry does not answer",
+            code="registry.away",
+            where=uri,
+            got=str(error).split("\n")[0][:200],
+            hint="run this again when it is back; its password: PGPASSWORD or ~/.pgpass",
+        ) from error
+    finally:
+        engine.dispose()
