@@ -11,9 +11,7 @@ Run: python benchmarks/bench_databases.py [--sizes 10,100,1000] [--home FOLDER] 
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
-import statistics
 import tempfile
 import time
 from contextlib import nullcontext
@@ -21,9 +19,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import numpy as np
-from bench_growth import server, used
-from bench_workbench import asked
+from bench_growth import answers, told, used
 
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
@@ -77,15 +73,11 @@ def main() -> None:
             rows.append({"size": size, **spent, **measured(home, size, 2 if chosen.short else chosen.repeats)})
             if not chosen.json:
                 print(*(f"{name} {value}" for name, value in rows[-1].items()), sep="; ", flush=True)
-    ratios = {name: round(float(rows[-1][name]) / float(rows[0][name]), 2) for name in rows[0] if name.endswith("_s")}
-    if chosen.json:
-        print(json.dumps({"sizes": rows, "last_to_first": ratios}))
-    else:
-        print("the last size to the first:", *(f"{name} {ratio}" for name, ratio in ratios.items()))
+    told(rows, as_json=chosen.json)
 
 
 def grown(home: Home, size: int, twins: int) -> dict[str, float]:
-    """Bring the databases to a size; return what each further row cost, in ms of processor."""
+    """Bring the databases to a size; return what logging each further version cost, nothing where there was none."""
     shelf = TwinShelf(home, PATHS)
     document, _ = shelf.newest_document("first")
     there = sum(shelf.next_version(name) - 1 for name in shelf.names() if name.startswith("t"))
@@ -98,10 +90,10 @@ def grown(home: Home, size: int, twins: int) -> dict[str, float]:
     left = log_waiting(home)
     if left:
         raise SystemExit(f"MLflow did not take {left[0].label}: {left[0].failed}")
-    version_ms = 1e3 * (time.process_time() - began) / max(1, size - there)
-    more = size - there
-    if more > 0:
-        _, _ = used(home, str(more), program=("-c", _FLOW_RUNS))
+    if size <= there:
+        return {}
+    version_ms = 1e3 * (time.process_time() - began) / (size - there)
+    used(home, str(size - there), program=("-c", _FLOW_RUNS))
     return {"logging a version, ms": round(version_ms, 1)}
 
 
@@ -117,15 +109,7 @@ def measured(home: Home, size: int, repeats: int) -> dict[str, Any]:
     note("history", used(home, "twin", "history", "t000"))
     note("models", used(home, "models"))
     note("flow", used(home, str(home.root / "mill"), program=("-c", _INGEST)))
-    with server(home) as (address, cookie):
-        for page in PAGES:
-            first, _ = asked(address + page, cookie)
-            times = [asked(address + page, cookie)[0] for _ in range(repeats)]
-            found[f"{page} ms"] = {
-                "first": round(first),
-                "median": round(statistics.median(times)),
-                "p95": round(float(np.percentile(times, 95))),
-            }
+    found |= answers(home, PAGES, repeats)
     databases = {"mlflow": Path(Registry(home).uri.removeprefix("sqlite:///")), "prefect": home.prefect / "prefect.db"}
     return {**found, **{f"{name}.db MB": round(path.stat().st_size / 1e6, 1) for name, path in databases.items()}}
 

@@ -20,7 +20,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -76,8 +76,13 @@ def main() -> None:
             rows.append({"campaigns": size, **measured(home, source, size, repeats), **weight(home)})
             if not chosen.json:
                 print(*(f"{name} {value}" for name, value in rows[-1].items()), sep="; ", flush=True)
+    told(rows, as_json=chosen.json)
+
+
+def told(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
+    """Print how the seconds of the last size stand to those of the first; as JSON with all rows."""
     ratios = {name: round(float(rows[-1][name]) / float(rows[0][name]), 2) for name in rows[0] if name.endswith("_s")}
-    if chosen.json:
+    if as_json:
         print(json.dumps({"sizes": rows, "last_to_first": ratios}))
     else:
         print("the last size to the first:", *(f"{name} {ratio}" for name, ratio in ratios.items()))
@@ -135,8 +140,14 @@ def measured(home: Home, source: Path, size: int, repeats: int) -> dict[str, Any
     for verb, words in verbs.items():
         seconds, memory_mb = used(home, *words)
         found[f"{verb}_s"], found[f"{verb}_mb"] = round(seconds, 2), round(memory_mb)
+    return {**found, **answers(home, PAGES, repeats)}
+
+
+def answers(home: Home, pages: Sequence[str], repeats: int) -> dict[str, dict[str, int]]:
+    """Return how long pages take, in ms: the first answer of a server, and median and 95th percentile of further ones."""
+    found = {}
     with server(home) as (address, cookie):
-        for page in PAGES:
+        for page in pages:
             first, _ = asked(address + page, cookie)
             times = [asked(address + page, cookie)[0] for _ in range(repeats)]
             found[f"{page} ms"] = {

@@ -4,7 +4,7 @@ A slide, a stage or a fast tool is told tones of three to eight frequencies and 
 time (``outside/tone_session.py``), shares no code and no formula with dtwin, and is wrong in ways that the examiner
 thought of (``outside/tone_faults.py``). Four rows of machines, each diagnosed once, from nothing:
 
-- null: nothing wrong; gain, zero and temperature wander a little, as in all rows
+- null: no fault; as in all rows the gain wanders a little, and in half of the machines the zero drifts, by up to four times the noise
 - single: one fault
 - triple: three faults
 - unknown: one or two faults and one thing that no effect describes: a graduation, a bent probe, a cable, a bellows, a piezo that

@@ -147,7 +147,7 @@ class Exam:
         return out
 
 
-def arguments(about: str | None, rows: Sequence[str], short: Sequence[str]) -> argparse.Namespace:
+def _arguments(about: str | None, rows: Sequence[str], short: Sequence[str]) -> argparse.Namespace:
     """Return what was asked for; in short one machine of each of the rows ``short``."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=12, help="machines of each row")
@@ -180,7 +180,7 @@ def summed(row: str, marks: Sequence[Mark]) -> dict[str, Any]:
     }
 
 
-def in_columns(rows: Sequence[Mapping[str, Any]]) -> str:
+def _in_columns(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows as a table; the keys are its head."""
     return table(list(rows[0]), [list(row.values()) for row in rows])
 
@@ -193,14 +193,14 @@ def printed(
     of_row: Callable[[str, Sequence[Mark]], dict[str, Any]] = summed,
 ) -> None:
     """Hold an exam as asked for, and print a table of its rows, of its mechanisms, and of the names that were false."""
-    asked = arguments(about, rows, short)
+    asked = _arguments(about, rows, short)
     marks = exam.held(asked)
     tables = {
         "rows": [of_row(row, found) for row, found in marks.items()],
         "mechanisms": _by_mechanism(marks),
         "false names": _false_names(marks),
     }
-    said = [in_columns(table) for table in tables.values() if table]
+    said = [_in_columns(table) for table in tables.values() if table]
     print(json.dumps(tables) if asked.json else "\n\n".join(said))
 
 

@@ -228,7 +228,7 @@ def test_contradictions() -> None:
 
 @pytest.mark.long
 def test_outside_machine() -> None:
-    everyday, null = short("outside_machine.py")
+    everyday, null = short("outside_machine.py")["rows"]
     assert (everyday["row"], null["row"]) == ("everyday", "null")
     assert set(everyday) == {
         "row",

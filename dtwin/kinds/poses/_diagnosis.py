@@ -32,8 +32,8 @@ _LEVELS = (
 _ALPHA = 0.01
 # A family counts when it takes this share of the squares that are left on poses left out.
 _MATERIAL = 0.005
-# A joint stays in it when the squares grow by more than this share without it, and in most blocks: of a list of joints
-# that help by chance one in six is in it without the second.
+# A joint stays in it when the squares grow by more than this share without it, with no more than this p-value over blocks:
+# without the second one joint in six was named by chance.
 _PAYS, _STAYS = 0.002, 0.05
 # Another family tells the same when it gains nearly as much alone, and little beside the best.
 _AS_GOOD, _LITTLE = 0.8, 0.2

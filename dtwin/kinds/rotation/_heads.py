@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ RADIAL = "radial"
 
 # Metres are no probe's.
 _LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
-_RAD_DEG = 57.29577951308232
+_RAD_DEG = math.degrees(1.0)
 _PER_MINUTE = (
     "rpm",
     "1/min",
