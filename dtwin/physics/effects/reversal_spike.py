@@ -47,8 +47,8 @@ def _fought(t_s: Floats, build_up_s: float, time_s: float) -> Floats:
     u = t_s / (np.sqrt(2.0) * build_up_s) - w
     built = np.exp(-0.5 * (t_s / build_up_s) ** 2)
     decay = np.exp(-t_s / time_s)
-    late = 2.0 * np.exp(np.minimum(w**2 - t_s / time_s, 0.0)) - built * erfcx(np.maximum(u, 0.0))
-    early = built * erfcx(np.maximum(-u, 0.0))
+    early = built * erfcx(np.abs(u))
+    late = 2.0 * np.exp(np.minimum(w**2 - t_s / time_s, 0.0)) - early
     area = np.where(u >= 0.0, late, early) - decay * erfcx(w)
     return np.asarray(decay - built + np.sqrt(np.pi) * w * area)
 
