@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from urllib.parse import urlsplit
 
 from dtwin.errors import InputError, StoreError
 from dtwin.own_address import names_this_computer
+from dtwin.processors import processors
 
 _FORMS = "local, dask://host:port on this computer, dask+tls://host:port"
 _CONNECT_S = 10
@@ -41,11 +41,6 @@ class _InLine(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def require_engine(on: str, workers: int | None) -> str:

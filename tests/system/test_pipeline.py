@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,7 +141,8 @@ def test_nothing_that_predicts_a_feed_has_seen_it(demo: tuple[Home, dict[str, An
     true, nonsense = gather(runs), gather(spoilt)
     hidden = true.label("feed_mm_min") == 6000.0
     columns = TermColumns(runs)
-    found, again = (predicted_left_out(r, "feed_mm_min", columns) for r in (true, nonsense))
+    with ThreadPoolExecutor(2) as pool:
+        found, again = (predicted_left_out(r, ["feed_mm_min"], columns, pool)["feed_mm_min"] for r in (true, nonsense))
     np.testing.assert_array_equal(found[hidden], again[hidden])
     assert not np.allclose(found[~hidden], again[~hidden])
     blind = [r.blind(~hidden).target_um for r in (true, nonsense)]

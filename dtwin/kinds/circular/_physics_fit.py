@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular._gram import Sums, forward_order, solve, sums_of, total
@@ -84,25 +86,40 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
     return PhysicsFit(rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s)
 
 
-def predicted_left_out(rows: Rows, group: str, columns: TermColumns, progress: Progress | None = None) -> Floats:
+def predicted_left_out(
+    rows: Rows,
+    groups: Sequence[str],
+    columns: TermColumns,
+    pool: Executor,
+    step: Progress | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Floats]:
     """Predict every row by an equation that saw nothing of the row's group.
 
     Orders, modes, alignment of the runs, number of terms and coefficients are all found again
     without the group. The rows that are predicted keep the alignment by motion.
 
     ``rows``: rows of all runs, aligned by motion.
-    ``group``: a field of the condition, left out by value.
-    Returns (n,): in um, centre and radius of the set-ups not taken out.
+    ``groups``: fields of the condition, each left out by value.
+    ``pool``, ``step``: threads in which the fits run side by side, and what each calls after every order it finds.
+    Returns (n,) of each field: in um, centre and radius of the set-ups not taken out.
     """
-    predicted = np.zeros(rows.n)
-    values = np.unique(rows.label(group))
-    for done, (inside, outside) in enumerate(rows.folds(group), start=1):
-        fit = fit_physics(rows.only(inside), columns)
-        terms = columns.of(fit.library, rows.only(outside).runs, fit.chosen)
-        predicted[outside] = terms @ fit.weights
+    folds = [(group, inside, outside) for group in groups for inside, outside in rows.folds(group)]
+    jobs = [pool.submit(_predicted, rows, columns, inside, outside, step) for _, inside, outside in folds]
+    predicted = {group: np.zeros(rows.n) for group in groups}
+    for done, (job, (group, _, outside)) in enumerate(zip(jobs, folds, strict=True), start=1):
+        predicted[group][outside] = job.result()
         if progress is not None:
-            progress(done, values.size, f"without {group} {values[done - 1]:g}")
+            progress(done, len(folds), f"without {group} {rows.label(group)[outside][0]:g}")
     return predicted
+
+
+def _predicted(
+    rows: Rows, columns: TermColumns, inside: NDArray[np.bool_], outside: NDArray[np.bool_], step: Progress | None
+) -> Floats:
+    """Return the prediction of the rows outside by a fit to the rows inside."""
+    fit = fit_physics(rows.only(inside), columns, step)
+    return columns.of(fit.library, rows.only(outside).runs, fit.chosen) @ fit.weights
 
 
 def predicted_fresh(fit: PhysicsFit) -> Floats:

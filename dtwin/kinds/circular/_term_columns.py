@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +16,14 @@ from dtwin.train.dataset import TickRun
 class TermColumns:
     """What the terms are at the rows of runs: functions of the commanded motion alone.
 
-    No measurement goes into them, so that folds that hold out different runs may share them.
+    No measurement goes into them, so that folds that hold out different runs may share them, in threads, too.
 
     ``runs``: all runs, each with an id of its own.
     """
 
     def __init__(self, runs: Sequence[TickRun]) -> None:
         self._runs = {run.meta.run_id: run for run in runs}
+        self._lock = threading.Lock()
         self._kept: dict[tuple[str, Gear | Mode | None], NDArray[np.float32]] = {}
 
     def of(
@@ -43,13 +45,17 @@ class TermColumns:
 
     def _part(self, run_id: str, part: Gear | Mode | None) -> NDArray[np.float32]:
         """Return the terms of a gear or a mode, or those that are always there, (terms, rows)."""
-        if (run_id, part) not in self._kept:
-            gears = [part] if isinstance(part, Gear) else []
-            library = Library(gears, [part] if isinstance(part, Mode) else [])
-            causes = [atom.cause for atom in library.atoms]
-            added = [i for i, cause in enumerate(causes) if cause in (RIPPLE, RINGING)]
-            only = added if part is not None else None
-            runs = list(self._runs.values())
-            for run, columns in zip(runs, library.columns(runs, only), strict=True):
-                self._kept[(run.meta.run_id, part)] = columns.T
+        with self._lock:
+            if (run_id, part) not in self._kept:
+                self._make(part)
         return self._kept[(run_id, part)]
+
+    def _make(self, part: Gear | Mode | None) -> None:
+        gears = [part] if isinstance(part, Gear) else []
+        library = Library(gears, [part] if isinstance(part, Mode) else [])
+        causes = [atom.cause for atom in library.atoms]
+        added = [i for i, cause in enumerate(causes) if cause in (RIPPLE, RINGING)]
+        only = added if part is not None else None
+        runs = list(self._runs.values())
+        for run, columns in zip(runs, library.columns(runs, only), strict=True):
+            self._kept[(run.meta.run_id, part)] = columns.T

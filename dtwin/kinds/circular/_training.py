@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from sklearn.exceptions import ConvergenceWarning
 
@@ -20,6 +19,7 @@ from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
 from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.rows import gather, noise_floor_um, thinned
+from dtwin.train.side_by_side import side_by_side
 from dtwin.train.symbolic import Engine, OperonEngine
 
 # Comparison models look at fewer rows than the physics library, to be ready in seconds.
@@ -33,7 +33,7 @@ def train_campaign(
     seed: int = 1,
     engine: Engine | None = None,
     recipes: Sequence[Recipe] = RECIPES,
-    workers: int = 2,
+    workers: int | None = None,
     progress: StageProgress | None = None,
 ) -> Training:
     """Train every candidate on a campaign.
@@ -42,7 +42,7 @@ def train_campaign(
     that the same rows can be read again.
 
     ``engine``: free symbolic search; Operon by default.
-    ``workers``: comparison models fitted side by side.
+    ``workers``: models fitted side by side; as many as there are processors by default.
     """
     tell = progress or (lambda *_: None)
     campaign = lake.campaign(name)
@@ -60,12 +60,18 @@ def train_campaign(
     horizon_s = float(geometry.get("correction_delay_s", 0.0))
     runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
     rows, columns = gather(runs), TermColumns(runs)
-    fit = fit_physics(rows, columns, lambda d, n, w: tell("search joint orders", d, n, w))
-
-    def again(done: int, of: int, what: str) -> None:
-        tell("the same search without what is predicted", done, of, what)
-
-    scores = {g: score(rows, predicted_left_out(rows, g, columns, again), g) for g in held_out_groups(rows)}
+    with side_by_side(workers) as (pool, step):
+        whole = pool.submit(fit_physics, rows, columns, step)
+        left_out = predicted_left_out(
+            rows,
+            held_out_groups(rows),
+            columns,
+            pool,
+            step,
+            lambda d, n, w: tell("fit the whole, and without what is predicted", d, n, w),
+        )
+        fit = whole.result()
+    scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
     found = [
         physics_candidate(
             fit,
@@ -83,7 +89,7 @@ def train_campaign(
     )
     inputs = generic_inputs(compared)
     usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
-    with warnings.catch_warnings(), ThreadPoolExecutor(workers) as pool:
+    with warnings.catch_warnings(), side_by_side(workers) as (pool, _):
         # A comparison model that has not converged is judged as it is.
         warnings.simplefilter("ignore", ConvergenceWarning)
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]

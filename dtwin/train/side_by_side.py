@@ -1,0 +1,37 @@
+"""Fits of several models at a time, in threads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Event
+
+from threadpoolctl import threadpool_limits
+
+from dtwin.processors import processors
+from dtwin.progress import Progress
+
+
+@contextmanager
+def side_by_side(workers: int | None = None) -> Iterator[tuple[Executor, Progress]]:
+    """Give threads to fit models in, and what a long fit calls after every step.
+
+    Linear algebra takes one thread in each: the fits share the processors already. When the caller is interrupted or
+    fails, fits that have not begun are dropped and the step ends those that have.
+
+    ``workers``: threads; as many as there are processors by default.
+    """
+    over = Event()
+
+    def step(_done: int, _of: int, _what: str) -> None:
+        if over.is_set():
+            raise CancelledError
+
+    with threadpool_limits(1), ThreadPoolExecutor(workers or processors()) as pool:
+        try:
+            yield pool, step
+        except BaseException:
+            over.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
