@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from threading import Event
 
 from threadpoolctl import threadpool_limits
@@ -20,7 +21,7 @@ def side_by_side(workers: int | None = None) -> Iterator[tuple[Executor, Progres
     Linear algebra takes one thread in each: the fits share the processors already. When the caller is interrupted or
     fails, fits that have not begun are dropped and the step ends those that have.
 
-    ``workers``: threads; as many as there are processors by default.
+    ``workers``: threads; by default as many as there are processors, one in a process of a pool, which has taken them.
     """
     over = Event()
 
@@ -28,10 +29,14 @@ def side_by_side(workers: int | None = None) -> Iterator[tuple[Executor, Progres
         if over.is_set():
             raise CancelledError
 
-    with threadpool_limits(1), ThreadPoolExecutor(workers or processors()) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(workers or _free()) as pool:
         try:
             yield pool, step
         except BaseException:
             over.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _free() -> int:
+    return processors() if parent_process() is None else 1

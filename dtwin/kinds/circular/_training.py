@@ -33,7 +33,6 @@ def train_campaign(
     seed: int = 1,
     engine: Engine | None = None,
     recipes: Sequence[Recipe] = RECIPES,
-    workers: int | None = None,
     progress: StageProgress | None = None,
 ) -> Training:
     """Train every candidate on a campaign.
@@ -42,7 +41,6 @@ def train_campaign(
     that the same rows can be read again.
 
     ``engine``: free symbolic search; Operon by default.
-    ``workers``: models fitted side by side; as many as there are processors by default.
     """
     tell = progress or (lambda *_: None)
     campaign = lake.campaign(name)
@@ -60,7 +58,7 @@ def train_campaign(
     horizon_s = float(geometry.get("correction_delay_s", 0.0))
     runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
     rows, columns = gather(runs), TermColumns(runs)
-    with side_by_side(workers) as (pool, step):
+    with side_by_side() as (pool, step):
         whole = pool.submit(fit_physics, rows, columns, step)
         left_out = predicted_left_out(
             rows,
@@ -89,7 +87,7 @@ def train_campaign(
     )
     inputs = generic_inputs(compared)
     usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
-    with warnings.catch_warnings(), side_by_side(workers) as (pool, _):
+    with warnings.catch_warnings(), side_by_side() as (pool, _):
         # A comparison model that has not converged is judged as it is.
         warnings.simplefilter("ignore", ConvergenceWarning)
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
