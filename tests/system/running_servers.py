@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -65,8 +66,17 @@ class Up:
             json.dumps(body).encode(),
             {"content-type": "application/json", "Authorization": f"Basic {secret}"} | headers,
         )
-        with urllib.request.urlopen(request, timeout=20) as reply:
-            return json.load(reply)
+        # Prefect's server answers 503 while its database is locked for longer than it waits, and its own
+        # clients then ask again.
+        for _ in range(5):
+            try:
+                with urllib.request.urlopen(request, timeout=20) as reply:
+                    return json.load(reply)
+            except urllib.error.HTTPError as refused:
+                if refused.code != 503:
+                    raise
+                time.sleep(2.0)
+        raise AssertionError(f"the server stays busy: {path}")
 
     def runs_of(self, flow: str) -> list[dict[str, Any]]:
         """Runs of a flow that have ended, oldest first."""
