@@ -17,6 +17,8 @@ _BEGUN = datetime(2026, 3, 2, 8, tzinfo=UTC)
 _SEED = 1311
 # What a row is to the random numbers.
 _STREAMS: Mapping[str, int] = {"null": 0, "single": 1, "triple": 2, "unknown": 3}
+# The zero of the probe, which is not asked for, but rightly called a drift.
+_DRIFTING = Fault("zero drift", "probe", frozenset(), frozenset(["thermal_drift"]), lambda x: x)
 _PAUSE_S, _MAINS_HZ, _SLOW_S = 8.0, 50.0, 0.3
 
 
@@ -78,7 +80,10 @@ def slide(row: str, number: int) -> Slide:
         machine_geometry={},
         instrument={"model": "probe", "sample_rate_hz": d.rate_hz},
     )
-    return Slide(campaign, _runs(d, told, faults, rng), faults, makes_um, d.noise_um)
+    drift_um = float(rng.choice([0.0, 0.0, 1.0, 4.0])) * d.noise_um * float(rng.choice([-1.0, 1.0]))
+    runs = _runs(d, told, faults, drift_um, rng)
+    drifting = [_DRIFTING] if drift_um else []
+    return Slide(campaign, runs, [*faults, *drifting], [*makes_um, *(0.0 for _ in drifting)], d.noise_um)
 
 
 def _design(of: _Type, rng: np.random.Generator) -> Design:
@@ -129,9 +134,8 @@ def _wandering(count: int, kept: float, rng: np.random.Generator) -> Floats:
     return np.asarray(lfilter([math.sqrt(1.0 - kept * kept)], [1.0, -kept], begun))
 
 
-def _runs(d: Design, told: Floats, faults: Sequence[Fault], rng: np.random.Generator) -> list[Run]:
+def _runs(d: Design, told: Floats, faults: Sequence[Fault], drift_um: float, rng: np.random.Generator) -> list[Run]:
     encoder, probe = _followed(d, told, faults)
-    drift_um = float(rng.choice([0.0, 0.0, 1.0, 4.0])) * d.noise_um * float(rng.choice([-1.0, 1.0]))
     wander, step_um = float(rng.choice([0.0, 0.001, 0.005])), 0.5 * d.noise_um * float(rng.choice([0.0, 1.0, 1.0]))
     white, slow, mains = (rng.uniform(0.5, 1.0), rng.uniform(0.0, 0.6), rng.uniform(0.0, 0.4))
     whole = d.noise_um / math.sqrt(white**2 + slow**2 + mains**2)
