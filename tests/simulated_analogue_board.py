@@ -81,7 +81,7 @@ class AnalogueBoard:
         with self._changed:
             return self._volts.get(source, (0.0, 0.0, 0.0))
 
-    def wait_for(self, wanted: tuple[float, float, float], source: str = "dac", timeout_s: float = 10.0) -> bool:
+    def wait_for(self, wanted: tuple[float, float, float], source: str = "dac", timeout_s: float = 300.0) -> bool:
         """Wait until the terminals are within a step of the wanted voltages."""
         step = 0.0002 if source == "dac" else 0.04
 

@@ -23,7 +23,7 @@ def running_broker(folder: Path, port: int = 0) -> Iterator[int]:
     settings = folder / "mosquitto.conf"
     settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
     with subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL) as process:
-        until = time.monotonic() + 30.0
+        until = time.monotonic() + 300.0
         while True:
             try:
                 socket.create_connection(("127.0.0.1", port), 1.0).close()

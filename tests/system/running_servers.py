@@ -26,7 +26,7 @@ from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
 
 MACHINE = "virtual-cobot"
-START_S = 150.0
+START_S = 600.0
 
 
 class Up:
@@ -70,7 +70,7 @@ class Up:
         # clients then ask again.
         for _ in range(5):
             try:
-                with urllib.request.urlopen(request, timeout=20) as reply:
+                with urllib.request.urlopen(request, timeout=120) as reply:
                     return json.load(reply)
             except urllib.error.HTTPError as refused:
                 if refused.code != 503:

@@ -76,7 +76,7 @@ class Server:
         _STARTED.append(self.process)
         self.said = ""
 
-    def wait_for(self, words: str, timeout_s: float = 60.0) -> None:
+    def wait_for(self, words: str, timeout_s: float = 300.0) -> None:
         assert self.process.stderr is not None
         until = time.monotonic() + timeout_s
         while words not in self.said:
@@ -90,7 +90,7 @@ class Server:
         self.process.send_signal(signal.SIGINT)
 
     def end(self) -> tuple[int, str, str]:
-        out, err = self.process.communicate(timeout=90)
+        out, err = self.process.communicate(timeout=600)
         return self.process.returncode, out, self.said + err
 
 
@@ -106,7 +106,7 @@ def applied_um(robot: VirtualRobot) -> float:
 
 
 def wait_until_corrected(robot: VirtualRobot) -> None:
-    until = time.monotonic() + 60
+    until = time.monotonic() + 300.0
     while applied_um(robot) < 15.0:
         ended = [p.communicate() for p in _STARTED if p.poll() not in (None, 0)]
         assert time.monotonic() < until, ended
@@ -114,7 +114,7 @@ def wait_until_corrected(robot: VirtualRobot) -> None:
 
 
 def wait_until_released(robot: VirtualRobot) -> None:
-    until = time.monotonic() + 10
+    until = time.monotonic() + 300.0
     while applied_um(robot) > 0.5:
         assert time.monotonic() < until
         time.sleep(0.02)

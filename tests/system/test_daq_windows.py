@@ -34,7 +34,7 @@ def windows(daq: VirtualDaq, contract: WindowContract = CONTRACT) -> DaqWindows:
     return DaqWindows(contract, CHANNELS, grpc_target=daq.target, timeout_s=1.0)
 
 
-def wait_for(holds: Callable[[], object], seconds: float = 20.0) -> object:
+def wait_for(holds: Callable[[], object], seconds: float = 300.0) -> object:
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         found = holds()

@@ -16,5 +16,5 @@ def test_both_find_the_tables_of_the_registry(tmp_path: Path) -> None:
     command = [sys.executable, "-c", ASK, str(tmp_path / "home")]
     asked = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
     for process in asked:
-        said, complained = process.communicate(timeout=100)
+        said, complained = process.communicate(timeout=600)
         assert (process.returncode, said) == (0, "[]\n"), complained

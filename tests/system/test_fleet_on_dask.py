@@ -58,7 +58,7 @@ class Plant:
         self.processes[name].wait()
 
     def wait(self, done: Callable[[], bool]) -> None:
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + 300.0
         while not done():
             assert time.monotonic() < until, self.log("scheduler")
             time.sleep(0.05)

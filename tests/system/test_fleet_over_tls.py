@@ -78,7 +78,7 @@ def _started(folder: Path, settings: dict[str, str]) -> Iterator[str]:
                         command, env=os.environ | settings, cwd=folder, stdout=log, stderr=subprocess.STDOUT
                     )
                 )
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + 300.0
         while b"Register worker" not in (folder / "scheduler.log").read_bytes():
             assert time.monotonic() < until, (folder / "scheduler.log").read_text() + (
                 folder / "worker.log"

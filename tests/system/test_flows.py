@@ -60,7 +60,7 @@ def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
             if r["state"]["name"] == "Skipped" and "nothing new" in r["state"]["message"]
         ]
 
-    second = wait_for(skipped, 300, "no tick was skipped for want of new data")[0]
+    second = wait_for(skipped, 600, "no tick was skipped for want of new data")[0]
     # What the tests after this one bring in is not to be trained on every minute.
     for deployment in up.ask("/deployments/filter", {}):
         up.ask(f"/deployments/{deployment['id']}/pause_deployment", {})
@@ -138,7 +138,7 @@ def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_pat
     inbox.mkdir()
 
     def play() -> None:
-        wait_for(lambda: open_question(folder), 120, "nothing is asked")
+        wait_for(lambda: open_question(folder), 600, "nothing is asked")
         runs = [replace(run, window=(0, 360)) for run in circles([""])]
         write_b5r(inbox / "result.b5r", runs, name="result", machine="mill-a")
 
@@ -233,7 +233,7 @@ def test_a_flow_started_on_the_page_keeps_to_its_folders(scheduled_up: Up, tmp_p
         found = up.ask("/flow_runs/filter", {"flow_runs": {"id": {"any_": [run["id"]]}}})
         return str(found[0]["state"]["message"]) if found[0]["state"]["type"] == "FAILED" else ""
 
-    assert "keeps to its folders" in wait_for(ended, 120, "the flow did not end")
+    assert "keeps to its folders" in wait_for(ended, 600, "the flow did not end")
 
 
 @pytest.mark.long

@@ -185,7 +185,7 @@ def test_a_home_moves_there_and_back_and_is_the_same(
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=600,
     )
     assert json.loads(looked.stdout) == {"1": bundle, "2": second, "new": "3"}
     assert not (here.root / "moving").exists()

@@ -164,7 +164,7 @@ def test_positions_are_trained_promoted_and_tried_like_circles(tmp_path: Path, m
     address = re.search(r"127\.0\.0\.1:\d+", control.stderr.readline())
     assert address is not None
     status = json.loads(invoke("serve", "--link", "axes", "--states", address.group(), "--json"))
-    said, _ = control.communicate(timeout=60)
+    said, _ = control.communicate(timeout=600)
     assert "20 readings of the laser" in said
     assert (status["device"], status["ended"], status["fault"]) == ("virtual", "finished", None)
     invoke("simulate", *options, "--out", str(tmp_path / "alone"))

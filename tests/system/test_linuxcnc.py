@@ -250,7 +250,7 @@ def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(session: 
     assert before_um > 2.5
     assert after_um < 0.25 * before_um
     assert inside
-    deadline_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 300.0
     while any(Path(f"/proc/{p}/cmdline").exists() for p in inside):
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
@@ -283,7 +283,7 @@ def test_a_program_that_does_not_end_is_not_waited_for(
 
 def at_rest(bridge: Bridge) -> dict:  # type: ignore[type-arg]
     """Return the control's status when its program has ended."""
-    until_s = time.monotonic() + 60.0
+    until_s = time.monotonic() + 300.0
     while (status := bridge.ask(do="status"))["running"]:
         assert time.monotonic() < until_s, status
         time.sleep(0.05)
@@ -297,7 +297,7 @@ def state(bridge: Bridge) -> dict:  # type: ignore[type-arg]
 
 
 def wait_for(bridge: Bridge, reached) -> dict:  # type: ignore[no-untyped-def,type-arg]
-    deadline_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 300.0
     while not reached(found := state(bridge)):
         assert time.monotonic() < deadline_s, found
     return found

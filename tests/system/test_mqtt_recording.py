@@ -57,7 +57,7 @@ def until(
 ) -> tuple[dict[str, np.ndarray], list[Any]]:
     """Return columns and readings until they are enough."""
     readings = []
-    limit = time.monotonic() + 30.0
+    limit = time.monotonic() + 300.0
     while True:
         readings.append(device.read())
         together = {n: np.concatenate([r.columns[n] for r in readings]) for n in readings[0].columns}

@@ -96,7 +96,9 @@ def test_what_was_promoted_there_is_served_here(source: Home, host: Home, addres
 def test_nobody_without_the_key_gets_anything(source: Home, host: Home, address: str) -> None:
     for headers in ({}, {NONCE: "1", MAC: "0" * 64}):
         with pytest.raises(urllib.request.HTTPError, match="403"):
-            urllib.request.urlopen(urllib.request.Request(f"{address}/delivery/{MACHINE}", headers=headers), timeout=10)
+            urllib.request.urlopen(
+                urllib.request.Request(f"{address}/delivery/{MACHINE}", headers=headers), timeout=120
+            )
     (host.root / KEY_FILE).write_text("ab" * 32)
     with pytest.raises(StoreError, match="delivers nothing"):
         pull(address, MACHINE, host)
@@ -119,7 +121,7 @@ def between(address: str, lie: Lie) -> Iterator[str]:
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             asked = urllib.request.Request(address + self.path, headers={n: self.headers[n] for n in (NONCE, MAC)})
-            with urllib.request.urlopen(asked, timeout=20) as reply:
+            with urllib.request.urlopen(asked, timeout=120) as reply:
                 content, headers = lie(reply.read(), {MAC: reply.headers[MAC]})
             self.send_response(200)
             for name, value in headers.items():

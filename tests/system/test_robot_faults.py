@@ -82,7 +82,7 @@ def applied_length_um(robot: VirtualRobot) -> float:
 
 
 def wait_for(holds: Callable[[], bool], what: str) -> None:
-    until_s = time.monotonic() + 30
+    until_s = time.monotonic() + 300.0
     while not holds():
         assert time.monotonic() < until_s, what
         time.sleep(0.02)

@@ -129,7 +129,7 @@ print(json.dumps([receive.getActualTCPPose(), receive.getTargetQ(), receive.getS
                   receive.getOutputDoubleRegister(16), io.setInputIntRegister(18, 1)]))
 io.disconnect(); receive.disconnect()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True)
     pose, joints, safety, radius_mm, written = json.loads(done.stdout.strip().splitlines()[-1])
     assert np.linalg.norm(np.array(pose[:3]) - [-0.55, 0, 0.075]) == pytest.approx(0.1, abs=0.002)
     assert len(joints) == 6
@@ -156,6 +156,6 @@ def test_recording_of_a_finished_run_and_unknown_commands(
 
 def test_other_than_loopback_is_refused() -> None:
     command = [sys.executable, "-m", "dtwin.machines.rtde_server", "--host=192.0.2.1", "--port=0"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 1
     assert "error[rtde.host]" in done.stderr

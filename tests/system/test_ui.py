@@ -24,7 +24,7 @@ from dtwin.people import add_person
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 # Plotly's button that uploads a chart to its cloud.
 SHARES = ".modebar-btn[data-title^='Share']"
 expect.set_options(timeout=PATIENCE_MS)

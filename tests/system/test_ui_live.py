@@ -153,7 +153,7 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         expect(page.locator("figcaption", has_text="newest circle of R50")).to_be_visible()
         # The promoted equation foretells 24 um along the radius: so much is taken away.
         # After a stall of a busy computer it comes back under the slew limit.
-        until = time.monotonic() + 60
+        until = time.monotonic() + 300.0
         while True:
             seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
             if math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01):

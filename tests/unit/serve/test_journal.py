@@ -25,7 +25,7 @@ def lines(path: Path) -> list[dict[str, Any]]:
 
 
 def wait_for_lines(path: Path, count: int) -> list[dict[str, Any]]:
-    until_s = time.monotonic() + 20
+    until_s = time.monotonic() + 300.0
     while not path.exists() or len(lines(path)) < count:
         assert time.monotonic() < until_s
         time.sleep(0.01)

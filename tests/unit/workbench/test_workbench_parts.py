@@ -192,7 +192,7 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
     jobs = [client.post("/api/machines/mill-a/tolerance", json=one).json()["job"] for one in told]
     let_go.set()
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
         time.sleep(0.01)
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
