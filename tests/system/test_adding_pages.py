@@ -16,7 +16,7 @@ from dtwin.kinds.kind import NotOffered
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.notebook.open_home import open_home
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 
 def forget() -> None:

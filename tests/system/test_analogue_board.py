@@ -15,7 +15,7 @@ from dtwin.errors import DeviceError
 from dtwin.links.analogue import AnalogueOutput, AxisCalibration
 
 pytest_plugins = ["simulated_board"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 NEUTRAL_V = (5.0, 5.0, 5.0)
 # Longer than any pause of a test computer; the board's own clock counts it.
 PATIENT_MS = 1000

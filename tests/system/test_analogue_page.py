@@ -14,7 +14,7 @@ from simulated_analogue_board import AnalogueBoard
 from dtwin.errors import MissingPart
 from dtwin.links.analogue import AxisCalibration, step_um
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 PAGE = page("docs/how-to/mill-by-analogue-input.md")
 PORT = "/dev/ttyACM0"
 PATIENCE = 5

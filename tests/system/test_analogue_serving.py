@@ -23,7 +23,7 @@ from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 
 pytest_plugins = ["simulated_board"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 NEUTRAL_V = (5.0, 5.0, 5.0)
 UM_PER_V = 25.0
 CLOCK_HZ = 16e6

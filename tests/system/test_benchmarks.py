@@ -14,7 +14,7 @@ import pytest
 from virtual_robot import free_address
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
-pytestmark = [pytest.mark.system, pytest.mark.timeout(280)]
+pytestmark = pytest.mark.system
 
 
 def short(script: str, *options: str) -> Any:

@@ -19,7 +19,7 @@ from flows._runtime import delivered, run
 from flows.cell import cell_flow
 
 pytest_plugins = ["scheduled_servers"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from dtwin.cli import app
 from dtwin.errors import DtwinError
 from dtwin.kinds.linear._simulate import simulate_lathe, verification_plan
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 WORN = "lead_error,pitch_error,backlash,screw_error,screw_error_by_direction"
 TONES = """
 [plan]

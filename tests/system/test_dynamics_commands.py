@@ -21,7 +21,7 @@ from dtwin.kinds.circular._simulate_hexapod import VirtualHexapodBench, feed_swe
 from dtwin.schema import Campaign, Direction, Run
 from dtwin.train.registry import Registry
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 CAMPAIGN = Campaign("cell", "virtual-hexapod")
 
 

@@ -13,7 +13,7 @@ from studies import dynamics_paper
 from studies.dynamics_paper import Size
 
 pytest_plugins = ["scheduled_servers"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = pytest.mark.system
 
 
 def test_the_table_is_published(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from dtwin.serve.pointer import resolve
 from dtwin.train.promotion import history
 from dtwin.train.registry import RegisteredVersion, Registry
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.system
 BUNDLE = small_bundle()
 SHA = BUNDLE.model_sha256
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 ASK = "import sys; from pathlib import Path; from dtwin.config import Home; from dtwin.train.registry import Registry; print(Registry(Home(Path(sys.argv[1]))).machines())"
 
 

@@ -38,7 +38,7 @@ from flows.recheck import recheck_flow
 from flows.simulate import simulate_flow
 
 pytest_plugins = ["scheduled_servers"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(280)]
+pytestmark = pytest.mark.system
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "freezes" / "run.py"
 
 

@@ -23,7 +23,7 @@ from dtwin.train.registry import Registry
 from dtwin.twins.on_campaign import look_at
 from dtwin.twins.verbs import Twins
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 EVERYTHING = "rigid_shift,rigid_turn,axis_expansion,uneven_expansion,squareness_drift,guideway_bending,carriage_turning"
 NO_THERMOCOUPLE = ("foundation", "coolant_tank")

@@ -51,7 +51,7 @@ dwell_s = 6
 laser_dwell_s = 4
 """
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 
 
 @pytest.mark.long

@@ -28,7 +28,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 RADIUS = 15.0
 PATIENCE = 6
 # One fault only, so that what a correction must do is known without a fit.

@@ -9,7 +9,7 @@ import pytest
 from real_linuxcnc import skip_without_linuxcnc
 from shown_commands import blocks, follow, page
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 
 @pytest.mark.long

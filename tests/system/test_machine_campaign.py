@@ -31,7 +31,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
 from dtwin.train.registry import Registry
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.system
 OPERATOR = Path(__file__).with_name("machine_operator.py")
 
 

@@ -17,7 +17,7 @@ from studies.report.mill_story import mill_story_text
 
 ROOT = Path(__file__).parents[2]
 MACHINE = "told-right-mill"
-pytestmark = [pytest.mark.system, pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from dtwin.notebook.open_home import OpenHome
 sys.path.insert(0, str(ROOT / "docs" / "tutorials"))
 import run_notebook
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 PAGE = page("docs/reference/python.md")
 NOTEBOOK = json.loads(run_notebook.NOTEBOOK.read_text(encoding="utf-8"))
 

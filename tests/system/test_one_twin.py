@@ -24,7 +24,7 @@ from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench._server import application
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 
 def run(*words: str) -> str:

@@ -16,7 +16,7 @@ from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.twins.verbs import Twins
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.system
 DOCS = Path(__file__).parents[2] / "docs"
 
 

@@ -18,7 +18,7 @@ from flows.diagnose import diagnose_flow
 from flows.train import train_flow
 
 pytest_plugins = ["scheduled_servers"]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 PATIENCE_MS = 30_000
 

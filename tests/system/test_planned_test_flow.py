@@ -15,7 +15,7 @@ from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 
-pytestmark = [pytest.mark.system, pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 def test_the_form_of_a_virtual_machine_ends_with_what_changed(tmp_path: Path) -> None:

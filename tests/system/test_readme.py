@@ -13,7 +13,7 @@ import pytest
 from shown_commands import ROOT, Block, blocks, environment, follow, here, page, run
 
 README = page("README.md")
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = pytest.mark.system
 
 
 def below(heading: str) -> list[Block]:

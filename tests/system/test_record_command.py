@@ -29,7 +29,7 @@ from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_pointer
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.system
 PHYSICAL = tuple(f"cDAQ1Mod{m}/ai{n}" for m in (1, 2) for n in range(4))
 RATE_HZ = 5120.0
 

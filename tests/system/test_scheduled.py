@@ -32,7 +32,7 @@ from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry
 from dtwin.train.symbolic import OperonEngine
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 _CORRECTED = "a correction was in force while it was measured"
 CIRCLES = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
 

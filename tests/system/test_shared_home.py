@@ -28,7 +28,7 @@ from dtwin.home_file import HOME_FILE
 from dtwin.lake.store import Lake
 from dtwin.shared_documents import drop_unnamed_content, follow_shared, followed_beside
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ from dtwin.physics.library import Library
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "data" / "samples" / "ur10e_xy_r100_f5000.b5r"
 TUTORIAL = ROOT / "docs" / "tutorials" / "real-recording.md"
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")

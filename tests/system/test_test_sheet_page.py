@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from shown_commands import blocks, follow, here, page
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 
 def test_the_page_is_followed(tmp_path: Path) -> None:

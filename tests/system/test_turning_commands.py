@@ -32,7 +32,7 @@ from studies.paper_line import ANSWERS
 from studies.report.papers import turning_paper_text
 from studies.turning_paper import calibration_lines, printed_phase_deg, turning_paper
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 
 
 def invoke(*words: str, code: int = 0) -> str:

@@ -10,7 +10,7 @@ import pytest
 from shown_commands import here
 
 ROOT = Path(__file__).parents[2]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = pytest.mark.system
 
 
 def commands(tutorial: str) -> list[str]:

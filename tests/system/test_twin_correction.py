@@ -26,7 +26,7 @@ from dtwin.train.evidence import Evidence
 from dtwin.train.gates import evidence_gate
 
 ROOT = Path(__file__).parents[2]
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 PLAN = EvidencePlan((("XY", 150.0, 2000.0),), 2, (2000.0,))
 
 

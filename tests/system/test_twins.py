@@ -24,7 +24,7 @@ from dtwin.twins.confirm import confirm, interventions
 from dtwin.twins.measured import load
 from dtwin.twins.verbs import Twins
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 NOISE_UM = 0.3
 KNOWN = ["centre_offset", "radius_offset", "scale_mismatch", "squareness"]

@@ -22,7 +22,7 @@ from workbench_server import Workbench, running_workbench
 from dtwin.config import Home
 from dtwin.people import add_person
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = pytest.mark.system
 
 PATIENCE_MS = 300_000
 # Plotly's button that uploads a chart to its cloud.

@@ -20,7 +20,7 @@ from dtwin.kinds.volumetric._simulate import TRUTHS, simulate_volumetric
 from dtwin.kinds.volumetric._twins import HeatTwins
 from dtwin.twins.verbs import Twins
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 
 PLAN = {
     "name": "z",

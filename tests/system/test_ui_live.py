@@ -23,7 +23,7 @@ from workbench_server import Workbench, running_workbench
 from dtwin.config import home as dtwin_home
 from dtwin.serve.band import COVARIANCE, constant_band
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 SERVES = """
 import sys, time

@@ -16,7 +16,7 @@ from workbench_server import Workbench, running_workbench
 from dtwin.config import Home
 from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question, enter_desk
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from dtwin.config import Home
 from dtwin.lifecycle.evidence import compute
 from dtwin.train.registry import Registry
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.system
 
 
 def register_three(home: Home) -> None:

@@ -23,7 +23,7 @@ from dtwin.config import Home
 from dtwin.errors import StoreError
 from flows.servers import Child
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 
 def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:

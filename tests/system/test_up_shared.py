@@ -15,7 +15,7 @@ from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.home_file import HOME_FILE
 
-pytestmark = [pytest.mark.system, pytest.mark.long, pytest.mark.timeout(280)]
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 def test_the_servers_keep_everything_at_the_shared_places_and_clients_need_no_keys(

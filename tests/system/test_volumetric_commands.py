@@ -34,7 +34,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.train.registry import Registry
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.system
 
 
 @pytest.mark.long
