@@ -18,14 +18,14 @@ from flows import _tasks
 from flows._runtime import delivered, run
 from flows.cell import cell_flow
 
-pytest_plugins = ["scheduled_servers"]
+pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
 
 @pytest.fixture
-def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
-    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
-    return scheduled_up
+def up(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
+    return shared_up
 
 
 def task_names(up: Up, flow_run: dict[str, Any]) -> list[str]:

@@ -12,18 +12,18 @@ from flows.papers import dynamics_paper_flow
 from studies import dynamics_paper
 from studies.dynamics_paper import Size
 
-pytest_plugins = ["scheduled_servers"]
+pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
 
-def test_the_table_is_published(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
+def test_the_table_is_published(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
     small = Size(("sim2",), (0.0, 5.0), (1200.0, 6000.0), 4, 4)
     monkeypatch.setattr(dynamics_paper, "QUICK", small)
     with delivered():
         found = run(dynamics_paper_flow, quick=True)
-    (seen,) = scheduled_up.runs_of("dynamics-paper")
+    (seen,) = shared_up.runs_of("dynamics-paper")
     assert seen["state"]["name"] == "Completed"
-    table = json.loads(scheduled_up.artifacts_of(seen)["dynamics-paper"]["data"])
+    table = json.loads(shared_up.artifacts_of(seen)["dynamics-paper"]["data"])
     assert [row["figure"] for row in table] == [line["what"] for line in found["lines"]]
     assert {row["answer"] for row in table} == {"follows", "does not", "calibrated", "not judged"}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop import circles
-from running_servers import MACHINE, Up, wait_for
+from running_servers import MACHINE, Up, measured, running_up, wait_for
 
 from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.virtual_mill import simulate_mill
@@ -36,15 +36,16 @@ from flows.nightly import nightly_flow
 from flows.reach import running
 from flows.recheck import recheck_flow
 from flows.simulate import simulate_flow
+from flows.train import train_flow
 
-pytest_plugins = ["scheduled_servers"]
+pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
 
 @pytest.fixture
-def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
-    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
-    return scheduled_up
+def up(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
+    return shared_up
 
 
 def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:
@@ -52,7 +53,14 @@ def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:
 
 
 @pytest.mark.long
-def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
+def test_two_ticks_train_once_and_then_skip_with_the_reason(tmp_path: Path) -> None:
+    home = Home(tmp_path / "home")
+    measured(home, "quick")
+    with running_up(home, "--cron", "* * * * *") as up:
+        _two_ticks(up)
+
+
+def _two_ticks(up: Up) -> None:
     def skipped() -> list[dict[str, Any]]:
         return [
             r
@@ -61,9 +69,6 @@ def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
         ]
 
     second = wait_for(skipped, 600, "no tick was skipped for want of new data")[0]
-    # What the tests after this one bring in is not to be trained on every minute.
-    for deployment in up.ask("/deployments/filter", {}):
-        up.ask(f"/deployments/{deployment['id']}/pause_deployment", {})
     runs = up.runs_of("scheduled-training")
     first = runs[0]
     assert first["state"]["name"] == "Completed", first["state"]
@@ -167,6 +172,8 @@ def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
 @pytest.mark.long
 def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) -> None:
     registry = Registry(up.home)
+    if MACHINE not in registry.machines():
+        run(train_flow, campaign="quick")
     left_out = run(recheck_flow, machine=MACHINE)[MACHINE]
     assert (left_out["verdict"], left_out["reason"]) == ("left out", "no such model version")
     candidate = registry.version(MACHINE, "candidate")
@@ -223,8 +230,8 @@ def test_plots_are_pictures_of_their_own_with_escaped_text() -> None:
     assert base64.b64decode(data).decode() == polar
 
 
-def test_a_flow_started_on_the_page_keeps_to_its_folders(scheduled_up: Up, tmp_path: Path) -> None:
-    up, elsewhere = scheduled_up, tmp_path
+def test_a_flow_started_on_the_page_keeps_to_its_folders(shared_up: Up, tmp_path: Path) -> None:
+    up, elsewhere = shared_up, tmp_path
     deployment = next(d for d in up.ask("/deployments/filter", {}) if "ingest_flow" in d["entrypoint"])
     wanted = {"parameters": {"sources": [str(elsewhere)]}}
     run = up.ask(f"/deployments/{deployment['id']}/create_flow_run", wanted)

@@ -17,7 +17,7 @@ from flows._runtime import run
 from flows.diagnose import diagnose_flow
 from flows.train import train_flow
 
-pytest_plugins = ["scheduled_servers"]
+pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
 PATIENCE_MS = 30_000
@@ -38,9 +38,9 @@ def page(browser: Browser) -> Iterator[Page]:
 
 
 @pytest.fixture
-def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
-    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
-    return scheduled_up
+def up(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
+    return shared_up
 
 
 def flow_run(up: Up, flow: str) -> dict[str, Any]:

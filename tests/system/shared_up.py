@@ -13,17 +13,17 @@ _running = ExitStack()
 
 
 @pytest.fixture(scope="session")
-def scheduled_up(tmp_path_factory: pytest.TempPathFactory) -> Up:
-    """``dtwin up`` that trains every minute, on a home with one quick campaign.
+def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Up:
+    """``dtwin up`` on a home with one quick campaign.
 
     Servers take half a minute to start: modules that name this one as a plugin share them.
     """
     home = Home(tmp_path_factory.mktemp("up"))
     measured(home, "quick")
-    return _running.enter_context(running_up(home, "--cron", "* * * * *"))
+    return _running.enter_context(running_up(home))
 
 
 def pytest_runtest_teardown(nextitem: pytest.Item | None) -> None:
-    """Stop the servers when the next test is of a module that does not share them: a flow a minute costs much."""
+    """Stop the servers when the next test is of a module that does not share them."""
     if nextitem is None or __name__ not in getattr(getattr(nextitem, "module", None), "pytest_plugins", ()):
         _running.close()
