@@ -17,6 +17,9 @@ MOST_PREAMBLE = 200
 _MOST_GAPS = 20
 # Lengths of smaller units become µm.
 _LEAST_MM = 0.01
+_FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit")
+_FREEZING_F = 32.0
+_DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {
     **{name: ("um", UM_PER_MM * mm) if mm < _LEAST_MM else ("mm", mm) for name, mm in LENGTHS_MM.items()},
@@ -25,6 +28,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(("gon", "gons", "gradian", "gradians"), ("deg", 0.9)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc", "c°", "celsius", "gradc", "gradcelsius"), ("c", 1.0)),
+    **dict.fromkeys(_FAHRENHEIT, ("c", 1.0 / 1.8)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
@@ -53,12 +57,16 @@ _SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![agv]$)\S+)$", re.I)
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the file: ``head`` and ``unit`` as they stand there, ``name`` here, and the factor to it; or why not."""
+    """A column of the file: ``head`` and ``unit`` as they stand there, ``name`` here, and the way to it; or why not.
+
+    ``factor``, ``zero``: a value v of the file is factor (v - zero) here.
+    """
 
     head: str
     unit: str
     name: str
     factor: float = 1.0
+    zero: float = 0.0
     why_not: str = ""
 
 
@@ -126,7 +134,7 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
         if pattern.match(base.replace("_", " ").strip()) and (stem, here) != ("t", "c"):
             return _scaled(head, unit, f"{stem}_{wanted}", here, wanted, factor)
     stem = re.sub(r"\W+", "_", base.strip().lower()).strip("_") or "column"
-    return Column(head, unit, f"{stem}_{here}", factor)
+    return _scaled(head, unit, f"{stem}_{here}", here, here, factor)
 
 
 def _ending(name: str) -> str:
@@ -136,7 +144,9 @@ def _ending(name: str) -> str:
 
 def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: float) -> Column:
     if here == wanted:
-        return Column(head, unit, name, factor)
+        # A difference of temperatures has no zero.
+        has_zero = _plain(unit) in _FAHRENHEIT and not _DIFFERENCE.search(head)
+        return Column(head, unit, name, factor, _FREEZING_F if has_zero else 0.0)
     if (here, wanted) in _BETWEEN:
         return Column(head, unit, name, factor * _BETWEEN[here, wanted])
     return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")

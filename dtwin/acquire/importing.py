@@ -342,8 +342,8 @@ def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
     kept = [(n, column) for n, column in enumerate(columns) if column.name]
     table = [[column.name for _, column in kept]]
     for row in body:
-        cells = [(row[n].strip() if n < len(row) else "", column.factor) for n, column in kept]
-        table.append([f"{float(cell) * factor:.12g}" if is_number(cell) else "" for cell, factor in cells])
+        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
+        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
     return _as_csv(table)
 
 

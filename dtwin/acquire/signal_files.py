@@ -85,7 +85,9 @@ def _from_text(path: Path) -> dict[str, NDArray[Any]]:
     cells = [[row[n].strip() if n < len(row) else "" for row in body] for n in range(len(heads))]
     known = named_columns(heads, below, {})
     columns = {
-        c.name: np.array([np.nan if (v := number_or_none(cell)) is None else v * c.factor for cell in cells[n]])
+        c.name: np.array(
+            [np.nan if (v := number_or_none(cell)) is None else c.factor * (v - c.zero) for cell in cells[n]]
+        )
         for n, c in enumerate(known)
         if c.name
     }

@@ -81,7 +81,8 @@ def _text(found: Understood, out: Path | None) -> str:
         lines.append(f"  what was answered for {found.remembered}, which has the same heads, is used")
     for c in found.columns:
         unit = f" [{c.unit}]" if c.unit and c.unit not in c.head else ""
-        factor = f", times {c.factor:.6g}" if c.factor != 1.0 else ""
+        less = f", less {c.zero:g}" if c.zero else ""
+        factor = f"{less}, times {c.factor:.6g}" if c.factor != 1.0 else ""
         lines.append(
             f"  {c.head}{unit} -> {c.name}{factor}" if c.name else f"  {c.head}{unit} is left out: {c.why_not}"
         )

@@ -242,7 +242,7 @@ def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is:
         except (ValueError, IndexError):
             continue
     values[~(np.abs(values) < 1e9)] = np.nan
-    scaled = values * column.factor
+    scaled = column.factor * (values - column.zero)
     if as_it_is:
         return scaled
     here = column.name.rpartition("_")[2]

@@ -49,7 +49,7 @@ _STEPS = "displacement_step"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
-_OTHER_DEGREES = re.compile(r"\s*(°\s*f|deg\s*f|f|fahrenheit|k|kelvin)\s*", re.I)
+_OTHER_DEGREES = re.compile(r"\s*(f|k|kelvin)\s*", re.I)
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 _COLDEST_C = -60.0
@@ -67,9 +67,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)
     _require_degrees(said, units, recipe, path)
-    heads, factors = _named(said, units, recipe)
+    heads, factors, zeros = _named(said, units, recipe)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
-    scales = dict(zip(heads, factors, strict=True))
+    scales, zero_of = (dict(zip(heads, told, strict=True)) for told in (factors, zeros))
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]
     moved = _displacements(heads)
     clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
@@ -98,7 +98,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         t_s, there, column = t_s[::-1], there[::-1], {name: values[::-1] for name, values in column.items()}
     _require_rising(there, path)
     shared: dict[str, Floats] = {"t_s": t_s}
-    shared |= {name: _numbers(column[name]) for name in temperatures}
+    shared |= {name: scales[name] * (_numbers(column[name]) - zero_of[name]) for name in temperatures}
     if "sample" in column:
         shared["sample_1"] = _numbers(column["sample"])
     cold = [
@@ -145,7 +145,7 @@ def is_drift_log(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     said, units, body = _parted(first_rows(path, _MOST_BYTES), path)
-    heads, factors = _named(said, units, {})
+    heads, factors, _ = _named(said, units, {})
     told = _displacements(heads)
     # A log of something else may hold temperatures, too.
     others = (
@@ -195,14 +195,22 @@ def _parted(
     return heads, units, body
 
 
-def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> tuple[list[str], list[float]]:
-    """Return the house's names of columns, and the factors to their units: µm of displacements, s, °C."""
+def _named(
+    row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]
+) -> tuple[list[str], list[float], list[float]]:
+    """Return the house's names of columns, and what makes a value v of the file f (v - zero) in their units.
+
+    The units are µm of displacements, s and °C; f stands second, the zeros third.
+    """
     plain = [cell.strip() for cell in row]
-    names, factors = [], []
+    names, factors, zeros = [], [], []
     for head, column in zip(plain, columns_of(plain, units, {}), strict=True):
-        name, factor = str(recipe.get(head, head)), 1.0
+        name, factor, zero = str(recipe.get(head, head)), 1.0, 0.0
         if head not in recipe and column.name:
-            name, factor = column.name, column.factor
+            name = column.name
+        # A name that the campaign gives does not say another unit of temperature than the head does.
+        if column.zero or name == column.name:
+            factor, zero = column.factor, column.zero
         if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
             name = f"temperature_{name}"
         elif _STAMP.fullmatch(_FORM.sub("", name)):
@@ -211,7 +219,8 @@ def _named(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str,
             name, factor = f"{name.removesuffix('_mm')}_um", factor * 1e3
         names.append(name)
         factors.append(factor)
-    return names, factors
+        zeros.append(zero)
+    return names, factors, zeros
 
 
 def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[str]:
@@ -232,7 +241,7 @@ def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Ma
                 where=str(path),
                 got=f"{column.head} named {told}"[:80],
                 allowed="°C",
-                hint="write it in °C: from °F (T - 32) / 1.8, from K T - 273.15",
+                hint="write it in °C, or °F for F; from K T - 273.15",
             )
 
 

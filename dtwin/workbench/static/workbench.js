@@ -483,7 +483,9 @@ function tellTable(form, name, found) {
     input.dataset.head = column.head;
     shown.set(column.head, column.name);
     const values = (found.first_rows || []).map((cells) => cells[place] || "").join("  ");
-    for (const part of [column.head, values, column.unit, input, column.factor === 1 ? "" : plain(column.factor, 6)]) {
+    const less = column.zero ? `− ${plain(column.zero, 6)}, × ` : "";
+    const factor = column.factor === 1 ? "" : less + plain(column.factor, 6);
+    for (const part of [column.head, values, column.unit, input, factor]) {
       const cell = document.createElement("td");
       cell.append(part);
       row.append(cell);

@@ -30,11 +30,21 @@ def test_a_table_of_temperatures_is_a_group_of_signals(tmp_path: Path, text: str
     assert np.isnan(group.columns["column_c"][1])
 
 
+@pytest.mark.parametrize("head", ["bed [°F]", "bed (deg F)", "bed_degF"])
+def test_degrees_fahrenheit_are_degrees_celsius_here(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "c000.thermocouples.csv"
+    path.write_text(f"t_s,{head},rise [°F]\n0,32,0\n60,68,1.8\n120,212,18\n", encoding="utf-8")
+    (group,) = read_signals(path)
+    assert group.columns["bed_c"] == pytest.approx([0.0, 20.0, 100.0])
+    # A difference has no zero.
+    assert group.columns["rise_c"] == pytest.approx([0.0, 1.0, 10.0])
+
+
 @pytest.mark.parametrize(
     ("text", "code"),
     [
         ("t_s,T_bed\n0,20.5\n60,20.6\n", "signals.unit"),
-        ("t_s,bed [°F]\n0,68\n60,69\n", "signals.unit"),
+        ("t_s,bed [K]\n0,293\n60,294\n", "signals.unit"),
         ("bed_c,column_c\n20,21\n20,21\n", "signals.rate"),
         ("nothing here\n", "import.table"),
     ],

@@ -234,7 +234,7 @@ def test_probes_of_one_axis_are_runs_of_their_own_and_a_time_without_a_unit_is_r
 def log(path: Path, stamps: list[str], *, head: str = "timestamp", spindle: list[float] | None = None) -> Path:
     warm = [20.0 + 0.1 * n for n in range(len(stamps))] if spindle is None else spindle
     rows = [f"{s},{0.5 * n},{c},{20 + n % 3}" for n, (s, c) in enumerate(zip(stamps, warm, strict=True))]
-    path.write_text("\n".join([f"{head},Z [µm],spindle [°C],air [°F]", *rows]), encoding="utf-8")
+    path.write_text("\n".join([f"{head},Z [µm],spindle [°C],air [lbf]", *rows]), encoding="utf-8")
     return path
 
 
@@ -323,7 +323,7 @@ def test_a_sensor_that_drops_out_and_one_in_an_unknown_unit_are_told(tmp_path: P
     assert np.abs(run.samples["temperature_spindle_c"] - 23.0).max() < 4.0
     told = {f.code: f.message for f in run.findings}
     assert told["drift.dropout"].startswith("3 readings of temperature_spindle_c")
-    assert told["drift.left_out"].startswith("air [°F]")
+    assert told["drift.left_out"].startswith("air [lbf]")
 
 
 @pytest.mark.parametrize("head", ["probe [µm]", "Messtaster 1 [µm]", "CH3 [mm]", "Gauge_um"])
@@ -468,18 +468,32 @@ def test_what_takes_a_quarter_of_the_squares_is_not_idle_where_more_is_left() ->
 
 def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    rows = [f"{60 * n},{n / 2},{70 + n / 10}" for n in range(60)]
-    path.write_text("\n".join(["t_s,Z [µm],spindle [°F]", *rows]), "utf-8")
+    rows = [f"{60 * n},{n / 2},{290 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["t_s,Z [µm],spindle [K]", *rows]), "utf-8")
     head = '[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n'
     entry = '[[run]]\nid = "r"\nfile = "a.csv"\n'
     (tmp_path / "campaign.toml").write_text(head + entry, encoding="utf-8")
     with pytest.raises(InputError, match="lacks columns") as caught:
         next(iter(open_source(tmp_path)[1]))
-    assert "spindle [°F]" in str(caught.value.hint)
-    named = '[campaign.instrument.columns]\n"spindle [°F]" = "temperature_spindle_c"\n'
+    assert "spindle [K]" in str(caught.value.hint)
+    named = '[campaign.instrument.columns]\n"spindle [K]" = "temperature_spindle_c"\n'
     (tmp_path / "campaign.toml").write_text(head + named + entry, encoding="utf-8")
     with pytest.raises(InputError, match="in another unit"):
         next(iter(open_source(tmp_path)[1]))
+
+
+@pytest.mark.parametrize("named", ["", '[campaign.instrument.columns]\n"spindle [°F]" = "temperature_nut_c"\n'])
+def test_a_log_in_degrees_fahrenheit_is_one_in_degrees_celsius(tmp_path: Path, named: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{60 * n},{n / 2},{68 + 1.8 * n / 10:.6f}" for n in range(60)]
+    path.write_text("\n".join(["t_s,Z [µm],spindle [°F]", *rows]), "utf-8")
+    (tmp_path / "campaign.toml").write_text(
+        f'[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n{named}[[run]]\nid = "r"\nfile = "a.csv"\n',
+        encoding="utf-8",
+    )
+    (run,) = next(iter(open_source(tmp_path)[1]))[0]
+    column = "temperature_nut_c" if named else "temperature_spindle_c"
+    assert run.samples[column] == pytest.approx(20.0 + 0.1 * np.arange(60))
 
 
 def test_a_log_that_follows_no_temperature_trains_nothing(tmp_path: Path) -> None:
