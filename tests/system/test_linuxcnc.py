@@ -30,7 +30,7 @@ from dtwin.serve.interface import Input, Output, SafetyLimits
 
 pytestmark = pytest.mark.system
 RADIUS = 15.0
-PATIENCE = 6
+PATIENCE = 12
 # One fault only, so that what a correction must do is known without a fit.
 SCALE = 200e-6
 FAULTS = MillFaults(
@@ -160,21 +160,21 @@ def test_a_circle_shows_the_machines_error_and_the_correction_takes_it_away(sess
         assert found.status.largest_um > 1.0
         assert abs(ovality_um(found.trace)) < 0.35
         assert np.abs(found.trace.offset_mm).max() > 1e-3
-    # The check can fail: with its sign lost the correction adds to the error, doubles it where the computer has time for all of it.
+    # The check can fail: with its sign lost the correction doubles the error.
     wrong = undisturbed(LiveCorrection(session, served(-1.0)), circles()[0])
-    assert ovality_um(wrong.trace) > 1.25 * ovality_um(before[0])
+    assert ovality_um(wrong.trace) > 1.7 * ovality_um(before[0])
 
 
 def undisturbed(live: LiveCorrection, circle: Circle) -> LiveTrace:
-    """Run a circle until the computer had time for all of it.
+    """Run a circle until the computer had time for all of it; a test on one that never has says nothing, and is skipped.
 
     Without real-time kernel a busy test computer halts LinuxCNC for longer than the guard allows.
     """
     for _ in range(PATIENCE):
         found = live.run(circle)
         if not (found.trips or {"latched", "stale", "stalled"} & set(found.status.reasons)):
-            break
-    return found
+            return found
+    pytest.skip(f"this computer halted LinuxCNC for too long in each of {PATIENCE} circles")
 
 
 def test_a_killed_client_leaves_no_correction(session: LinuxcncSession, tmp_path: Path) -> None:

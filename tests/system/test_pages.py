@@ -20,7 +20,7 @@ from flows.train import train_flow
 pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
-PATIENCE_MS = 30_000
+PATIENCE_MS = 300_000
 
 
 @pytest.fixture(scope="module")
