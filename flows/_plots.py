@@ -106,7 +106,7 @@ def polar(title: str, curves: Mapping[str, tuple[Floats, Floats]]) -> str:
         colour = COLOURS[i % len(COLOURS)]
         parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
     parts += _legend(list(curves), 400)
-    parts.append(_text(centre, 392, f"rings: 0 and +-{step:g} µm", anchor="middle"))
+    parts.append(_text(centre, 392, f"rings: 0 and ±{step:g} µm", anchor="middle"))
     return _svg(380, 425, parts)
 
 

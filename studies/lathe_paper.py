@@ -218,7 +218,7 @@ def _scatter(target: str, what: str, paper: str, found: Sequence[Mapping[str, fl
             Line(
                 f"{what}: {title}",
                 f"{theirs:z.1f} µm",
-                f"{middle:z.1f} +- {spread:z.1f} µm, worst {values.max():z.1f} ({len(values)} campaigns)",
+                f"{middle:z.1f} ± {spread:z.1f} µm, worst {values.max():z.1f} ({len(values)} campaigns)",
                 answer,
                 target,
             )

@@ -221,7 +221,7 @@ def learning_lines(law: FittedTones, free: FittedTones, printed: FittedTones, na
         ),
         Line("LSTM", "similar, slower", "not tried", "not judged"),
         # Theirs holds window and features, ours one tick.
-        Line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99", "not judged"),
+        Line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} µs p50, {timing.p99_us:z.2f} p99", "not judged"),
     ]
 
 

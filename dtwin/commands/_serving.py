@@ -150,7 +150,7 @@ def render_served(served: Served) -> str:
         "",
         _percentiles("time_ms", _times(timing)),
         "",
-        "jitter of the period, us",
+        "jitter of the period, µs",
         *_bars(timing["jitter_us_histogram"]),
         "",
         "what the guard did: " + _pairs(status.reasons),

@@ -59,7 +59,7 @@ def align_envelopes(
     stream_rate_hz, reference_rate_hz : float
         Sample rates; both are brought to the higher one.
     max_lag_s, around_s : float
-        The lag is searched within ``around_s`` +- ``max_lag_s``.
+        The lag is searched within ``around_s`` ± ``max_lag_s``.
     min_overlap : float
         Share of the shorter record that must overlap.
     guard_s : float

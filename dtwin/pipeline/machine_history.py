@@ -302,6 +302,7 @@ def _by_machine(twins: Sequence[TwinLine]) -> dict[str, list[str]]:
 
 def _champion(home: Home, machine: str) -> str:
     try:
-        return resolve("latest", machine, home, harmless=True).describe()
+        served = resolve("latest", machine, home, harmless=True)
     except InputError:
         return ""
+    return f"version {served.version} ({served.state})"

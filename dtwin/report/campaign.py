@@ -210,8 +210,8 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
             [
                 condition_name(c),
                 {True: "yes", False: "no"}.get(c["trained"], "-"),
-                f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
-                f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
+                f"{_um(c['before_um'])} ± {_um(c['before_ci_um'])}",
+                f"{_um(c['after_um'])} ± {_um(c['after_ci_um'])}",
                 f"{100 * c['reduction']:z.0f} %",
                 "-" if c["oracle_um"] is None else _um(c["oracle_um"]),
                 _um(c["floor_um"]),

@@ -22,7 +22,7 @@ def encoder_text(found: Mapping[str, Any]) -> str:
     ``found``: ``encoder_split`` of a comparison.
     """
     head, rows = _cells(found)
-    lines = ["", f"measured error by who can see it, µm RMS +- noise floor; {_said(found)}"]
+    lines = ["", f"measured error by who can see it, µm RMS ± noise floor; {_said(found)}"]
     return "\n".join([*lines, table(head, rows), *_notes(found)])
 
 

@@ -69,7 +69,8 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
         Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
     """
     figure = _over_latency(candidates, lambda c: c["rms_um"], "%{y:z.1f} µm")
-    figure.update_traces(textposition="top center").update_traces(mode="markers+text", selector={"name": _PROMOTABLE})
+    # What may be promoted is fast, and stands at the left edge.
+    figure.update_traces(textposition="top right").update_traces(mode="markers+text", selector={"name": _PROMOTABLE})
     axis = _range_of([c["rms_um"] for c in candidates])
     if not np.isnan(floor_um):
         figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
@@ -86,7 +87,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
         )
     figure.update_layout(
         title="Error on conditions left out against time of one row (hover for names)",
-        xaxis={"title": "median time of one row, us", "type": "log"},
+        xaxis={"title": "median time of one row, µs", "type": "log"},
         yaxis={"title": "held-out RMS, µm", **axis},
     )
     return styled(figure)
@@ -104,7 +105,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     figure.add_hline(y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction")
     figure.update_layout(
         title=f"R² on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
-        xaxis={"title": "median time of one row, us", "type": "log"},
+        xaxis={"title": "median time of one row, µs", "type": "log"},
         yaxis={"title": "R², held out"},
     )
     return styled(figure)
@@ -187,7 +188,7 @@ def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
     figure = go.Figure(go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
     figure.update_layout(
         title="Jitter of the period",
-        xaxis_title="distance from the nominal period, us",
+        xaxis_title="distance from the nominal period, µs",
         yaxis={"title": "ticks (logarithmic)", "type": "log", "dtick": 1, "range": [-0.3, top]},
     )
     return styled(figure)

@@ -137,7 +137,13 @@ def summary(request: Request, name: str) -> dict[str, Any]:
     last = tests[-1] if tests else None
     values = [test["value_um"] for test in tests if last is not None and test["figure"] == last["figure"]]
     current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
-    return {"last": last, "values_um": values, "changed": current[0] if current else "", "overdue": _overdue(history)}
+    return {
+        "last": last,
+        "values_um": values,
+        "changed": current[0] if current else "",
+        "overdue": _overdue(history),
+        "champion": history["champion"],
+    }
 
 
 @router.get("/api/machines/{name}/series")

@@ -96,7 +96,7 @@ def _told_right(found: Mapping[str, Any]) -> str:
     twin, later = found["twin"], found["later"]
     rows = later["ways"]["told right"]
     values = [
-        (e["effect"], e["name"], f"{e['value']:z.1f} +- {e['uncertainty']:z.1f} {e['unit']}") for e in twin["estimates"]
+        (e["effect"], e["name"], f"{e['value']:z.1f} ± {e['uncertainty']:z.1f} {e['unit']}") for e in twin["estimates"]
     ]
     terms = [(t["label"], "yes" if t["included"] else "no", t["how"]) for t in twin["terms"]]
     missed = [f"{c['feed_mm_min']:g}" for c in rows if not c["halved"]]
@@ -188,9 +188,9 @@ def _later(rows: Sequence[Mapping[str, Any]]) -> list[tuple[object, ...]]:
         (
             f"{c['feed_mm_min']:g}",
             c["n_with"],
-            f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
-            f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
-            f"{c['ratio']:z.2f} +- {c['ratio_half_width']:z.2f}",
+            f"{_um(c['before_um'])} ± {_um(c['before_ci_um'])}",
+            f"{_um(c['after_um'])} ± {_um(c['after_ci_um'])}",
+            f"{c['ratio']:z.2f} ± {c['ratio_half_width']:z.2f}",
             _um(c["oracle_um"]),
             _um(c["floor_um"]),
             _um(c["raw_before_um"]),

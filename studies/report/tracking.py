@@ -35,7 +35,7 @@ def _published(found: Mapping[str, Any]) -> str:
         [
             "what the thesis reports (table 4-3: UR10e, XY, R100, 3 repeats, CCW and CW)",
             table(head, rows),
-            f"mean of the five per cents: {told['mean_of_per_cents']:z.1f} % +- "
+            f"mean of the five per cents: {told['mean_of_per_cents']:z.1f} % ± "
             f"{told['half_width_pct']:z.0f} (95 %, the feed as unit); reduction of the summed gap: "
             f"{told['per_cent_of_sums']:z.1f} %; spread of repeats: not published",
         ]
@@ -47,7 +47,7 @@ def _reproduced(found: Mapping[str, Any]) -> str:
         (
             f"{f['feed_mm_min']:g}",
             str(f["runs"]),
-            *(f"{f[k + '_um']:z.1f} +- {f[k + '_floor_um']:z.1f}" for k in ("ball_bar", "encoder", "accelerometer")),
+            *(f"{f[k + '_um']:z.1f} ± {f[k + '_floor_um']:z.1f}" for k in ("ball_bar", "encoder", "accelerometer")),
             f"{f['reduction_pct']:z.1f} %",
         )
         for f in found["feeds"]
@@ -55,10 +55,10 @@ def _reproduced(found: Mapping[str, Any]) -> str:
     head = ("feed, mm/min", "runs", "ball bar, µm", "encoder, µm", "with accelerometer, µm", "reduction")
     return "\n".join(
         [
-            "the same chain on the virtual cobot (mean over the middle half +- what repeats of a "
+            "the same chain on the virtual cobot (mean over the middle half ± what repeats of a "
             "direction disagree by; unit: the run)",
             table(head, rows),
-            f"mean of the five per cents: {found['reduction_pct']:z.1f} % +- "
+            f"mean of the five per cents: {found['reduction_pct']:z.1f} % ± "
             f"{found['reduction_half_width_pct']:z.1f} (95 %, the feed as unit); without the feed at "
             f"which the threshold was tuned: {found['reduction_of_feeds_not_tuned_pct']:z.1f} %",
         ]
@@ -88,7 +88,7 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
             circles,
             "3. That the shape of the error is found. With centre and radius fitted to every run, "
             f"the gap is {path['gap_um']:z.1f} µm RMS without and {path['left_um']:z.1f} µm with the "
-            f"displacement: {path['change_um']:+z.1f} +- {path['change_half_width_um']:z.1f} µm "
+            f"displacement: {path['change_um']:+z.1f} ± {path['change_half_width_um']:z.1f} µm "
             f"(95 %, {path['runs']:z.0f} runs), correlation {path['correlation']:z.2f}.",
             "4. The threshold. It minimises the figure that is reported, on the same runs; "
             f"here the swarm chose {found['threshold_g2']:.2g} g^2 at "

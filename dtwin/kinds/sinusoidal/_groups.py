@@ -205,7 +205,7 @@ def feature_findings(groups: ToneGroups) -> list[str]:
         middle, spread = float(np.median(values)), float(np.std(values))
         if spread < _DEAD * max(abs(middle), 1.0):
             found.append(
-                f"{name} is a dead constant on clean sines: {middle:z.3f} +- {spread:z.3f} over "
+                f"{name} is a dead constant on clean sines: {middle:z.3f} ± {spread:z.3f} over "
                 f"{clean.n} groups; as a factor of an equation it only rescales another constant"
             )
     sizes = ("rms", "mean_absolute_value", "peak_amplitude", "variance", "total_power")

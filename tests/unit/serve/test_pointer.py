@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 from bundles import path_bundle
+from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
+from dtwin.machine_record import keep_record
 from dtwin.pipeline.home_check import check_home
 from dtwin.serve.barred import BarredWatch, bar, barred_why
 from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
@@ -28,6 +30,9 @@ from dtwin.serve.pointer import (
     write_pointer,
 )
 from dtwin.serve.sealed import BARRED, CHAMPION, SEAL, write_sealed
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
 
 
 @pytest.fixture
@@ -337,3 +342,14 @@ def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -
 
     with pytest.raises(DtwinError):
         everything()
+
+
+def test_the_workbench_is_told_the_model_in_use(home: Home) -> None:
+    keep_record(home, "cobot-a", {})
+    bench = Bench(home, Access("127.0.0.1", 8765))
+    client = TestClient(application(bench), base_url="http://127.0.0.1:8765")
+    client.get("/", params={"token": bench.access.token})
+    assert client.get("/api/machines/cobot-a/summary").json()["champion"] == ""
+    promoted(home)
+    assert client.get("/api/machines/cobot-a/summary").json()["champion"] == "version 3 (champion)"
+    assert "Model in use: version 3 (champion)." in client.get("/machines/cobot-a").text
