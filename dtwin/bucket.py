@@ -84,8 +84,8 @@ class Objects:
         import obstore
 
         with told(self.bucket, name, missing=True):
-            found = obstore.get(self._store, name)
-            return bytes(found.bytes()), str(found.meta["e_tag"])
+            answer = obstore.get(self._store, name)
+            return bytes(answer.bytes()), str(answer.meta["e_tag"])
 
     def has(self, name: str) -> bool:
         """Tell whether there is such an object."""
@@ -127,8 +127,8 @@ class Objects:
         import obstore
 
         with told(self.bucket, below):
-            found = obstore.list(self._store, below or None, offset=after or None, chunk_size=1000)
-            rows = [row for chunk in found for row in chunk]
+            pages = obstore.list(self._store, below or None, offset=after or None, chunk_size=1000)
+            rows = [row for chunk in pages for row in chunk]
         return sorted(
             Stored(str(row["path"]), int(row["size"]), str(row["e_tag"]), row["last_modified"]) for row in rows
         )
@@ -258,20 +258,20 @@ def is_of_store(text: str) -> bool:
 
 def _environment() -> tuple[tuple[str, str], ...]:
     """Return what the environment says of stores: a client is made anew when that changes."""
-    found = {key.upper(): value for key, value in os.environ.items() if key.upper().startswith("AWS_")}
-    _require_safe(found)
-    return tuple(sorted(found.items()))
+    settings = {key.upper(): value for key, value in os.environ.items() if key.upper().startswith("AWS_")}
+    _require_safe(settings)
+    return tuple(sorted(settings.items()))
 
 
-def _require_safe(found: Mapping[str, str]) -> None:
+def _require_safe(environment: Mapping[str, str]) -> None:
     allowed = {"AWS_S3_ALLOW_UNSAFE_RENAME": ("", "0", "false", "no"), "AWS_CONDITIONAL_PUT": ("", "etag")}
     for name, harmless in allowed.items():
-        if found.get(name, "").lower() not in harmless:
+        if environment.get(name, "").lower() not in harmless:
             raise InputError(
                 "the environment asks for commits without a condition, which lose those of other writers",
                 code="shared.unsafe",
                 where=name,
-                got=found[name][:40],
+                got=environment[name][:40],
                 allowed="not set",
                 hint=f"unset {name}",
             )

@@ -125,18 +125,18 @@ def home_file_of(stated: Mapping[str, Any], where: str) -> HomeFile:
             raise _refused(where, str(key)[:40], ", ".join(known))
         if not isinstance(value, str) or not value or len(value) > 500:
             raise _refused(f"{where}: {key}", str(value)[:60], "text")
-    found = HomeFile(**stated)
-    if found.store and not _STORE.fullmatch(found.store):
-        raise _refused(f"{where}: store", found.store, "s3://bucket or s3://bucket/prefix")
-    if found.endpoint and not found.store:
-        raise _refused(f"{where}: endpoint", found.endpoint, "a store that it is the address of")
+    settings = HomeFile(**stated)
+    if settings.store and not _STORE.fullmatch(settings.store):
+        raise _refused(f"{where}: store", settings.store, "s3://bucket or s3://bucket/prefix")
+    if settings.endpoint and not settings.store:
+        raise _refused(f"{where}: endpoint", settings.endpoint, "a store that it is the address of")
     for key, schemes in _ADDRESSES.items():
-        _require_address(f"{where}: {key}", getattr(found, key), schemes)
-    if found.store and not found.registry:
+        _require_address(f"{where}: {key}", getattr(settings, key), schemes)
+    if settings.store and not settings.registry:
         raise _refused(f"{where}: registry", "none", "a registry too: versions of twins and models are counted there")
-    if found.registry.startswith("postgresql") and not found.store:
-        raise _refused(f"{where}: registry", found.registry, "a store too: there its artifacts lie")
-    return found
+    if settings.registry.startswith("postgresql") and not settings.store:
+        raise _refused(f"{where}: registry", settings.registry, "a store too: there its artifacts lie")
+    return settings
 
 
 _ADDRESSES = {"endpoint": ("http", "https"), "registry": ("postgresql", "http", "https"), "flows": ("postgresql",)}

@@ -57,8 +57,8 @@ class People:
     def of_token(self, token: str) -> Person | None:
         """Return whose token it is."""
         given = hashlib.sha256(token.encode()).hexdigest()
-        found = [person for person in self.people if hmac.compare_digest(person.token_sha256, given)]
-        return found[0] if found else None
+        owners = [person for person in self.people if hmac.compare_digest(person.token_sha256, given)]
+        return owners[0] if owners else None
 
 
 def acting() -> str:
@@ -190,7 +190,7 @@ def audit(home: Home) -> list[dict[str, Any]]:
     StoreError
         When a line was changed, taken out or put in.
     """
-    path, before, found = home.root / AUDIT, _FIRST, []
+    path, before, entries = home.root / AUDIT, _FIRST, []
     lines = path.read_bytes().splitlines() if path.exists() else []
     for number, line in enumerate(lines, start=1):
         try:
@@ -205,9 +205,9 @@ def audit(home: Home) -> list[dict[str, Any]]:
                 where=f"{path} line {number}",
                 hint="compare it with a backup",
             )
-        found.append(said)
+        entries.append(said)
         before = hashlib.sha256(line).hexdigest()
-    return found
+    return entries
 
 
 def _hash_of_last(path: Path) -> str:

@@ -356,14 +356,14 @@ def _both_lines(mine: bytes, theirs: bytes) -> bytes:
 def _stamps(place: Path) -> dict[str, list[int]]:
     """Return size and time of the files of a unit; of one that is a single file, under an empty name."""
     paths = [place] if place.is_file() else [p for p in place.glob("*") if p.is_file() and not p.is_symlink()]
-    found = {}
+    stamps = {}
     for path in paths:
         name = "" if path == place else path.name
         if _is_name(name) and not path.name.endswith(_NOT_SHARED):
             with contextlib.suppress(FileNotFoundError):
                 state = path.stat()
-                found[name] = [state.st_size, state.st_mtime_ns, state.st_ino]
-    return found
+                stamps[name] = [state.st_size, state.st_mtime_ns, state.st_ino]
+    return stamps
 
 
 def _is_unit(unit: str) -> bool:

@@ -13,7 +13,7 @@ _LIMITED = {"AF_BEST_RADIUS": (("D",), True), "AF_CIRCULARITY": (("G(CCW)", "G(C
 def tolerances(bar: Element) -> dict[str, dict[str, float]]:
     """Return limits of figures by symbol, in µm; of several levels the widest: beyond it the test has failed."""
     radius_mm = number_or_none(child_text(bar, "TEST_RADIUS"))
-    found: dict[str, dict[str, float]] = {}
+    limits_by_symbol: dict[str, dict[str, float]] = {}
     for feature in bar.iter("FEATURE_SPEC"):
         symbols, from_radius = _LIMITED.get(feature.get("NAME", ""), ((), False))
         pairs = [
@@ -26,5 +26,5 @@ def tolerances(bar: Element) -> dict[str, dict[str, float]]:
         zero = radius_mm if from_radius and radius_mm is not None else 0.0
         low, high = min(low for low, _ in known), max(high for _, high in known)
         limits = {"low": round(1000.0 * (low - zero), 4), "high": round(1000.0 * (high - zero), 4)}
-        found |= {symbol: limits if from_radius else {"high": limits["high"]} for symbol in symbols}
-    return found
+        limits_by_symbol |= {symbol: limits if from_radius else {"high": limits["high"]} for symbol in symbols}
+    return limits_by_symbol

@@ -31,19 +31,19 @@ def _intervals(events: Sequence[Sequence[Any]], length_s: float) -> list[_Interv
 
     An empty one ends its name, and all whose names begin with it and a space.
     """
-    found: list[_Interval] = []
+    intervals: list[_Interval] = []
     held: dict[str, tuple[float, str, bool]] = {}
     for at_s, name, text, alarm in sorted(events, key=lambda e: float(e[0])):
         if text and name in held and held[name][1] == text:
             continue
         for other in [n for n in held if n == name or (not text and n.startswith(f"{name} "))]:
             from_s, said, was_alarm = held.pop(other)
-            found.append(_Interval(other, said, from_s, float(at_s), was_alarm))
+            intervals.append(_Interval(other, said, from_s, float(at_s), was_alarm))
         if text:
             held[str(name)] = (float(at_s), str(text), bool(alarm))
     for name, (from_s, text, alarm) in held.items():
-        found.append(_Interval(name, text, from_s, max(length_s, from_s), alarm))
-    return sorted(found, key=lambda i: (i.from_s, i.name))
+        intervals.append(_Interval(name, text, from_s, max(length_s, from_s), alarm))
+    return sorted(intervals, key=lambda i: (i.from_s, i.name))
 
 
 def event_findings(events: Sequence[Sequence[Any]], length_s: float) -> tuple[Finding, ...]:
@@ -52,17 +52,17 @@ def event_findings(events: Sequence[Sequence[Any]], length_s: float) -> tuple[Fi
     ``events``: time since the first sample, name, text (empty: it is over), whether it is an alarm.
     ``length_s``: of the recording.
     """
-    found = []
+    findings = []
     intervals = _intervals(events, length_s)
     alarms = [i for i in intervals if i.alarm]
     for one in alarms[:_MOST_TOLD]:
         numbers = {"from_s": one.from_s, "to_s": one.to_s}
-        found.append(Finding("machine.alarm", "warning", f"the machine reported {one.name}: {one}", numbers))
+        findings.append(Finding("machine.alarm", "warning", f"the machine reported {one.name}: {one}", numbers))
     if len(alarms) > _MOST_TOLD:
         text = f"the machine reported {len(alarms) - _MOST_TOLD} alarms more"
-        found.append(Finding("machine.alarm", "warning", text))
+        findings.append(Finding("machine.alarm", "warning", text))
     for name in dict.fromkeys(i.name for i in intervals if not i.alarm):
         here = [str(i) for i in intervals if i.name == name and not i.alarm]
         more = f", and {len(here) - _MOST_IN_A_LINE} more" if len(here) > _MOST_IN_A_LINE else ""
-        found.append(Finding("machine.state", "info", f"{name}: {', '.join(here[:_MOST_IN_A_LINE])}{more}"))
-    return tuple(found)
+        findings.append(Finding("machine.state", "info", f"{name}: {', '.join(here[:_MOST_IN_A_LINE])}{more}"))
+    return tuple(findings)

@@ -198,15 +198,15 @@ class MqttRecorder(OpenAndClose):
                 came_s, topic, payload = self._heard.get_nowait()
             except queue.Empty:
                 return
-            found, wrong = self._observed(came_s, topic, payload)
+            observed, wrong = self._observed(came_s, topic, payload)
             self._refused += wrong
-            if not found:
+            if not observed:
                 continue
             if not math.isnan(self._away_s):
-                self._held.lose(found[0].time_s, _AWAY)
+                self._held.lose(observed[0].time_s, _AWAY)
                 self._away_s = math.nan
-            self._held.take(found)
-            newest_s = max(one.time_s for one in found)
+            self._held.take(observed)
+            newest_s = max(one.time_s for one in observed)
             if not newest_s <= self._newest_s:
                 self._newest_s, self._monotonic_s = newest_s, time.monotonic()
 
@@ -226,18 +226,18 @@ class MqttRecorder(OpenAndClose):
             time_s = came_s if not self._sender_time else _time_of(content, self._sender_time, topic)
         except (ValueError, RecursionError, DeviceError):
             return [], True
-        found, wrong = [], False
+        observed, wrong = [], False
         for key in keys:
             value = _member(content, key.partition("#")[2])
             if key in self._columns:
                 number = _number(value)
                 wrong = wrong or number is None
                 if number is not None:
-                    found.append(Observed(self._columns[key], time_s, number))
+                    observed.append(Observed(self._columns[key], time_s, number))
             elif value is not None:
                 text = "" if value is False else "on" if value is True else str(value)[:200]
-                found.append(Observed(self._events[key], time_s, text, key in self._alarms))
-        return found, wrong
+                observed.append(Observed(self._events[key], time_s, text, key in self._alarms))
+        return observed, wrong
 
     def _absent(self, got: str) -> DeviceError:
         return DeviceError(

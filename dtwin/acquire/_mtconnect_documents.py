@@ -134,15 +134,15 @@ def read_streams(data: bytes, where: str, items: Mapping[str, Item]) -> tuple[He
         When it answers with another error.
     """
     root = _document(data, where, "MTConnectStreams")
-    found: list[tuple[int, Observed]] = []
+    observed: list[tuple[int, Observed]] = []
     for element in root.iter():
         item = items.get(element.get("dataItemId", ""))
         stamp = element.get("timestamp")
         if item is not None and stamp is not None:
             number = _whole(element.get("sequence", "0"))
-            found += [(number, one) for one in _observed(element, item, seconds(stamp, where))]
-    found.sort(key=lambda pair: pair[0])
-    return _header(root, where), [one for _, one in found]
+            observed += [(number, one) for one in _observed(element, item, seconds(stamp, where))]
+    observed.sort(key=lambda pair: pair[0])
+    return _header(root, where), [one for _, one in observed]
 
 
 def _observed(element: Element, item: Item, time_s: float) -> Iterator[Observed]:

@@ -113,8 +113,8 @@ def seal(path: Path, target: Path) -> Sealed:
         table = content.table.replace_schema_metadata({_SIGNALS_KEY: json.dumps(head)})
         size = write_parquet(target, table)
         path.unlink()
-    found = _findings(content.complete, content.gaps, head["rate_hz"])
-    return Sealed(target, table.num_rows, size, content.complete, found)
+    findings = _findings(content.complete, content.gaps, head["rate_hz"])
+    return Sealed(target, table.num_rows, size, content.complete, findings)
 
 
 def recover_folder(folder: Path) -> list[Sealed]:
@@ -151,14 +151,14 @@ def covariates_of(path: Path) -> dict[str, float]:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
         ) from error
-    found = {}
+    covariates = {}
     for name in names:
         assert table is not None
         values = table.column(name).to_numpy()
         known = values[np.isfinite(values)]
         if known.size:
-            found[name] = float(known.mean())
-    return found
+            covariates[name] = float(known.mean())
+    return covariates
 
 
 def signal_findings(path: Path) -> tuple[Finding, ...]:
@@ -170,8 +170,8 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
         metadata = pq.read_schema(path).metadata or {}
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
         gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
-        found = _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
-        return (*found, *event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
+        findings = _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
+        return (*findings, *event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
@@ -272,15 +272,15 @@ def _unit(name: str) -> dict[str, str] | None:
 
 
 def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
-    found = []
+    findings = []
     if not complete:
-        found.append(
+        findings.append(
             Finding("recording.incomplete", "error", "the recording broke off; all blocks before that are here")
         )
     if gaps:
         lost = sum(gap.n_lost for gap in gaps)
         reasons = ", ".join(sorted({gap.reason for gap in gaps}))
-        found.append(
+        findings.append(
             Finding(
                 "recording.gap",
                 "warning",
@@ -288,4 +288,4 @@ def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[F
                 {"gaps": float(len(gaps)), "lost": float(lost), "lost_s": lost / rate_hz},
             )
         )
-    return tuple(found)
+    return tuple(findings)

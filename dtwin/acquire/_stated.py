@@ -25,9 +25,9 @@ def _number(value: object, name: str, where: str) -> float:
 
 def positive(value: object, name: str, where: str) -> float:
     """Return a number above 0 and below 10 million."""
-    found = _number(value, name, where)
-    if 0.0 < found < 1e7:
-        return found
+    number = _number(value, name, where)
+    if 0.0 < number < 1e7:
+        return number
     raise _refused(name, where, value, "a positive number")
 
 

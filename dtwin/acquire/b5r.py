@@ -284,21 +284,21 @@ def _named_by_direction(runs: list[Run]) -> tuple[Run, ...]:
 def _instrument(root: Element, bar: Element, where: str) -> dict[str, Any]:
     ballbar = root.find("EQUIPMENT/BALLBAR")
     calibrator = root.find("EQUIPMENT/CALIBRATOR")
-    found: dict[str, Any] = {}
+    instrument: dict[str, Any] = {}
     if ballbar is not None:
-        found["model"] = child_text(ballbar, "MODEL")
-        found["serial"] = child_text(ballbar, "SERIAL_NUMBER")
-        found["certificate"] = child_text(ballbar, "CERTIFICATE_NUMBER")
-        found["calibrated_on"] = _day(child_text(ballbar, "LAST_CALIBRATED"))
-    found["operator"] = child_text(root, "OPERATOR")
-    found = {name: value for name, value in found.items() if value}
+        instrument["model"] = child_text(ballbar, "MODEL")
+        instrument["serial"] = child_text(ballbar, "SERIAL_NUMBER")
+        instrument["certificate"] = child_text(ballbar, "CERTIFICATE_NUMBER")
+        instrument["calibrated_on"] = _day(child_text(ballbar, "LAST_CALIBRATED"))
+    instrument["operator"] = child_text(root, "OPERATOR")
+    instrument = {name: value for name, value in instrument.items() if value}
     for key, element, tag in (
         ("nominal_mm", bar, "NOMINAL_LENGTH"),
         ("calibrated_mm", calibrator, "CALIBRATED_LENGTH"),
         ("sample_rate_hz", bar, "SAMPLE_RATE"),
     ):
         if element is not None and child_text(element, tag):
-            found[key] = _number(element, tag, where, low=0.1, high=1e6)
+            instrument[key] = _number(element, tag, where, low=0.1, high=1e6)
     # What a test can do without is left away when it is no number.
     for key, parent, tag in (
         ("expansion_um_per_m_k", bar, "TEMP_MATERIAL_COEFFICIENT"),
@@ -306,9 +306,9 @@ def _instrument(root: Element, bar: Element, where: str) -> dict[str, Any]:
     ):
         stated = None if parent is None else number_or_none(child_text(parent, tag))
         if stated is not None and 0.0 <= stated < _HOTTEST:
-            found[key] = stated
+            instrument[key] = stated
     limits = tolerances(bar)
-    return {**found, "tolerances": limits} if limits else found
+    return {**instrument, "tolerances": limits} if limits else instrument
 
 
 def _features(parent: Element | None) -> dict[str, float]:

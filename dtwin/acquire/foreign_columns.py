@@ -97,13 +97,13 @@ def _has_gaps(row: Sequence[str]) -> bool:
 
 def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mapping[str, str]) -> tuple[Column, ...]:
     """Return what each column is; ``answers``: names here by head, where the user told them."""
-    found: list[Column] = []
+    columns: list[Column] = []
     for n, head in enumerate(heads):
         column = _column(head, units[n].strip() if units is not None and n < len(units) else "", answers.get(head))
-        if column.name and any(other.name == column.name for other in found):
+        if column.name and any(other.name == column.name for other in columns):
             column = Column(head, column.unit, "", why_not=f"{column.name} is there already")
-        found.append(column)
-    return tuple(found)
+        columns.append(column)
+    return tuple(columns)
 
 
 def _column(head: str, unit_below: str, answer: str | None) -> Column:

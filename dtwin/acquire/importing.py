@@ -205,8 +205,8 @@ def understand(
             got=path.suffix,
             hint=f"dtwin ingest {path.name} with its conditions, such as --axis X --machine NAME",
         )
-    found = look(path, home, decimal)
-    heads, stored = found.heads, found.stored
+    looked = look(path, home, decimal)
+    heads, stored = looked.heads, looked.stored
     answers = {**stored.get("columns", {}), **answers}
     unknown = sorted(set(answers) - set(heads))
     if unknown:
@@ -220,7 +220,7 @@ def understand(
     given = {name: value for name, value in told.items() if value is not None}
     kept = {k: v for k, v in stored.get("told", {}).items() if k in _REMEMBERED}
     told = {**kept, **given}
-    plain = _as_csv(found.rows)
+    plain = _as_csv(looked.rows)
     with tempfile.TemporaryDirectory() as scratch:
         lone = Path(scratch) / f"{safe_name(path.stem)}.csv"
         write_text(lone, plain, "a table")
@@ -231,8 +231,8 @@ def understand(
             known, plain = True, decoded(table_bytes(path, _MAX_BYTES))
             write_text(lone, plain, "a table")
         if not known:
-            columns = columns_of(heads, found.units, answers)
-            plain = _converted(columns, found.body)
+            columns = columns_of(heads, looked.units, answers)
+            plain = _converted(columns, looked.body)
             write_text(lone, plain, "a table")
         kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -247,9 +247,9 @@ def understand(
                 raise
     return Understood(
         path,
-        found.encoding,
-        found.mark,
-        found.begin,
+        looked.encoding,
+        looked.mark,
+        looked.begin,
         columns,
         kind,
         told,
@@ -257,15 +257,15 @@ def understand(
         runs,
         str(stored.get("file") or "an earlier file") if stored else "",
         tuple(name for name in kept if name not in given),
-        found.decimal,
-        found.body[:_SHOWN],
+        looked.decimal,
+        looked.body[:_SHOWN],
         plain,
         heads,
         answers,
     )
 
 
-def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool = False) -> Path:
+def write_folder(understood: Understood, folder: Path, home: Home, *, confirmed: bool = False) -> Path:
     """Write a campaign folder and remember the answers; return its ``campaign.toml``, which is written last.
 
     Parameters
@@ -278,12 +278,13 @@ def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool
     InputError
         When the folder is there already, conditions are missing, or are those of another file and not confirmed.
     """
-    if found.unconfirmed and not confirmed:
+    if understood.unconfirmed and not confirmed:
         raise InputError(
             "the conditions of an earlier file are not taken without being asked for",
             code="import.unconfirmed",
-            where=str(found.path),
-            got=", ".join(f"{name} {found.told[name]}" for name in found.unconfirmed) + f", of {found.remembered}",
+            where=str(understood.path),
+            got=", ".join(f"{name} {understood.told[name]}" for name in understood.unconfirmed)
+            + f", of {understood.remembered}",
             hint="--as-remembered, when this file was measured so, too; else the options that tell it",
         )
     if folder.exists():
@@ -291,18 +292,23 @@ def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool
             "the folder is there already", code="import.exists", where=str(folder), hint="--out with another name"
         )
     with tempfile.TemporaryDirectory() as scratch:
-        lone = Path(scratch) / f"{safe_name(found.path.stem)}.csv"
-        write_text(lone, found.text, "a table")
-        opened = open_table(lone, found.told)
+        lone = Path(scratch) / f"{safe_name(understood.path.stem)}.csv"
+        write_text(lone, understood.text, "a table")
+        opened = open_table(lone, understood.told)
     campaign, (entry,) = opened.campaign, opened.entries
     # A comment: files of one campaign may differ in it.
-    digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
-    source = f"# dtwin import {json.dumps(found.path.name)}, sha256 {digest}\n"
-    kept = {name: found.told[name] for name in _REMEMBERED if name in found.told}
-    recipe = {"header": list(found.header), "columns": dict(found.answers), "told": kept, "file": found.path.name}
-    if found.decimal:
-        recipe["decimal"] = found.decimal
-    place = _recipe_path(home, found.header)
+    digest = hashlib.sha256(understood.path.read_bytes()).hexdigest()
+    source = f"# dtwin import {json.dumps(understood.path.name)}, sha256 {digest}\n"
+    kept = {name: understood.told[name] for name in _REMEMBERED if name in understood.told}
+    recipe = {
+        "header": list(understood.header),
+        "columns": dict(understood.answers),
+        "told": kept,
+        "file": understood.path.name,
+    }
+    if understood.decimal:
+        recipe["decimal"] = understood.decimal
+    place = _recipe_path(home, understood.header)
     try:
         make_folder(home.made().root / place.parent.name)
         make_folder(folder)
@@ -311,12 +317,12 @@ def write_folder(found: Understood, folder: Path, home: Home, *, confirmed: bool
             "a folder cannot be made", code="import.folder", where=str(error.filename), got=str(error.strerror)
         ) from error
     write_toml(place, recipe, "the recipe")
-    write_text(folder / lone.name, found.text, "the table")
+    write_text(folder / lone.name, understood.text, "the table")
     document = {
         "campaign": {
             "name": campaign.name,
             "machine": campaign.machine,
-            "kind": found.kind,
+            "kind": understood.kind,
             **({"machine_geometry": dict(campaign.machine_geometry)} if campaign.machine_geometry else {}),
         },
         "run": [dict(entry.stated)],
@@ -364,10 +370,10 @@ def _recipe(home: Home, heads: Sequence[str]) -> dict[str, Any]:
     if not place.is_file():
         return {}
     try:
-        found = tomllib.loads(read_bounded(place).decode("utf-8"))
+        recipe = tomllib.loads(read_bounded(place).decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(
             "the recipe for this header cannot be read", code="import.recipe", where=str(place), hint="delete the file"
         ) from error
-    columns, told = found.get("columns", {}), found.get("told", {})
-    return found if isinstance(columns, dict) and isinstance(told, dict) else {}
+    columns, told = recipe.get("columns", {}), recipe.get("told", {})
+    return recipe if isinstance(columns, dict) and isinstance(told, dict) else {}

@@ -331,8 +331,8 @@ def _write_intent(request: RunRequest) -> None:
 
 def _read_intent(path: Path) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = {"head": {}} | json.loads(path.read_text(encoding="utf-8"))
-        return {key: found[key] for key in ("run", "campaign", "machine", "reference", "started", "stated", "head")}
+        intent: dict[str, Any] = {"head": {}} | json.loads(path.read_text(encoding="utf-8"))
+        return {key: intent[key] for key in ("run", "campaign", "machine", "reference", "started", "stated", "head")}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError(
             "what a recording was meant for cannot be read",

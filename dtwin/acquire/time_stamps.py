@@ -57,15 +57,15 @@ def seconds_of(cells: Sequence[str], where: str, head: str = "") -> tuple[Floats
     orders = (True, False) if said is None else (said[0][0].lower() == "d",)
     ways = [_of_dates(told, parted, day_first=first) for first in orders]
     # Every date of three numbers is one in the order of the file.
-    found = [
+    stamps = [
         _after(times)
         for times in ways
         if any(time is not None for time in times)
         and all(time is not None for time, match in zip(times, parted, strict=True) if match is not None)
     ]
-    if not found:
+    if not stamps:
         return np.full(len(cells), math.nan), ""
-    if len(found) > 1 and not np.array_equal(found[0][0], found[1][0], equal_nan=True):
+    if len(stamps) > 1 and not np.array_equal(stamps[0][0], stamps[1][0], equal_nan=True):
         raise InputError(
             "days and months cannot be told apart",
             code="time.day_or_month",
@@ -74,7 +74,7 @@ def seconds_of(cells: Sequence[str], where: str, head: str = "") -> tuple[Floats
             allowed="a date with a day above 12 in the file, or 2026-12-31, or 31.12.2026",
             hint="write the dates as 2026-12-31",
         )
-    return found[0][0], found[0][1] if len({start for _, start in found}) == 1 else ""
+    return stamps[0][0], stamps[0][1] if len({start for _, start in stamps}) == 1 else ""
 
 
 def _of_numbers(numbers: Floats, *, dated: bool) -> tuple[Floats, str]:
@@ -97,13 +97,13 @@ def _of_clock(cells: Sequence[str], *, hours: bool) -> Floats | None:
 
     ``hours``: whether the head says that ``08:15`` are hours and minutes; else it may be minutes and seconds.
     """
-    found = [_CLOCK.fullmatch(cell) for cell in cells]
-    told = [match for match in found if match is not None]
-    if not told or any(match is None and cell for match, cell in zip(found, cells, strict=True)):
+    clocks = [_CLOCK.fullmatch(cell) for cell in cells]
+    told = [match for match in clocks if match is not None]
+    if not told or any(match is None and cell for match, cell in zip(clocks, cells, strict=True)):
         return None
     if not hours and any(match[3] is None and match[5] is None for match in told):
         return None
-    times = np.array([math.nan if match is None else _second(match, 1) for match in found])
+    times = np.array([math.nan if match is None else _second(match, 1) for match in clocks])
     there = np.flatnonzero(np.isfinite(times))
     times[there] += _DAY_S * np.cumsum(np.diff(times[there], prepend=times[there[0]]) < -_DAY_S / 2.0)
     return times - times[there[0]]

@@ -20,13 +20,13 @@ def send_test(as_json: Json = False) -> None:
     """Send a test message to every channel of DTWIN_HOME/alerts.toml."""
     from dtwin.fleet import try_channels
 
-    found = try_channels(home())
+    outcomes = try_channels(home())
 
     def text() -> str:
-        return "\n".join(f"{name}: {why or 'sent'}" for name, why in found.items())
+        return "\n".join(f"{name}: {why or 'sent'}" for name, why in outcomes.items())
 
-    emit({"channels": found}, text, as_json=as_json)
-    if any(found.values()):
+    emit({"channels": outcomes}, text, as_json=as_json)
+    if any(outcomes.values()):
         raise typer.Exit(EXIT_USER)
 
 

@@ -52,14 +52,14 @@ def status(port: Port, as_json: Json = False) -> None:
 
     output = AnalogueOutput(port)
     try:
-        found = output.open()
+        board = output.open()
     finally:
         output.close()
     emit(
-        vars(found),
+        vars(board),
         lambda: (
-            f"engaged: {found.engaged}, watchdog tripped: {found.tripped} ({found.trips} times "
-            f"since start), garbage: {found.bad_frames} frames, codes {found.applied}"
+            f"engaged: {board.engaged}, watchdog tripped: {board.tripped} ({board.trips} times "
+            f"since start), garbage: {board.bad_frames} frames, codes {board.applied}"
         ),
         as_json=as_json,
     )

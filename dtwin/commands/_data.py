@@ -55,10 +55,10 @@ def examples(
         raise InputError(
             "the examples cannot be copied", code="examples.copy", where=str(out), got=str(error)
         ) from error
-    found = sorted(str(p.parent) for p in out.glob("*/campaign.toml"))
+    folders = sorted(str(p.parent) for p in out.glob("*/campaign.toml"))
     emit(
-        {"campaigns": found},
-        lambda: "\n".join([*found, f"next: dtwin check {found[0]}", "or:   dtwin ui"]),
+        {"campaigns": folders},
+        lambda: "\n".join([*folders, f"next: dtwin check {folders[0]}", "or:   dtwin ui"]),
         as_json=as_json,
     )
 
@@ -177,7 +177,7 @@ def repair(
     from dtwin.shared_documents import drop_unnamed_content
     from dtwin.twins.registration import log_waiting, waiting_text
 
-    found = _recovered(folder) if folder is not None else []
+    recovered = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
     if (bucket := home().file.bucket) is not None:
         dropped["content"] = drop_unnamed_content(bucket)
@@ -194,14 +194,14 @@ def repair(
         "not_in_mlflow": [item.as_dict() for item in left],
         "dropped": dropped,
         "log_entries_set_aside": set_aside,
-        "recovered": [run.run_id for run in found],
+        "recovered": [run.run_id for run in recovered],
     }
 
     def text() -> str:
         cut = [f"empty log entry set aside: {e}; ingest the newest files again" for e in set_aside]
         lines = [f"dropped orphans: {dropped}", f"killed trainings closed: {closed}", *cut]
         lines += [waiting_text(left)] if left else []
-        return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in found)])
+        return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in recovered)])
 
     emit(payload, text, as_json=as_json)
 
@@ -214,18 +214,18 @@ def migrate(as_json: Json = False) -> None:
     """
     from dtwin.pipeline.migrating import migrate as take_over
 
-    found = take_over(home(), ProgressLine("migrate", quiet=as_json))
+    migrated = take_over(home(), ProgressLine("migrate", quiet=as_json))
 
     def text() -> str:
-        if not (found.before or found.documents or found.machines):
+        if not (migrated.before or migrated.documents or migrated.machines):
             return "nothing to do: this version made all of it"
-        lines = [f"{found.n_runs} runs of {len(found.campaigns)} campaigns taken over"]
-        lines += [f"the lake as it was: {found.before}"] if found.before else []
-        lines.append(f"{found.documents} documents of twins hashed as they are")
-        sealed = ", ".join(found.machines) or "none"
+        lines = [f"{migrated.n_runs} runs of {len(migrated.campaigns)} campaigns taken over"]
+        lines += [f"the lake as it was: {migrated.before}"] if migrated.before else []
+        lines.append(f"{migrated.documents} documents of twins hashed as they are")
+        sealed = ", ".join(migrated.machines) or "none"
         return "\n".join([*lines, f"machines sealed as they are: {sealed}"])
 
-    emit(asdict(found), text, as_json=as_json)
+    emit(asdict(migrated), text, as_json=as_json)
 
 
 def told_of(

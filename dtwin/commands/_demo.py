@@ -95,16 +95,16 @@ def _tracking(seed: int, *, quick: bool, as_json: bool) -> None:
     from studies.report.tracking import tracking_text
     from studies.tracking_chain import tracking_chain
 
-    found = tracking_chain(seed, ProgressLine("circles", quiet=as_json)).as_dict()
-    emit(found, lambda: tracking_text(found), as_json=as_json)
+    tracked = tracking_chain(seed, ProgressLine("circles", quiet=as_json)).as_dict()
+    emit(tracked, lambda: tracking_text(tracked), as_json=as_json)
 
 
 def _position_map(seed: int, *, quick: bool, as_json: bool) -> None:
     from studies.position_map import position_map
     from studies.report.position_map import position_map_text
 
-    found = position_map(seed, ProgressLine("position map", quiet=as_json))
-    emit(found, lambda: position_map_text(found), as_json=as_json)
+    mapped = position_map(seed, ProgressLine("position map", quiet=as_json))
+    emit(mapped, lambda: position_map_text(mapped), as_json=as_json)
 
 
 class _Terminal:

@@ -44,21 +44,21 @@ def evidence(
             hint="dtwin campaign --with VERSION measures them by turns",
         )
     registry = Registry(home())
-    found = registry.version(machine_named(registry, machine), version)
-    computed = compute(home(), found, without, with_)
-    record = newest(registry, found)
-    payload = computed.as_dict() | {"version": found.version, "id": record.id if record else None}
+    registered = registry.version(machine_named(registry, machine), version)
+    computed = compute(home(), registered, without, with_)
+    record = newest(registry, registered)
+    payload = computed.as_dict() | {"version": registered.version, "id": record.id if record else None}
 
     def text() -> str:
         n = {way: sum(run["way"] == way for run in computed.runs) for way in ("without", "with")}
         return "\n".join(
             [
                 table(*evidence_table(payload)),
-                f"{computed.kind} evidence {payload['id']} for version {found.version} of "
-                f"{found.machine}: {n['without']} runs without and {n['with']} with, "
+                f"{computed.kind} evidence {payload['id']} for version {registered.version} of "
+                f"{registered.machine}: {n['without']} runs without and {n['with']} with, "
                 f"{computed.switches} changes between them",
                 *computed.told,
-                f"next: dtwin promote {found.version} --machine {found.machine}",
+                f"next: dtwin promote {registered.version} --machine {registered.machine}",
             ]
         )
 

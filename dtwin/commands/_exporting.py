@@ -67,9 +67,9 @@ def export(
     if made is not None:
         name, version, state = source, str(made.twin_version), "twin"
     else:
-        found = source_of(home(), source, machine, Library(effects_path or []))
-        name, version, state = found.bundle.name, found.version, found.state
-        made = write(found, request)
+        exported_source = source_of(home(), source, machine, Library(effects_path or []))
+        name, version, state = exported_source.bundle.name, exported_source.version, exported_source.state
+        made = write(exported_source, request)
     write_text(out, made.text, "the export")
     payload = {
         "file": str(out),

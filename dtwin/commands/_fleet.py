@@ -110,7 +110,7 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
     from dtwin.fleet import fleet_view
 
-    found = fleet_view(home(), machine or ())
+    lines = fleet_view(home(), machine or ())
     head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")
     rows = [
         [
@@ -121,10 +121,10 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
             _um(m["noise_floor_um"]),
             ", ".join(m["found"]) or m["verdict"],
         ]
-        for m in found
+        for m in lines
     ]
     nothing = "nothing was diagnosed yet: dtwin fleet diagnose"
-    emit({"machines": found}, lambda: table(head, rows) if rows else nothing, as_json=as_json)
+    emit({"machines": lines}, lambda: table(head, rows) if rows else nothing, as_json=as_json)
 
 
 @app.command("sisters")
@@ -144,7 +144,7 @@ def sister_machines(
             allowed="--type TYPE, or --machine several times",
             got=type or "neither",
         )
-    found = sisters(home(), machine or (), type, ProgressLine("machines", quiet=as_json))
+    sizes = sisters(home(), machine or (), type, ProgressLine("machines", quiet=as_json))
 
     def text() -> str:
         rows = [
@@ -156,12 +156,12 @@ def sister_machines(
                 with_k2(size.mean, 2.0 * size.spread, size.unit),
                 f"differs (p = {m.p_value:.2g})" if m.differs else "",
             ]
-            for size in found
+            for size in sizes
             for m in size.machines
         ]
         return table(("size", "machine", "by itself", "with sisters", "mean ± 2 s of the type", ""), rows)
 
-    emit({"sizes": [size.as_dict() for size in found]}, text, as_json=as_json)
+    emit({"sizes": [size.as_dict() for size in sizes]}, text, as_json=as_json)
 
 
 def _um(value: float | None) -> str:

@@ -44,14 +44,14 @@ def check(as_json: Json = False) -> None:
     """Read every run, document, database and bundle, and compare it with its hash (exit 1 when one is damaged)."""
     from dtwin.pipeline.home_check import check_home
 
-    found = check_home(home(), ProgressLine("runs", quiet=as_json))
+    checked = check_home(home(), ProgressLine("runs", quiet=as_json))
 
     def text() -> str:
-        counts = ", ".join(f"{count} {name}" for name, count in found.looked_at.items())
-        return "\n".join([f"looked at {counts}", *(f"damaged: {n}: {w}" for n, w in found.wrong.items())])
+        counts = ", ".join(f"{count} {name}" for name, count in checked.looked_at.items())
+        return "\n".join([f"looked at {counts}", *(f"damaged: {n}: {w}" for n, w in checked.wrong.items())])
 
-    emit(vars(found), text, as_json=as_json)
-    if found.wrong:
+    emit(vars(checked), text, as_json=as_json)
+    if checked.wrong:
         raise typer.Exit(EXIT_USER)
 
 

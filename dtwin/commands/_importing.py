@@ -49,10 +49,10 @@ def import_table(
     from dtwin.acquire.importing import understand, write_folder
 
     told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
-    found = understand(source, home(), told, _answers(column or []), decimal)
-    toml = None if out is None else write_folder(found, out, home(), confirmed=as_remembered)
-    payload = {**found.as_dict(), "written": None if toml is None else str(toml)}
-    emit(payload, lambda: _text(found, out), as_json=as_json)
+    understood = understand(source, home(), told, _answers(column or []), decimal)
+    toml = None if out is None else write_folder(understood, out, home(), confirmed=as_remembered)
+    payload = {**understood.as_dict(), "written": None if toml is None else str(toml)}
+    emit(payload, lambda: _text(understood, out), as_json=as_json)
 
 
 def _answers(pairs: list[str]) -> dict[str, str]:
@@ -72,31 +72,33 @@ def _answers(pairs: list[str]) -> dict[str, str]:
     return {head.strip(): name for head, _, name in parted}
 
 
-def _text(found: Understood, out: Path | None) -> str:
-    as_dict = found.as_dict()
-    lines = [f"{found.path.name}: {found.encoding}, columns parted by {as_dict['parted_by']}"]
-    if found.skipped:
-        lines[0] += f", lines above the heads: {found.skipped}"
-    if found.remembered:
-        lines.append(f"  what was answered for {found.remembered}, which has the same heads, is used")
-    for c in found.columns:
+def _text(understood: Understood, out: Path | None) -> str:
+    as_dict = understood.as_dict()
+    lines = [f"{understood.path.name}: {understood.encoding}, columns parted by {as_dict['parted_by']}"]
+    if understood.skipped:
+        lines[0] += f", lines above the heads: {understood.skipped}"
+    if understood.remembered:
+        lines.append(f"  what was answered for {understood.remembered}, which has the same heads, is used")
+    for c in understood.columns:
         unit = f" [{c.unit}]" if c.unit and c.unit not in c.head else ""
         less = f", less {c.zero:g}" if c.zero else ""
         factor = f"{less}, times {c.factor:.6g}" if c.factor != 1.0 else ""
         lines.append(
             f"  {c.head}{unit} -> {c.name}{factor}" if c.name else f"  {c.head}{unit} is left out: {c.why_not}"
         )
-    if not found.columns:
-        lines.append(f"  {', '.join(found.header)[:200]}: read as a table of its own form")
-    lines.append(f"  kind {found.kind}" + "".join(f"; {name} {value}" for name, value in found.told.items()))
-    if found.missing:
-        lines.append(f"  missing: {', '.join(found.missing)}")
-    if found.unconfirmed and out is None:
-        said = ", ".join(f"{name} {found.told[name]}" for name in found.unconfirmed)
-        lines.append(f"  only {found.remembered} tells {said}: --as-remembered confirms it for this file")
-    if found.runs:
-        rows = sum(n for _, n in found.runs)
-        lines.append(f"  {len(found.runs)} runs, {rows} rows: {', '.join(name for name, _ in found.runs)[:120]}")
+    if not understood.columns:
+        lines.append(f"  {', '.join(understood.header)[:200]}: read as a table of its own form")
+    lines.append(f"  kind {understood.kind}" + "".join(f"; {name} {value}" for name, value in understood.told.items()))
+    if understood.missing:
+        lines.append(f"  missing: {', '.join(understood.missing)}")
+    if understood.unconfirmed and out is None:
+        said = ", ".join(f"{name} {understood.told[name]}" for name in understood.unconfirmed)
+        lines.append(f"  only {understood.remembered} tells {said}: --as-remembered confirms it for this file")
+    if understood.runs:
+        rows = sum(n for _, n in understood.runs)
+        lines.append(
+            f"  {len(understood.runs)} runs, {rows} rows: {', '.join(name for name, _ in understood.runs)[:120]}"
+        )
     lines.append(
         "nothing is written; --out FOLDER makes a campaign of it"
         if out is None

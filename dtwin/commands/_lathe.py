@@ -89,8 +89,8 @@ def compensate(
     if wall_clock > 0.0:
         _in_real_time(_bundle(path), chosen, wall_clock, told, as_json=as_json)
         return
-    found = {"model": told} | before_and_after(_bundle(path), truth, seed, chosen)
-    emit(found, lambda: f"{told}\n{compensation_text(found)}", as_json=as_json)
+    compared = {"model": told} | before_and_after(_bundle(path), truth, seed, chosen)
+    emit(compared, lambda: f"{told}\n{compensation_text(compared)}", as_json=as_json)
 
 
 @app.command("paper")
@@ -110,8 +110,8 @@ def paper(
 def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool) -> None:
     from dtwin.kinds.linear import paced, verification_plan, wall_clock_text
 
-    found = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
-    emit(found, lambda: f"{told}\n{wall_clock_text(found)}", as_json=as_json)
+    timed = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
+    emit(timed, lambda: f"{told}\n{wall_clock_text(timed)}", as_json=as_json)
 
 
 def _bundle(path: Path) -> Bundle:

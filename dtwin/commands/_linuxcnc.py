@@ -91,8 +91,8 @@ def _measured(
         return run_circles(session, circles), {}
     from dtwin.pipeline.linuxcnc import measure_live, served_figures
 
-    found = measure_live(session, bundle, circles, line)
-    return [m.trace for m in found], served_figures(found)
+    live = measure_live(session, bundle, circles, line)
+    return [m.trace for m in live], served_figures(live)
 
 
 def _bundle(model: str | None) -> Bundle | None:

@@ -126,8 +126,8 @@ def diagnose(
     from dtwin.pipeline.machine_joint import machine_joint
 
     progress = ProgressLine("tests", quiet=as_json)
-    found = machine_joint(home(), name, campaign or (), progress, library_with(effects_path))
-    emit(found, lambda: _joint_text(found), as_json=as_json)
+    diagnosis = machine_joint(home(), name, campaign or (), progress, library_with(effects_path))
+    emit(diagnosis, lambda: _joint_text(diagnosis), as_json=as_json)
 
 
 @app.command("next")
@@ -146,13 +146,13 @@ def next_test(
     from dtwin.pipeline.machine_next import machine_next
 
     progress = ProgressLine("tests", quiet=as_json)
-    found = machine_next(home(), name, kind or (), minutes, progress, library_with(effects_path))
+    advice = machine_next(home(), name, kind or (), minutes, progress, library_with(effects_path))
     if out is not None:
-        found["plan_file"] = str(write_toml(out, found["tests"][0]["document"], "the plan file"))
-    emit(found, lambda: _next_text(found), as_json=as_json)
+        advice["plan_file"] = str(write_toml(out, advice["tests"][0]["document"], "the plan file"))
+    emit(advice, lambda: _next_text(advice), as_json=as_json)
 
 
-def _next_text(found: Mapping[str, Any]) -> str:
+def _next_text(advice: Mapping[str, Any]) -> str:
 
     head = ("test", "kind", "minutes", "bits", "bits per hour", "tells (k = 2)")
     rows = [
@@ -164,15 +164,15 @@ def _next_text(found: Mapping[str, Any]) -> str:
             f"{60 * t['bits_per_minute']:.2g}",
             _told_text(t["told"]),
         ]
-        for t in found["tests"]
+        for t in advice["tests"]
     ]
-    lines = [f"measured: {', '.join(found['measured']) or 'nothing yet'}", ""]
-    if found["measured"]:
-        lines.insert(1, f"found, and not told apart: {_listed([' or '.join(group) for group in found['unclear']])}")
-        lines.insert(2, f"not told by that: {_listed(found['untold'])}")
+    lines = [f"measured: {', '.join(advice['measured']) or 'nothing yet'}", ""]
+    if advice["measured"]:
+        lines.insert(1, f"found, and not told apart: {_listed([' or '.join(group) for group in advice['unclear']])}")
+        lines.insert(2, f"not told by that: {_listed(advice['untold'])}")
     lines.append(table(head, rows))
-    if "plan_file" in found:
-        lines.append(f"\nplan of the first: {found['plan_file']} (dtwin plan {found['plan_file']})")
+    if "plan_file" in advice:
+        lines.append(f"\nplan of the first: {advice['plan_file']} (dtwin plan {advice['plan_file']})")
     return "\n".join(lines)
 
 
@@ -187,7 +187,7 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
 
 
-def _joint_text(found: Mapping[str, Any]) -> str:
+def _joint_text(diagnosis: Mapping[str, Any]) -> str:
 
     rows = [
         [
@@ -196,9 +196,9 @@ def _joint_text(found: Mapping[str, Any]) -> str:
             t["kind"],
             "; ".join(" or ".join(group) for group in t["found"]) or "-",
         ]
-        for t in found["tests"]
+        for t in diagnosis["tests"]
     ]
-    lines = found["lines"] or ["no test sees what another one found"]
+    lines = diagnosis["lines"] or ["no test sees what another one found"]
     return "\n".join([table(("day", "test", "kind", "found by itself"), rows), "", *lines])
 
 
@@ -239,21 +239,21 @@ def _record_text(record: MachineRecord) -> str:
     return "\n".join(lines)
 
 
-def _history_text(found: Mapping[str, Any]) -> str:
+def _history_text(history: Mapping[str, Any]) -> str:
 
-    lines = [found["machine"], *(f"  {key}: {value}" for key, value in found["facts"].items())]
+    lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
     rows = [
         [t["started"][:10], t["campaign"], t["kind"], t["figure"] or "-", t["shown"] or "-", t["decision"] or "-"]
-        for t in found["tests"]
+        for t in history["tests"]
     ]
-    rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in found["events"]]
+    rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
     if rows:
         lines += ["", table(("day", "test or note", "kind", "figure", "µm", "decision"), sorted(rows))]
-    if found["series"]:
-        lines += ["", *_series_lines(found["series"])]
-    if found["next_test"]:
-        lines += ["", f"next test: {found['next_test']['on']}, {found['next_test']['why']}"]
-    lines += ["", f"twins: {', '.join(found['twins']) or 'none'}", f"champion: {found['champion'] or 'none'}"]
+    if history["series"]:
+        lines += ["", *_series_lines(history["series"])]
+    if history["next_test"]:
+        lines += ["", f"next test: {history['next_test']['on']}, {history['next_test']['why']}"]
+    lines += ["", f"twins: {', '.join(history['twins']) or 'none'}", f"champion: {history['champion'] or 'none'}"]
     return "\n".join(lines)
 
 
@@ -269,5 +269,5 @@ def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _ahead(one: Mapping[str, Any]) -> str:
-    found = one["crossing"]
-    return f"reaches {found['limit']:g} between {found['earliest']} and {found['latest']}" if found else "-"
+    crossing = one["crossing"]
+    return f"reaches {crossing['limit']:g} between {crossing['earliest']} and {crossing['latest']}" if crossing else "-"

@@ -36,10 +36,10 @@ def plan(
     from dtwin.schema import DEFAULT_KIND
 
     document = with_settings(draft_of(home(), name, kind or DEFAULT_KIND), dict(map(_setting, told or [])))
-    found = foretold(home(), document, library_with(effects_path))
+    forecast = foretold(home(), document, library_with(effects_path))
     if out is not None:
-        found["plan_file"] = str(write_toml(out, document, "the plan file"))
-    emit(found, lambda: _foretold_text(found), as_json=as_json)
+        forecast["plan_file"] = str(write_toml(out, document, "the plan file"))
+    emit(forecast, lambda: _foretold_text(forecast), as_json=as_json)
 
 
 @machine_app.command()
@@ -111,8 +111,8 @@ def changes(
 
     if campaign is None and earlier is not None:
         raise InputError("with which test?", code="changes.campaign", got=f"--with {earlier}", hint="--campaign NAME")
-    found = last_changes(home(), name) if campaign is None else sheet_changes(home(), campaign, earlier or "", name)
-    emit(found, lambda: _table_text(found), as_json=as_json)
+    compared = last_changes(home(), name) if campaign is None else sheet_changes(home(), campaign, earlier or "", name)
+    emit(compared, lambda: _table_text(compared), as_json=as_json)
 
 
 def _setting(text: str) -> tuple[str, str]:
@@ -124,24 +124,24 @@ def _setting(text: str) -> tuple[str, str]:
     return key.strip(), value
 
 
-def _foretold_text(found: Mapping[str, Any]) -> str:
+def _foretold_text(forecast: Mapping[str, Any]) -> str:
     from dtwin.units import shown_unit
 
-    lines = [*found["lines"], f"and {found['mounting_minutes']:z.0f} min to mount the instrument"]
-    lines += [f"{one['severity']}: {one['message']}" for one in found["findings"]]
-    if found["detectable"] is not None:
-        shown = [one for one in found["detectable"] if one["amplitude"] is not None]
+    lines = [*forecast["lines"], f"and {forecast['mounting_minutes']:z.0f} min to mount the instrument"]
+    lines += [f"{one['severity']}: {one['message']}" for one in forecast["findings"]]
+    if forecast["detectable"] is not None:
+        shown = [one for one in forecast["detectable"] if one["amplitude"] is not None]
         rows = [
             [one["label"], f"{one['amplitude']:.2g} {shown_unit(one['unit'])}", f"{one['typical']:g}"] for one in shown
         ]
-        head = ("effect", f"seen from (80 %, noise {found['noise_um']:g} µm)", "ordinary size")
-        hidden = [one["label"] for one in found["detectable"] if one["amplitude"] is None]
+        head = ("effect", f"seen from (80 %, noise {forecast['noise_um']:g} µm)", "ordinary size")
+        hidden = [one["label"] for one in forecast["detectable"] if one["amplitude"] is None]
         lines += ["", table(head, rows), f"not visible: {', '.join(hidden) or 'none of the others'}"]
-        alike = "; ".join(", ".join(group) for group in found["alike"])
+        alike = "; ".join(", ".join(group) for group in forecast["alike"])
         lines.append(f"not told apart: {alike or 'nothing'}")
-    lines.append(f"measured at once on the virtual {found['virtual']}" if found["virtual"] else "")
-    if "plan_file" in found:
-        lines.append(f"next: dtwin machine measure {found['machine']} {found['plan_file']}")
+    lines.append(f"measured at once on the virtual {forecast['virtual']}" if forecast["virtual"] else "")
+    if "plan_file" in forecast:
+        lines.append(f"next: dtwin machine measure {forecast['machine']} {forecast['plan_file']}")
     return "\n".join(lines).rstrip()
 
 
@@ -167,7 +167,7 @@ def _changes_text(where: Any, campaign: str) -> str:
         return f"{campaign} was measured and ingested; not compared: {error.message}"
 
 
-def _table_text(found: Mapping[str, Any]) -> str:
+def _table_text(forecast: Mapping[str, Any]) -> str:
     from dtwin.report.changes import change_table, changes_text
 
-    return "\n".join([*changes_text(found), "", table(*change_table(found))])
+    return "\n".join([*changes_text(forecast), "", table(*change_table(forecast))])

@@ -58,12 +58,12 @@ def train(
     def tell(stage: str, done: int, total: int, what: str) -> None:
         lines.setdefault(stage, ProgressLine(stage, quiet=as_json))(done, total, what)
 
-    found = train_and_register(home(), campaign, seed=seed, engine=search, progress=tell)
-    result = found.training.report
+    registered = train_and_register(home(), campaign, seed=seed, engine=search, progress=tell)
+    result = registered.training.report
     payload = {
         "campaign": campaign,
         "machine": result.machine,
-        "version": found.version.version,
+        "version": registered.version.version,
         "proposed": result.proposed,
         "noise_floor_um": None if math.isnan(result.noise_floor_um) else result.noise_floor_um,
         "told": list(result.told),
@@ -80,20 +80,20 @@ def train(
             }
             for c in result.candidates
         ],
-        "gates": [vars(v) for v in found.verdicts],
+        "gates": [vars(v) for v in registered.verdicts],
     }
 
     def text() -> str:
         head = f"{campaign}: {result.rms_before_um:z.1f} µm RMS without a model, noise floor {result.noise_floor_text}"
-        gates = "\n".join(verdict_lines(found.verdicts))
+        gates = "\n".join(verdict_lines(registered.verdicts))
         return "\n".join(
             [
                 head,
                 *result.told,
                 table(*comparison_table(result.candidates)),
-                f"registered {result.proposed} as version {found.version.version}",
+                f"registered {result.proposed} as version {registered.version.version}",
                 gates,
-                f"next: dtwin promote {found.version.version} --machine {result.machine}",
+                f"next: dtwin promote {registered.version.version} --machine {result.machine}",
             ]
         )
 
@@ -108,17 +108,17 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
-    found = listed(Registry(home()), home(), machine)
-    past = {m: history(home(), m) for m in sorted({v.machine for v, _ in found})}
+    listing = listed(Registry(home()), home(), machine)
+    past = {m: history(home(), m) for m in sorted({v.machine for v, _ in listing})}
     payload = {
-        "versions": [dict(vars(v)) | {"state": state} for v, state in found],
+        "versions": [dict(vars(v)) | {"state": state} for v, state in listing],
         "history": past,
         "not_in_mlflow": [item.as_dict() for item in left],
     }
 
     def text() -> str:
         last = [waiting_text(left)] if left else []
-        if not found:
+        if not listing:
             none = "no model is registered yet; make one with: dtwin train CAMPAIGN"
             return "\n".join([none, *last])
         rows = [
@@ -132,7 +132,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 v.tags.get("proved", "-")[:10],
                 v.created,
             ]
-            for v, state in found
+            for v, state in listing
         ]
         lines = [table(("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created"), rows)]
         for name, entries in past.items():
@@ -172,20 +172,20 @@ def promote(
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
-    found = registry.version(machine_named(registry, machine), version)
+    registered = registry.version(machine_named(registry, machine), version)
     if trial:
-        path = put_on_trial(home(), found, comment)
+        path = put_on_trial(home(), registered, comment)
         emit(
-            {"version": found.version, "state": "trial", "bundle": str(path)},
-            lambda: f"version {found.version} is on trial: dtwin serve --model trial --trial",
+            {"version": registered.version, "state": "trial", "bundle": str(path)},
+            lambda: f"version {registered.version} is on trial: dtwin serve --model trial --trial",
             as_json=as_json,
         )
         return
     progress = ProgressLine("measure", quiet=as_json)
-    given = proven_or_measured(home(), found, seed=seed, progress=progress).as_dict()
-    bundle, reason = make_champion(home(), found, comment, despite or [], valid_days)
+    given = proven_or_measured(home(), registered, seed=seed, progress=progress).as_dict()
+    bundle, reason = make_champion(home(), registered, comment, despite or [], valid_days)
     payload = {
-        "version": found.version,
+        "version": registered.version,
         "champion": bundle is not None,
         "bundle": str(bundle) if bundle else None,
         "reason": reason,
@@ -193,7 +193,7 @@ def promote(
     }
 
     def text() -> str:
-        state = f"champion: version {found.version}, {bundle}" if bundle else reason
+        state = f"champion: version {registered.version}, {bundle}" if bundle else reason
         return "\n".join([table(*evidence_table(given)), state])
 
     emit(payload, text, as_json=as_json)

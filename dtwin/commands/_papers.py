@@ -21,9 +21,9 @@ def papers(
     from studies.papers import PAPERS, computed
     from studies.report.papers import summary_text
 
-    found: dict[str, dict[str, Any]] = {}
+    answers: dict[str, dict[str, Any]] = {}
     for name, paper in PAPERS.items():
         progress = ProgressLine(name, quiet=as_json)
         lines = computed(name, quick=quick, seed=seed, progress=progress)["lines"]
-        found[name] = {"source": paper.source, "lines": lines}
-    emit(found, lambda: summary_text(found), as_json=as_json)
+        answers[name] = {"source": paper.source, "lines": lines}
+    emit(answers, lambda: summary_text(answers), as_json=as_json)

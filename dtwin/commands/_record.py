@@ -113,14 +113,14 @@ def _next_run(out: Path) -> str:
 
 
 def _stated(pairs: list[str]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
         try:
             if name in _TEXT_SETTINGS and value:
-                found[name] = value
+                facts[name] = value
             elif name in _NUMBER_SETTINGS:
-                found[name] = int(value) if name == "repeat" else float(value)
+                facts[name] = int(value) if name == "repeat" else float(value)
             else:
                 raise ValueError(name)
         except ValueError:
@@ -130,7 +130,7 @@ def _stated(pairs: list[str]) -> dict[str, Any]:
                 got=pair[:80],
                 allowed=", ".join((*_TEXT_SETTINGS, *_NUMBER_SETTINGS)) + ", as NAME=VALUE",
             ) from None
-    return found
+    return facts
 
 
 def _take_reference(source: Path, target: Path) -> None:

@@ -63,12 +63,12 @@ def simulate(
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
-    found = machine_named(machine)
+    virtual = machine_named(machine)
     given = {PLAN: None if plan is None else str(plan), "hidden": hidden, "truth": truth, "schedule": schedule}
     clock: Clock = "wall" if wall_clock else "machine"
     if listen is not None or wall_clock:
-        require_served(found, listen, clock)
-    options = found.chosen(given)
+        require_served(virtual, listen, clock)
+    options = virtual.chosen(given)
     if quick and plan is not None:
         raise InputError(
             "a plan says how much is measured",
@@ -76,11 +76,11 @@ def simulate(
             got="--quick with --plan",
             hint="leave one of them away",
         )
-    request = Request(out, seed, quick, _planned(found, plan), options)
+    request = Request(out, seed, quick, _planned(virtual, plan), options)
     if listen is not None:
-        simulate_served(found, request, port=listen, clock=clock, as_json=as_json)
+        simulate_served(virtual, request, port=listen, clock=clock, as_json=as_json)
         return
-    done = found.simulate(request, ProgressLine("measure", quiet=as_json))
+    done = virtual.simulate(request, ProgressLine("measure", quiet=as_json))
     emit(done.payload, lambda: "\n".join(done.lines), as_json=as_json)
 
 

@@ -111,8 +111,8 @@ def diagnose_twin(
     """Name the effect that is missing, or say why it cannot be named."""
     from dtwin.report.twin_of_kind import report_of
 
-    twin, found = _twins_with(name, effects_path).diagnose(name, seed=seed)
-    result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
+    twin, diagnosis = _twins_with(name, effects_path).diagnose(name, seed=seed)
+    result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **diagnosis.as_dict()}
     if html is not None:
         _write_page(html, name, [report_of(result).diagnosis_section(name, result)])
     emit(result, lambda: report_of(result).diagnosis_text(name, result), as_json=as_json)
@@ -236,9 +236,9 @@ def _budget_of_program(twin: Twin, program: Path, origin: str | None, campaign: 
     if campaign is not None:
         raise InputError("either a program or other measurements", code="budget.on", got=f"--program, --on {campaign}")
     origin_mm = np.array(numbers(origin or "0,0,0", 3, "--origin"))
-    found = program_budget(twin, program_of(program), origin_mm=origin_mm, where=program.name)
-    payload = {"twin": twin.name, "version": twin.version, "program": str(program), **found.as_dict()}
-    emit(payload, lambda: program_text(found), as_json=as_json)
+    budget = program_budget(twin, program_of(program), origin_mm=origin_mm, where=program.name)
+    payload = {"twin": twin.name, "version": twin.version, "program": str(program), **budget.as_dict()}
+    emit(payload, lambda: program_text(budget), as_json=as_json)
 
 
 @app.command("correct")

@@ -67,9 +67,9 @@ _LONGEST = 200
 def _sections(tasks: dict[str, tuple[str, ...]], names: list[str]) -> dict[str, list[str]]:
     """Return commands by task; one that nobody has put anywhere is shown all the same."""
     placed = {name for task in tasks.values() for name in task}
-    found = {title: [n for n in task if n in names] for title, task in tasks.items()}
-    found[_OTHER] = [n for n in names if n not in placed]
-    return {title: task for title, task in found.items() if task}
+    by_title = {title: [n for n in task if n in names] for title, task in tasks.items()}
+    by_title[_OTHER] = [n for n in names if n not in placed]
+    return {title: task for title, task in by_title.items() if task}
 
 
 class ByTask(TyperGroup):

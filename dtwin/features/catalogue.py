@@ -74,10 +74,10 @@ def positions(names: Sequence[str]) -> list[int]:
     InputError
         When a name is unknown or given twice.
     """
-    found = [FEATURE_NAMES.index(feature(name).name) for name in names]
-    if len(set(found)) != len(found):
+    places = [FEATURE_NAMES.index(feature(name).name) for name in names]
+    if len(set(places)) != len(places):
         raise InputError("a feature is selected twice", code="features.repeated", got=", ".join(names))
-    return found
+    return places
 
 
 def feature_column(channel: str, name: str) -> str:

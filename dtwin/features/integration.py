@@ -194,11 +194,11 @@ def displacement_visibility(
             allowed=f">= {2 * window}",
         )
     rows = acceleration_g[: count * window].reshape(count, window)
-    found = displacement_mm(rows, rate_hz, cutoff_power)
+    integrated = displacement_mm(rows, rate_hz, cutoff_power)
     true = motion_mm[: count * window].reshape(count, window)
     if per_window_mean:
-        found, true = found.mean(axis=1), true.mean(axis=1)
-    return _compared(true.reshape(-1), found.reshape(-1))
+        integrated, true = integrated.mean(axis=1), true.mean(axis=1)
+    return _compared(true.reshape(-1), integrated.reshape(-1))
 
 
 def _compared(true: Floats, estimated: Floats) -> Visibility:

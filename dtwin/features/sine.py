@@ -49,9 +49,9 @@ def fit_tone(t_s: Floats, values: Floats, frequency_hz: float) -> Tone:
     """
     angle = 2.0 * np.pi * frequency_hz * t_s
     design = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(t_s), t_s - t_s.mean()])
-    found = np.linalg.lstsq(design, values, rcond=None)[0]
-    rest = values - design @ found
-    return Tone(complex(found[0], found[1]), float(np.sqrt(np.mean(rest**2))))
+    coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
+    rest = values - design @ coefficients
+    return Tone(complex(coefficients[0], coefficients[1]), float(np.sqrt(np.mean(rest**2))))
 
 
 def lag_deg(reference: Tone, follower: Tone) -> float:

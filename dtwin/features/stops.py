@@ -70,7 +70,7 @@ def find_stops(
     if quiet <= 0 or not len(loud):
         return ()
     parts = np.split(loud, np.flatnonzero(np.diff(loud) > min_separation_s * rate_hz) + 1)
-    found = []
+    stops = []
     for part in parts:
         energy = envelope[part] ** 2
         if part[0] < edge_s * rate_hz:
@@ -79,8 +79,8 @@ def find_stops(
         width = max(1, round(0.2 * rate_hz))
         centre = float(part[int(np.argmax(np.convolve(energy, np.ones(width), "same")))])
         strength = float(envelope[part].max() / quiet)
-        found.append(Stop(centre, int(part[0]), int(part[-1]), strength))
-    return tuple(found)
+        stops.append(Stop(centre, int(part[0]), int(part[-1]), strength))
+    return tuple(stops)
 
 
 @dataclass(frozen=True)

@@ -146,5 +146,5 @@ def _path(home: Home) -> Path:
 
 def _state(home: Home) -> dict[str, Any]:
     path = _path(home)
-    found = read_document(path, "remove the file: every open alert is told once more") if path.exists() else {}
-    return {"told": dict(found.get("told", {})), "silent": dict(found.get("silent", {}))}
+    alerts = read_document(path, "remove the file: every open alert is told once more") if path.exists() else {}
+    return {"told": dict(alerts.get("told", {})), "silent": dict(alerts.get("silent", {}))}

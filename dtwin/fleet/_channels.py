@@ -171,14 +171,14 @@ def try_channels(home: Home) -> dict[str, str]:
     channels = channels_of(home)
     if not channels:
         raise _refused(str(alerts_file(home)), "no such file, or nothing in it", ", ".join(_KINDS))
-    found = {}
+    outcomes = {}
     for channel in channels:
         try:
             channel.send("dtwin: a test", "This is a test of dtwin alert test; nothing is wrong.\n", [])
-            found[channel.name] = ""
+            outcomes[channel.name] = ""
         except Exception as error:  # Whatever a library of a channel raises.
-            found[channel.name] = f"{type(error).__name__}: {error}"[:300]
-    return found
+            outcomes[channel.name] = f"{type(error).__name__}: {error}"[:300]
+    return outcomes
 
 
 def _settings(kind: type[_Settings], stated: object, where: str) -> _Settings:

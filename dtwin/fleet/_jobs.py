@@ -96,11 +96,11 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
     from dtwin.twins.measured import load
 
     loaded = load(Home(Path(root)), unit.name)
-    found = replace(diagnose(loaded.obs, [], Library(), seed=seed), told=tuple(data_lines(loaded.data)))
+    diagnosis = replace(diagnose(loaded.obs, [], Library(), seed=seed), told=tuple(data_lines(loaded.data)))
     started = min((meta.started or "" for meta in loaded.obs.runs), default="")
     head = {"campaign": unit.name, "machine": unit.machine, "kind": loaded.obs.campaign.kind, "started": started}
     # As it is after being written and read: the same wherever it was computed.
-    as_kept: dict[str, Any] = json.loads(json.dumps(finite(head | found.as_dict())))
+    as_kept: dict[str, Any] = json.loads(json.dumps(finite(head | diagnosis.as_dict())))
     return as_kept
 
 

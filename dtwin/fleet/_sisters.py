@@ -209,7 +209,7 @@ def sisters(
     """
     wanted = list(machines) or [m for m in _known(home) if _type(home, m) == type_name]
     tests = _tests(home, wanted)
-    found = {name for campaign in tests.values() for name in _found(home, campaign)}
+    names = {name for campaign in tests.values() for name in _found(home, campaign)}
     where = type_name or ", ".join(wanted)[:80]
     if len(tests) < FEWEST:
         raise InputError(
@@ -221,8 +221,8 @@ def sisters(
             hint="dtwin machine add NAME --type TYPE; a sort is one kind of test under the same conditions",
         )
     sizes = _figures(home, tests)
-    if found:
-        sizes |= _sizes(home, tests, sorted(found), progress)
+    if names:
+        sizes |= _sizes(home, tests, sorted(names), progress)
     # Those that enough machines tell; the others say nothing of a type.
     common = {key: rows for key, rows in sizes.items() if len(rows) >= FEWEST}
     if not common:
@@ -243,18 +243,18 @@ _Row = tuple[str, str, float, float]
 
 def _size(key: _Key, rows: Sequence[_Row], many: int) -> SisterSize:
     values, errors = np.array([row[2] for row in rows]), np.array([row[3] for row in rows]) / 2.0
-    found = compared(values, errors, many)
-    mean, _, between = pooled(values[~found.differs], errors[~found.differs])
+    comparison = compared(values, errors, many)
+    mean, _, between = pooled(values[~comparison.differs], errors[~comparison.differs])
     of_machine = tuple(
         Sister(
             machine,
             campaign,
             value,
             k2,
-            float(found.values[i]),
-            2.0 * float(found.errors[i]),
-            float(found.p_values[i]),
-            bool(found.differs[i]),
+            float(comparison.values[i]),
+            2.0 * float(comparison.errors[i]),
+            float(comparison.p_values[i]),
+            bool(comparison.differs[i]),
         )
         for i, (machine, campaign, value, k2) in enumerate(rows)
     )

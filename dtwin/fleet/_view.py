@@ -21,22 +21,22 @@ def fleet_view(home: Home, machines: Collection[str] = ()) -> list[dict[str, Any
     newest: dict[str, dict[str, Any]] = {}
     folder = home.root / "kept" / DIAGNOSES
     for file in sorted(folder.glob("*.json")):
-        found = kept_already(home, DIAGNOSES, file.stem)
-        if found is None or (machines and found["machine"] not in machines):
+        diagnosed = kept_already(home, DIAGNOSES, file.stem)
+        if diagnosed is None or (machines and diagnosed["machine"] not in machines):
             continue
-        before = newest.get(found["machine"])
-        if before is None or str(found["started"]) >= str(before["started"]):
-            newest[found["machine"]] = found
-    return sorted((_line(found) for found in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
+        before = newest.get(diagnosed["machine"])
+        if before is None or str(diagnosed["started"]) >= str(before["started"]):
+            newest[diagnosed["machine"]] = diagnosed
+    return sorted((_line(diagnosed) for diagnosed in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
 
 
-def _line(found: dict[str, Any]) -> dict[str, Any]:
-    floor, systematic = found["noise_floor_um"], found["systematic_rms_um"]
+def _line(diagnosed: dict[str, Any]) -> dict[str, Any]:
+    floor, systematic = diagnosed["noise_floor_um"], diagnosed["systematic_rms_um"]
     names = ("machine", "campaign", "kind", "started", "verdict", "headline", "systematic_rms_um", "noise_floor_um")
-    return {name: found[name] for name in names} | {
+    return {name: diagnosed[name] for name in names} | {
         "over_floor": systematic / floor if floor and systematic is not None else None,
-        "found": [" or ".join(_label(s) for s in group) for group in found["found"]],
-        "unresolved": found["unresolved"] is not None,
+        "found": [" or ".join(_label(s) for s in group) for group in diagnosed["found"]],
+        "unresolved": diagnosed["unresolved"] is not None,
     }
 
 

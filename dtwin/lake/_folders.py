@@ -188,9 +188,9 @@ class SharedFolder:
 
     def strays(self, kept: Collection[str]) -> Iterator[str]:
         """Yield the data files that are not kept and are older than a day, by the clock of the store."""
-        found = self._objects.list()
-        newest = max((stored.changed for stored in found), default=datetime.now(UTC))
-        for stored in found:
+        objects = self._objects.list()
+        newest = max((stored.changed for stored in objects), default=datetime.now(UTC))
+        for stored in objects:
             mine = stored.name.endswith(".parquet") and "_delta_log/" not in stored.name and stored.name not in kept
             if mine and newest - stored.changed > _STRAY_FOR:
                 yield stored.name

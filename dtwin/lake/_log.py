@@ -37,8 +37,8 @@ class Log:
             return self._newest_here()
         # Each question to a store takes as long as a list.
         after = max(self._summed_up(), 0)
-        found = self.folder.names(".json", after=entry_of(after - 1) if after else "")
-        return int(found[-1].removesuffix(".json")) if found else -1
+        entries = self.folder.names(".json", after=entry_of(after - 1) if after else "")
+        return int(entries[-1].removesuffix(".json")) if entries else -1
 
     def committed(self, version: int, sum_up: Callable[[], None]) -> None:
         """Bring a new entry to disk, and every so often write a summary and drop those that it replaces.
@@ -54,8 +54,8 @@ class Log:
 
     def drop_summaries(self) -> int:
         """Delete summaries that newer ones replaced, and return how many; every version can still be read."""
-        found = self.folder.names(".checkpoint.parquet")
-        old = [name for name in found[:-_NEWEST_KEPT] if (int(name[:20]) + 1) % _KEPT_EVERY]
+        summaries = self.folder.names(".checkpoint.parquet")
+        old = [name for name in summaries[:-_NEWEST_KEPT] if (int(name[:20]) + 1) % _KEPT_EVERY]
         for name in old:
             self.folder.delete(name)
         return len(old)
@@ -76,13 +76,13 @@ class Log:
         return cut.name
 
     def _newest_here(self) -> int:
-        found = self._summed_up()
-        if found < 0:
+        newest = self._summed_up()
+        if newest < 0:
             entries = self.entries()
             return int(entries[-1].removesuffix(".json")) if entries else -1
-        while self.folder.has(entry_of(found + 1)):
-            found += 1
-        return found
+        while self.folder.has(entry_of(newest + 1)):
+            newest += 1
+        return newest
 
     def _summed_up(self) -> int:
         """Return the version of the newest summary, -1 where the log does not say: long logs are not listed for it."""

@@ -121,9 +121,9 @@ def sealed(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
 
 def unsealed(rows: pa.Table, schema: pa.Schema, where: str) -> list[dict[str, Any]]:
     """Return the rows of a table after comparing its columns and every row's hash."""
-    found: list[dict[str, Any]] = rows.to_pylist()
+    unpacked: list[dict[str, Any]] = rows.to_pylist()
     names = {field.name: field.type for field in schema}
-    if found and {field.name: field.type for field in rows.schema} != names:
+    if unpacked and {field.name: field.type for field in rows.schema} != names:
         strange = sorted(set(rows.schema.names) ^ set(names)) or ["types"]
         raise StoreError(
             "the rows were written by another version of dtwin, or are damaged",
@@ -132,7 +132,7 @@ def unsealed(rows: pa.Table, schema: pa.Schema, where: str) -> list[dict[str, An
             got=", ".join(strange)[:200],
             hint="restore the folder from a backup, or ingest the sources into a new DTWIN_HOME",
         )
-    for row in found:
+    for row in unpacked:
         if _seal(row) != row["row_sha256"]:
             raise StoreError(
                 "a row is not what was written",
@@ -140,7 +140,7 @@ def unsealed(rows: pa.Table, schema: pa.Schema, where: str) -> list[dict[str, An
                 where=f"{where} {row['campaign']} {row['run_id']}"[:200],
                 hint="restore the folder from a backup",
             )
-    return found
+    return unpacked
 
 
 def _seal(row: Mapping[str, Any]) -> str:
@@ -232,7 +232,7 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
     by_run: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for record in sorted(amendments, key=lambda r: r["version"]):
         by_run.setdefault((record["campaign"], record["run_id"]), []).append(record)
-    found = []
+    after = []
     for row in rows:
         records = by_run.get((row["campaign"], row["run_id"]), [])
         changes: dict[str, Any] = {}
@@ -253,16 +253,16 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
         }
         if any(name in stated for name in (*OF_CAMPAIGN, *_OF_RUN)):
             now["content_sha256"] = _hash({"raw": row["content_sha256"], "stated": stated})
-        found.append(now)
-    return found
+        after.append(now)
+    return after
 
 
 def by_campaign(rows: Iterable[_Row]) -> dict[str, list[_Row]]:
     """Return rows of runs by their campaign."""
-    found: dict[str, list[_Row]] = {}
+    campaigns: dict[str, list[_Row]] = {}
     for row in rows:
-        found.setdefault(str(row["campaign"]), []).append(row)
-    return found
+        campaigns.setdefault(str(row["campaign"]), []).append(row)
+    return campaigns
 
 
 def campaign_of(rows: Sequence[Mapping[str, Any]]) -> Campaign:

@@ -220,14 +220,14 @@ class Lake:
 
         ``machine``: without other campaigns than those that are, or may be, of this one.
         """
-        found: dict[str, list[str]] = {}
+        by_campaign: dict[str, list[str]] = {}
         told = self.tables["amendments"].files()
         runs = self.tables["runs"].files()
         if machine is not None:
             runs = of_machines(runs, {machine}, {campaign_named(file) for file in told})
         for file in [*runs, *told]:
-            found.setdefault(campaign_named(file), []).append(file)
-        return found
+            by_campaign.setdefault(campaign_named(file), []).append(file)
+        return by_campaign
 
     def campaign(self, name: str) -> Campaign:
         """Return what is known of a campaign.

@@ -226,10 +226,10 @@ def virtual_of(geometry: Mapping[str, Any]) -> VirtualMachine:
 
 def _keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) -> None:
     keep(registry, version, evidence)
-    found = evidence.as_dict()
-    section = evidence_section(found, evidence.profiles)
+    document = evidence.as_dict()
+    section = evidence_section(document, evidence.profiles)
     content = page("Closed-loop evidence", f"version {version.version}", [section])
     registry.attach(version, {"evidence.html": content})
-    text = f"Closed-loop evidence ({evidence.kind}, {found['clock']}):\n\n"
-    text += markdown_table(*evidence_table(found))
+    text = f"Closed-loop evidence ({evidence.kind}, {document['clock']}):\n\n"
+    text += markdown_table(*evidence_table(document))
     registry.mark(version, {}, description=f"{registry.description(version)}\n\n{text}")

@@ -186,16 +186,16 @@ def _words(raw: str, where: str) -> list[tuple[str, float]]:
     plain = _COMMENT.sub("", raw[:_LONGEST_LINE]).strip().upper()
     if plain in ("", "%") or plain.startswith("/"):
         return []
-    found = [(m[1], float(m[2])) for m in _WORD.finditer(plain)]
+    words = [(m[1], float(m[2])) for m in _WORD.finditer(plain)]
     if _WORD.sub("", plain).strip() or len(raw) > _LONGEST_LINE:
         raise _wrong(where, raw, _ALLOWED)
-    for letter, value in found:
+    for letter, value in words:
         good = letter in "XYZIJKFNSTMOP"
         if letter == "G":
             good = value in _MODES or value in _HARMLESS or value == 4.0
         if not good:
             raise _wrong(where, f"{letter}{value:g} in {raw}", _ALLOWED)
-    return found
+    return words
 
 
 def _wrong(where: str, got: str, allowed: str) -> InputError:

@@ -147,19 +147,21 @@ def settled(home: Home, champion: RegisteredVersion, looked: list[CheckedRun] | 
     return _settled(home, champion, runs, judge_evidence(replace(evidence, conditions=conditions)))
 
 
-def _settled(home: Home, champion: RegisteredVersion, given: Sequence[Mapping[str, Any]], found: Recheck) -> Rechecked:
+def _settled(
+    home: Home, champion: RegisteredVersion, given: Sequence[Mapping[str, Any]], checked: Recheck
+) -> Rechecked:
     registry = Registry(home)
     now = datetime.now(UTC)
     stamp = now.strftime("%Y%m%d-%H%M%S")
-    record = found.as_dict() | {"runs": [dict(run) for run in given]}
+    record = checked.as_dict() | {"runs": [dict(run) for run in given]}
     withdrawn, restored = False, None
-    if found.verdict == "worse":
-        _, restored = withdraw(registry, home, champion.machine, found.reason)
+    if checked.verdict == "worse":
+        _, restored = withdraw(registry, home, champion.machine, checked.reason)
         withdrawn = True
-    if found.verdict == "helps":
+    if checked.verdict == "helps":
         proved = now.isoformat(timespec="seconds")
         renew_proof(champion.machine, home, int(champion.version), proved)
         registry.mark(champion, {"proved": proved})
     registry.attach(champion, {f"recheck-{stamp}.json": json.dumps(record, indent=1)})
-    registry.mark(champion, {"recheck": f"{stamp} {found.verdict}: {found.reason}"[:500]})
-    return Rechecked(champion, found, withdrawn, restored.version if restored else "", len(given))
+    registry.mark(champion, {"recheck": f"{stamp} {checked.verdict}: {checked.reason}"[:500]})
+    return Rechecked(champion, checked, withdrawn, restored.version if restored else "", len(given))

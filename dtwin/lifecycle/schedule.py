@@ -68,7 +68,7 @@ class Scheduled:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        found: dict[str, Any] = {
+        document: dict[str, Any] = {
             "outcome": self.outcome,
             "reason": self.reason,
             "campaigns": self.campaigns,
@@ -76,7 +76,7 @@ class Scheduled:
         }
         if self.registered is not None:
             report = self.registered.training.report
-            found |= {
+            document |= {
                 "campaign": report.campaign,
                 "machine": report.machine,
                 "version": self.registered.version.version,
@@ -85,8 +85,8 @@ class Scheduled:
                 "gates_passed": all(v.passed for v in self.registered.verdicts),
             }
         if self.comparison is not None:
-            found["comparison"] = vars(self.comparison) | {"verdict": self.comparison.verdict}
-        return found
+            document["comparison"] = vars(self.comparison) | {"verdict": self.comparison.verdict}
+        return document
 
 
 def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | None = None) -> Scheduled:

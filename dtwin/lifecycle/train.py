@@ -95,8 +95,8 @@ def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> P
 
 def geometry_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any]:
     """Return the machine's geometry that a version was trained with."""
-    found: dict[str, Any] = registry.read_json(version, "geometry.json")
-    return found
+    geometry: dict[str, Any] = registry.read_json(version, "geometry.json")
+    return geometry
 
 
 def _description(training: Training, verdicts: list[Verdict]) -> str:

@@ -186,12 +186,12 @@ class AxisServer:
 
     def _take(self, lines: Sequence[bytes]) -> bool:
         """Use the corrections that came; tell whether there was one."""
-        found = False
+        taken = False
         for line in lines:
             correction = _correction(line)
             if correction is None:
                 continue
-            found = True
+            taken = True
             sequence, offset = correction
             self._heard_s = time.monotonic()
             # What it dropped comes back only from zero.
@@ -200,7 +200,7 @@ class AxisServer:
                 allowed = [axis in self._machine.axes for axis in _AXES]
                 self._offset_um = np.where(allowed, offset, 0.0)
         self._keep()
-        return found
+        return taken
 
     def _listen(self, wait_s: float) -> None:
         """Take corrections and newcomers until the next tick is due."""
@@ -302,10 +302,10 @@ class _Client:
         for line in self.lines(1.0):
             with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
                 said = json.loads(line)
-                found = {name: [str(n) for n in said[name]] for name in ("inputs", "channels")}
+                wanted = {name: [str(n) for n in said[name]] for name in ("inputs", "channels")}
                 if said["dtwin"] == PROTOCOL:
                     rate = float(said["channels_hz"])
-                    return {**found, "channels_hz": rate, "nonce": str(said["nonce"])[:64]}
+                    return {**wanted, "channels_hz": rate, "nonce": str(said["nonce"])[:64]}
         return None
 
     def lines(self, wait_s: float) -> list[bytes]:

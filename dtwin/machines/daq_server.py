@@ -244,10 +244,10 @@ class _DaqService(stubs.NiDAQmxServicer):
     def _channels(self, request: Any) -> list[device.Channel]:
         wanted = [name.strip() for name in request.channel.split(",")]
         channels = self.chassis.task(request.task.name).channels
-        found = [c for c in channels if c.name in wanted or c.physical in wanted]
-        if not found:
+        chosen = [c for c in channels if c.name in wanted or c.physical in wanted]
+        if not chosen:
             raise device.DaqFault(device.NO_SUCH_CHANNEL, f"no channel {request.channel!r}")
-        return found
+        return chosen
 
 
 def _known(values: dict[int, Any], attribute: int) -> Any:

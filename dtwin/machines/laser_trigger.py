@@ -147,11 +147,11 @@ class _Trigger:
         upper = (self.number // (len(self.order) // 2)) % 2 == 1
         edge = self.setup.targets_mm[-1] + self.setup.window_mm
         if upper:
-            found = _inside(t, t0, p0, t1, p1, edge + _CLEAR_MM, np.inf)
+            crossed = _inside(t, t0, p0, t1, p1, edge + _CLEAR_MM, np.inf)
         else:
             edge = self.setup.targets_mm[0] - self.setup.window_mm
-            found = _inside(t, t0, p0, t1, p1, -np.inf, edge - _CLEAR_MM)
-        return None if found is None else found[0]
+            crossed = _inside(t, t0, p0, t1, p1, -np.inf, edge - _CLEAR_MM)
+        return None if crossed is None else crossed[0]
 
     def _note_halt(self, target: float, t0: float, p0: float, t1: float, p1: float) -> None:
         halted = t1 - t0 >= _HALT_S and abs(p1 - p0) < self.setup.window_mm

@@ -100,9 +100,9 @@ class OpenHome:
         InputError
             When there is no such machine, or it has no such option.
         """
-        found = machine_named(machine)
-        options = found.chosen({"hidden": hidden, "truth": truth, "schedule": schedule})
-        found.simulate(Request(Path(out), seed, quick, None, options), _silent)
+        virtual = machine_named(machine)
+        options = virtual.chosen({"hidden": hidden, "truth": truth, "schedule": schedule})
+        virtual.simulate(Request(Path(out), seed, quick, None, options), _silent)
         return Path(out)
 
     def ingest(self, path: str | Path, **told: str | float) -> IngestResult:
@@ -280,8 +280,8 @@ class OpenHome:
         InputError
             When there is no such drawing.
         """
-        found = self._run(campaign, run)
-        drawings = {known.name: known for known in kind_named(found.meta.kind).drawings}
+        loaded = self._run(campaign, run)
+        drawings = {known.name: known for known in kind_named(loaded.meta.kind).drawings}
         wanted = next(iter(drawings)) if drawing is None else drawing
         if wanted not in drawings:
             raise InputError(
@@ -291,7 +291,7 @@ class OpenHome:
                 where=f"{campaign} {run}",
                 allowed=", ".join(drawings),
             )
-        return drawings[wanted].draw(found, lambda: self._floor_um(campaign))
+        return drawings[wanted].draw(loaded, lambda: self._floor_um(campaign))
 
     def _twins(self, name: str) -> Twins | HeatTwins:
         return twins_with(self.home, self._library, name)

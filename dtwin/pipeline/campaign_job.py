@@ -93,13 +93,13 @@ def run_request(
             hint="let it write somewhere else; its files are copied",
         )
     enter_desk(home, job.folder)
-    found = measure_campaign(job, desk_of(job.folder), asked)
+    outcome = measure_campaign(job, desk_of(job.folder), asked)
     report = ingest(job.folder, Lake(home.lake))
-    found |= {"added": len(report.added), "unchanged": len(report.unchanged), "evidence": None}
+    outcome |= {"added": len(report.added), "unchanged": len(report.unchanged), "evidence": None}
     if version is not None:
         evidence = compute(home, version, [name], [name])
-        found |= {"version": version.version, "evidence": evidence.as_dict()}
-    return found
+        outcome |= {"version": version.version, "evidence": evidence.as_dict()}
+    return outcome
 
 
 def _campaign_head(

@@ -181,15 +181,15 @@ def _correct(
     serving = work.serve(version.machine, size.evidence.conditions[0], size.serve_s, seed)
     screen.say(_serving_text(serving))
     evidence = work.evidence(version, size.evidence, seed)
-    found = evidence.as_dict()
-    screen.say(table(*evidence_table(found)))
+    measured = evidence.as_dict()
+    screen.say(table(*evidence_table(measured)))
     path, reason = work.make_champion(version, "demo")
     screen.say(f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}")
-    sections += [_serving_section(serving), evidence_section(found, evidence.profiles)]
+    sections += [_serving_section(serving), evidence_section(measured, evidence.profiles)]
     return {
         "gates": [vars(v) for v in registered.verdicts],
         "serving": serving,
-        "evidence": found,
+        "evidence": measured,
         "champion": version.version if path else None,
         "refused": reason,
     }

@@ -87,10 +87,10 @@ class Desk:
 def open_question(folder: Path) -> Mapping[str, Any] | None:
     """Return what is asked in a campaign folder, None when nothing is."""
     try:
-        found: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
+        question: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found
+    return question
 
 
 def enter_desk(home: Home, folder: Path) -> None:
@@ -102,7 +102,7 @@ def enter_desk(home: Home, folder: Path) -> None:
 
 def desks(home: Home) -> dict[str, tuple[Path, Mapping[str, Any]]]:
     """Return folder and question of every campaign that is being measured, by the desk's name."""
-    found = {}
+    by_name = {}
     for entry in sorted((home.root / "desks").glob("*")):
         try:
             folder = Path(entry.read_text(encoding="utf-8"))
@@ -110,8 +110,8 @@ def desks(home: Home) -> dict[str, tuple[Path, Mapping[str, Any]]]:
             continue
         question = open_question(folder)
         if question is not None and _alive(question.get("pid")):
-            found[entry.name] = folder, question
-    return found
+            by_name[entry.name] = folder, question
+    return by_name
 
 
 def _alive(pid: object) -> bool:

@@ -16,8 +16,8 @@ SEVERITIES = ("error", "warning", "info")
 
 def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return what is noteworthy about a run."""
-    found: list[dict[str, Any]] = json.loads(row["findings_json"])
-    return found
+    findings: list[dict[str, Any]] = json.loads(row["findings_json"])
+    return findings
 
 
 def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:

@@ -69,16 +69,16 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
     at_rest = Lake(home.lake).at_rest() if (home.root / "lake").is_dir() else nullcontext()
     with at_rest, whole_file(out, "the backup") as partial:
         partial.touch(mode=0o600)
-        found = list(_files(home.root, partial))
+        files = list(_files(home.root, partial))
         with tarfile.open(partial, "w", format=tarfile.PAX_FORMAT) as archive:
-            for done, path in enumerate(found, start=1):
+            for done, path in enumerate(files, start=1):
                 name = path.relative_to(home.root).as_posix()
                 try:
                     entries[name] = _added(archive, path, name)
                 except FileNotFoundError:
                     continue
                 if progress is not None:
-                    progress(done, len(found), name)
+                    progress(done, len(files), name)
             about = {
                 "dtwin": __version__,
                 "root": str(home.root),

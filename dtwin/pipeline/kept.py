@@ -42,12 +42,12 @@ def kept(home: Home, what: str, campaign: str, stamp: str, make: Callable[[], An
     make : callable
         Returns something JSON-ready.
     """
-    found = kept_already(home, what, campaign, stamp)
-    if found is None:
-        found = make()
+    value = kept_already(home, what, campaign, stamp)
+    if value is None:
+        value = make()
         with suppress(StoreError):  # A home that cannot be written is read all the same.
-            keep(home, what, campaign, stamp, found)
-    return found
+            keep(home, what, campaign, stamp, value)
+    return value
 
 
 def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None) -> Any:
@@ -57,10 +57,10 @@ def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None)
     """
     path = _file_of(home, what, campaign)
     try:
-        found = read_document(path) if path.exists() else {}
+        document = read_document(path) if path.exists() else {}
     except StoreError:
         return None
-    return found.get("made") if stamp is None or found.get("stamp") == f"{__version__} {stamp}" else None
+    return document.get("made") if stamp is None or document.get("stamp") == f"{__version__} {stamp}" else None
 
 
 def keep(home: Home, what: str, campaign: str, stamp: str, made: Any) -> None:
@@ -89,9 +89,9 @@ def variation_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]] | N
     of_campaign = by_campaign(row for row in mine if row["kind"] in telling)
     newest = sorted(of_campaign.items(), key=lambda item: item[1][0]["started"] or "", reverse=True)
     for name, told in newest:
-        found = kept(home, "surroundings", name, stamp_of(told), partial(_variation, lake, telling, name, told))
-        if found:
-            return Variation(**found)
+        variation = kept(home, "surroundings", name, stamp_of(told), partial(_variation, lake, telling, name, told))
+        if variation:
+            return Variation(**variation)
     return None
 
 

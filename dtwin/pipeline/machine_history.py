@@ -221,12 +221,12 @@ def _append(
 
 def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list[list[Any]]:
     """Return title, parameter, value, uncertainty (k = 2) and unit of the effects of twins, fitted to this campaign alone."""
-    found: dict[tuple[str, str], list[Any]] = {}
+    by_effect: dict[tuple[str, str], list[Any]] = {}
     for twin in twins:
         terms = [(t.label, dict(t.shape)) for t in twin.terms]
         made = kept(home, f"sizes/{twin.name}", campaign, f"{stamp} {terms}", partial(_fitted, home, campaign, twin))
-        found |= {(row[0], row[1]): row for row in made}
-    return list(found.values())
+        by_effect |= {(row[0], row[1]): row for row in made}
+    return list(by_effect.values())
 
 
 def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
@@ -294,10 +294,10 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _by_machine(twins: Sequence[TwinLine]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    names: dict[str, list[str]] = {}
     for twin in twins:
-        found.setdefault(twin.machine, []).append(twin.name)
-    return found
+        names.setdefault(twin.machine, []).append(twin.name)
+    return names
 
 
 def _champion(home: Home, machine: str) -> str:

@@ -91,7 +91,7 @@ def _compared(
         tests.append(MachineTest(name, started, obs, diagnose(obs, [], library)))
         if progress is not None:
             progress(done, len(campaigns), name)
-    found = joint(tests, library)
+    together = joint(tests, library)
     told = [
         {
             "campaign": test.campaign,
@@ -102,7 +102,7 @@ def _compared(
         }
         for test in tests
     ]
-    return {"machine": machine, "tests": told, **found.as_dict()}
+    return {"machine": machine, "tests": told, **together.as_dict()}
 
 
 def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:

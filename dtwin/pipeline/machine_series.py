@@ -85,9 +85,9 @@ def next_test(series: Sequence[Mapping[str, Any]], record: MachineRecord, last: 
         due = date.fromisoformat(last[:10]) + timedelta(days=record.test_every_days)
         dates.append((due, f"a test is wanted every {record.test_every_days:g} days"))
     for one in series:
-        found = one["crossing"]
-        if found is not None:
-            dates.append((date.fromisoformat(found["earliest"]), f"{one['name']} may cross its limit from then on"))
+        crossing = one["crossing"]
+        if crossing is not None:
+            dates.append((date.fromisoformat(crossing["earliest"]), f"{one['name']} may cross its limit from then on"))
     if not dates:
         return {}
     on, why = min(dates)
@@ -133,13 +133,13 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
     days = np.array([datetime.fromisoformat(p.started).timestamp() / 86400.0 for p in points])
     values = np.array([p.value for p in points])
     why = _restarts(points, record.events)
-    found = chart(days, values, list(why), run_length)
-    current = found.regimes[-1]
+    charted = chart(days, values, list(why), run_length)
+    current = charted.regimes[-1]
     limit = _limit_ahead(series, current)
     part = slice(current.first, None)
     ahead = None if limit is None else crossing(days[part], values[part], limit)
-    changes = _changes(series, found, why, record.events)
-    alarm = bool(found.alarms) and found.alarms[-1].first >= current.first
+    changes = _changes(series, charted, why, record.events)
+    alarm = bool(charted.alarms) and charted.alarms[-1].first >= current.first
     if len(points) < 4:
         state = "too few tests"
     elif current.trend:
@@ -164,13 +164,13 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
             "changes": changes,
             "crossing": _told_crossing(ahead, limit, days),
             "chart": {
-                "ewma": found.ewma.tolist(),
-                "cusum_up": found.cusum_up.tolist(),
-                "cusum_down": found.cusum_down.tolist(),
-                "single": found.single.tolist(),
-                "limits": dict(vars(found.limits)),
-                "regimes": [dict(vars(r)) for r in found.regimes],
-                "alarms": [a.at for a in found.alarms],
+                "ewma": charted.ewma.tolist(),
+                "cusum_up": charted.cusum_up.tolist(),
+                "cusum_down": charted.cusum_down.tolist(),
+                "single": charted.single.tolist(),
+                "limits": dict(vars(charted.limits)),
+                "regimes": [dict(vars(r)) for r in charted.regimes],
+                "alarms": [a.at for a in charted.alarms],
             },
         }
     )
@@ -178,16 +178,16 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
 
 def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str]:
     """Return the tests before which another value is expected, and why; an event on the day of a test came before it."""
-    found: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     for i, (before, after) in enumerate(pairwise(points), start=1):
         between = [
             e for e in events if e.what in RESTARTS and before.started[:10] < e.on.isoformat() <= after.started[:10]
         ]
         if between:
-            found[i] = ", ".join(e.note or e.what for e in between)
+            reasons[i] = ", ".join(e.note or e.what for e in between)
         elif before.instrument != after.instrument and before.instrument and after.instrument:
-            found[i] = f"measured with {after.instrument} instead of {before.instrument}: machine or instrument"
-    return found
+            reasons[i] = f"measured with {after.instrument} instead of {before.instrument}: machine or instrument"
+    return reasons
 
 
 def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:

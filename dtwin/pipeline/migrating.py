@@ -190,10 +190,10 @@ def _content_sha256(run: Run) -> str:
 
 def _sealed_now(path: Path) -> bool:
     """Give a document that has no hash its own; tell whether it had none."""
-    found = parse_json(read_bytes(path, _DOCUMENT), path)
-    if not isinstance(found, dict) or "sha256" in found:
+    document = parse_json(read_bytes(path, _DOCUMENT), path)
+    if not isinstance(document, dict) or "sha256" in document:
         return False
-    write_document(path, found, "a version of a twin")
+    write_document(path, document, "a version of a twin")
     return True
 
 

@@ -181,12 +181,12 @@ def virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachin
         return None
     newest = max(rows, key=lambda row: str(row["ingested"]))["campaign"]
     geometry = campaign_of([row for row in rows if row["campaign"] == newest]).machine_geometry
-    found = next((one for one in kind.machines if one.type == geometry.get("type") and PLAN in one.options), None)
-    if found is None or not geometry.get("virtual"):
+    virtual = next((one for one in kind.machines if one.type == geometry.get("type") and PLAN in one.options), None)
+    if virtual is None or not geometry.get("virtual"):
         return None
-    told = {name: str(geometry[name]) for name, values in found.options.items() if geometry.get(name) in values}
+    told = {name: str(geometry[name]) for name, values in virtual.options.items() if geometry.get(name) in values}
     # One of which it is not stated what it is like would be another machine.
-    return (found, found.chosen(told)) if {*told, PLAN} == set(found.options) else None
+    return (virtual, virtual.chosen(told)) if {*told, PLAN} == set(virtual.options) else None
 
 
 def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str, str], int] | None:
@@ -195,10 +195,10 @@ def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str,
     The seed is another one for each test, where a seed is of noise and set-ups alone.
     """
     planned = planned_document(document, "the plan")
-    found = virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
-    if found is None:
+    virtual = virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
+    if virtual is None:
         return None
-    machine, options = found
+    machine, options = virtual
     campaigns = {row["campaign"] for row in Lake(home.lake).runs(machine=str(planned.summary["machine"]))}
     return machine.name, options, len(campaigns) if machine.seeds_measuring else 0
 

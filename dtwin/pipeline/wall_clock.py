@@ -54,12 +54,12 @@ def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float
             check=False,
         )
     try:
-        found: dict[str, Any] = json.loads(done.stdout)
+        figures: dict[str, Any] = json.loads(done.stdout)
     except ValueError as error:
         raise DeviceError(
             "serving printed no status", code="demo.serve", got=done.stderr[-400:] or "nothing"
         ) from error
-    return found
+    return figures
 
 
 def serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:

@@ -129,16 +129,16 @@ class AxisConnection(Connection):
             self._link.close()
 
     def _opened(self) -> AxisLink:
-        found = self._inputs
+        inputs = self._inputs
         # No window spans the time in which nothing came.
-        found.forget()
+        inputs.forget()
         link = AxisLink(
             self._address,
-            found.live,
+            inputs.live,
             self._axes,
-            channels=found.channels,
-            channels_hz=found.channels_hz,
-            samples=found.sample if found.channels else None,
+            channels=inputs.channels,
+            channels_hz=inputs.channels_hz,
+            samples=inputs.sample if inputs.channels else None,
             writes=self._writes,
         )
         link.open()

@@ -74,10 +74,10 @@ def text(value: object, where: str) -> str:
 
 def one_of(value: object, allowed: Sequence[str], where: str) -> str:
     """Return text that is one of a few."""
-    found = text(value, where)
-    if found not in allowed:
+    word = text(value, where)
+    if word not in allowed:
         raise _wrong_type(where, value, ", ".join(allowed))
-    return found
+    return word
 
 
 _READERS: Mapping[str, Callable[[object, str], Any]] = {"str": text, "float": number, "int": whole}

@@ -102,12 +102,12 @@ def _products_of_sums(graph: Graph) -> dict[int, int]:
     """Return for sums a product that nothing else uses: it joins the sum."""
     kept = [*graph.outputs.values(), *graph.updates.values()]
     uses = Counter([*kept, *(a for node in graph.nodes for a in node.args)])
-    found: dict[int, int] = {}
+    products: dict[int, int] = {}
     for i, node in enumerate(graph.nodes):
         for a in node.args if node.op == "add" else ():
             if graph.nodes[a].op == "mul" and uses[a] == 1 and a not in kept:
-                found.setdefault(i, a)
-    return found
+                products.setdefault(i, a)
+    return products
 
 
 def _cosines_of_sines(graph: Graph) -> dict[int, int]:

@@ -44,8 +44,8 @@ class ToneWatch:
             return self.alarm
         phase = self._rows[:, 2]
         design = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(phase)])
-        found = np.linalg.lstsq(design, self._rows[:, :2], rcond=None)[0]
-        wanted, given = (complex(found[0, k], found[1, k]) for k in range(2))
+        coefficients = np.linalg.lstsq(design, self._rows[:, :2], rcond=None)[0]
+        wanted, given = (complex(coefficients[0, k], coefficients[1, k]) for k in range(2))
         follows = told["gain_1"] * cmath.exp(-1j * told["phase_error_rad"])
         self.left_um = abs(given * follows - wanted)
         return self._watch.window(self.left_um, inside=inside)

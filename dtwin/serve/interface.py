@@ -142,10 +142,10 @@ class Provenance:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping; evidence that holds for ever has no term in it."""
-        found = asdict(self)
+        document = asdict(self)
         if not self.valid_days:
-            del found["valid_days"]
-        return found
+            del document["valid_days"]
+        return document
 
 
 @dataclass(frozen=True)

@@ -191,9 +191,9 @@ def read_board(machine: str, home: Home) -> Seen | None:
     except OSError:
         return None
     try:
-        found = os.fstat(file)
-        mine = found.st_uid == os.getuid() and stat.S_ISREG(found.st_mode)
-        if not mine or found.st_size != _BYTES:
+        status = os.fstat(file)
+        mine = status.st_uid == os.getuid() and stat.S_ISREG(status.st_mode)
+        if not mine or status.st_size != _BYTES:
             return None
         with mmap.mmap(file, _BYTES, prot=mmap.PROT_READ) as shared:
             memory = np.frombuffer(bytes(shared), dtype=np.float64)

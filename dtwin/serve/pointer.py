@@ -184,17 +184,17 @@ def only_machine(home: Home, model: str = "latest") -> str:
     InputError
         When there is none, or several.
     """
-    found = sorted(p.parent.name for p in home.bundles.glob(f"*/{_POINTERS[model]}"))
-    if len(found) == 1:
-        return found[0]
+    machines = sorted(p.parent.name for p in home.bundles.glob(f"*/{_POINTERS[model]}"))
+    if len(machines) == 1:
+        return machines[0]
     what = "promoted model" if model == "latest" else "model on trial"
     none = "no model has been promoted" if model == "latest" else "no model is on trial"
     raise InputError(
-        f"several machines have a {what}" if found else none,
+        f"several machines have a {what}" if machines else none,
         code="serve.machine",
         where=str(home.bundles),
-        got=", ".join(found)[:200] or None,
-        hint="name one with --machine" if found else _absent_hint(model, None, home),
+        got=", ".join(machines)[:200] or None,
+        hint="name one with --machine" if machines else _absent_hint(model, None, home),
     )
 
 

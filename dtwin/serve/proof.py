@@ -116,23 +116,23 @@ def prove(bundle: Bundle) -> None:
     """
     vectors = bundle.vectors
     compiled = CompiledBundle(bundle, fades=False)
-    found, halves = [], []
+    told, halves = [], []
     for given, windowed in zip(vectors.inputs, vectors.features, strict=True):
         if len(given) != len(bundle.tick_inputs) or len(windowed) != len(bundle.feature_inputs):
             raise _unproved("a test vector has the wrong length", f"{len(given)}, {len(windowed)}")
         compiled.window(np.array(windowed))
-        found.append(compiled.tick(np.array(given)).tolist())
+        told.append(compiled.tick(np.array(given)).tolist())
         halves.append(compiled.band_um.tolist())
-    _prove_values(vectors.outputs, found, "equation")
+    _prove_values(vectors.outputs, told, "equation")
     if bundle.band is not None:
         _prove_values(bundle.band.vectors, halves, "band")
     if bundle.window is not None:
         _prove_features(bundle.window, vectors)
 
 
-def _prove_values(told: Sequence[Sequence[float]], found: Sequence[Sequence[float]], what: str) -> None:
-    expected, actual = np.array(told), np.array(found)
-    if not len(found) or actual.shape != expected.shape:
+def _prove_values(told: Sequence[Sequence[float]], values: Sequence[Sequence[float]], what: str) -> None:
+    expected, actual = np.array(told), np.array(values)
+    if not len(values) or actual.shape != expected.shape:
         raise _unproved(f"the test vectors of the {what} are missing or of the wrong shape", str(actual.shape))
     error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
     if not (error <= _TOLERANCE).all():

@@ -114,10 +114,10 @@ def correction_in_force(home: Home, machine: str) -> Callable[[datetime, datetim
 
     def between(begin: datetime, end: datetime) -> str:
         try:
-            found = served_during(served_stretches(home, machine), begin, end, machine)
+            in_force = served_during(served_stretches(home, machine), begin, end, machine)
         except InputError:
             return MIXED_CORRECTION
-        return found.model_sha256 if found else ""
+        return in_force.model_sha256 if in_force else ""
 
     return between
 

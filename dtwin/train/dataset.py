@@ -105,17 +105,17 @@ def _tick_run(run: Run, campaign: Campaign) -> TickRun:
     inputs = PathInputs(_INDEX, tool).batch(states)
     commanded_um = _commanded_deviation_um(states, run.meta)
     bar = np.asarray(run.samples["deviation_um"], dtype=float)
-    found = align_infeed(bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4)
+    aligned = align_infeed(bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4)
     covered = _covered_ticks(groups["controller"], len(states))
     bare = TickRun(
         run.meta,
         inputs.astype(np.float32),
         bar,
         run.meta.sample_rate_hz,
-        found.lag_s,
+        aligned.lag_s,
         np.empty(0, np.int64),
         np.empty(0, bool),
-        found.residual,
+        aligned.residual,
         groups.get("accelerometers"),
     )
     return _with_rows(bare, commanded_um, run.window, covered)

@@ -206,18 +206,18 @@ def _without_copies(runs: Sequence[EvidenceRun]) -> tuple[list[EvidenceRun], lis
 
 
 def _by_condition(runs: Sequence[EvidenceRun]) -> dict[_Key, list[RunError]]:
-    found: dict[_Key, list[RunError]] = defaultdict(list)
+    by_condition: dict[_Key, list[RunError]] = defaultdict(list)
     for error in run_errors([r.run for r in runs]):
-        found[tuple(sorted(error.condition.items()))].append(error)
-    return dict(found)
+        by_condition[tuple(sorted(error.condition.items()))].append(error)
+    return dict(by_condition)
 
 
 def _require_enough(
     counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]], directions: Mapping[_Key, list[str]]
 ) -> None:
     few = []
-    for way, found in counted.items():
-        for key, errors in found.items():
+    for way, runs in counted.items():
+        for key, errors in runs.items():
             n = {d: sum(e.direction == d for e in errors) for d in directions[key]}
             if len(errors) < FEWEST_RUNS or min(n.values()) < FEWEST_REPEATS:
                 told = ", ".join(f"{count} {d}".strip() for d, count in n.items()) or "none"
@@ -235,9 +235,9 @@ def _require_enough(
 def _used(own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]) -> list[EvidenceRun]:
     """Return the runs that were counted, in order of time where it is known."""
     chosen = []
-    for way, found in counted.items():
+    for way, runs in counted.items():
         mine = [r for r in own if r.way == way]
-        numbers = sorted({error.run for errors in found.values() for error in errors})
+        numbers = sorted({error.run for errors in runs.values() for error in errors})
         chosen += [mine[number] for number in numbers]
     return sorted(chosen, key=lambda r: started_at(r.run) or datetime.min.replace(tzinfo=UTC))
 
@@ -325,10 +325,10 @@ def _floor(errors: Sequence[RunError]) -> float:
 
 
 def _groups(errors: Sequence[RunError]) -> list[list[RunError]]:
-    found: dict[str, list[RunError]] = defaultdict(list)
+    by_block: dict[str, list[RunError]] = defaultdict(list)
     for error in errors:
-        found[error.direction].append(error)
-    return list(found.values())
+        by_block[error.direction].append(error)
+    return list(by_block.values())
 
 
 def _profile(ways: Mapping[Way, Sequence[RunError]]) -> dict[str, dict[str, list[float]]]:

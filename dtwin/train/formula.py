@@ -133,9 +133,9 @@ def unit_findings(formula: Formula, units: Mapping[str, str]) -> list[str]:
 
     A constant may carry any unit, so what is multiplied by one is free.
     """
-    found: list[str] = []
-    _unit(formula, units, found)
-    return list(dict.fromkeys(found))
+    lines: list[str] = []
+    _unit(formula, units, lines)
+    return list(dict.fromkeys(lines))
 
 
 _FREE = "?"

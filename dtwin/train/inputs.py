@@ -84,9 +84,9 @@ def _sensor_features(run: TickRun, contract: WindowContract) -> Floats:
     The accelerometers' clock is brought to the controller's by the stops; a row sees the
     newest window that had ended by then, never a later one.
     """
-    found = _window_features(run, contract)
-    flat = found.values.reshape(len(found.values), -1)
-    ends_s = np.asarray(found.end_s) + _accelerometer_lag_s(run, contract)
+    features = _window_features(run, contract)
+    flat = features.values.reshape(len(features.values), -1)
+    ends_s = np.asarray(features.end_s) + _accelerometer_lag_s(run, contract)
     newest = np.clip(np.searchsorted(ends_s, run.arc / TICK_HZ, side="right") - 1, 0, None)
     return np.asarray(flat[newest])
 
@@ -99,7 +99,7 @@ def _accelerometer_lag_s(run: TickRun, contract: WindowContract) -> float:
     acceleration = np.linalg.norm(run.inputs[::4, first : first + 3].astype(float), axis=1)
     wrist = np.asarray(run.accelerometers.columns[contract.channels[0]], dtype=float)
     try:
-        found = align_stops(wrist[::4], run.accelerometers.rate_hz / 4, acceleration, TICK_HZ / 4, max_lag_s=1.5)
+        aligned = align_stops(wrist[::4], run.accelerometers.rate_hz / 4, acceleration, TICK_HZ / 4, max_lag_s=1.5)
     except InputError:
         return 0.0
-    return found.lag_s if found.correlation > 0.2 else 0.0
+    return aligned.lag_s if aligned.correlation > 0.2 else 0.0

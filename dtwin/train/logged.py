@@ -14,13 +14,13 @@ _PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "d
 
 def environment() -> dict[str, str]:
     """Return the versions that a result depends on."""
-    found = {"python": platform.python_version(), "dtwin": __version__}
+    versions = {"python": platform.python_version(), "dtwin": __version__}
     for package in _PACKAGES:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "absent"
-    return found
+            versions[package] = "absent"
+    return versions
 
 
 def report_params(report: TrainingReport) -> dict[str, Any]:

@@ -48,8 +48,8 @@ class MeasuredWays:
         sizes: dict[str, list[float]] = defaultdict(list)
         for error in run_errors(self.oracle):
             sizes[condition_name(error.condition)].append(error.size_um)
-        for name, found in sizes.items():
-            known[name]["oracle_um"] = float(np.mean(found))
+        for name, size in sizes.items():
+            known[name]["oracle_um"] = float(np.mean(size))
         for name, shares in self.acted.items():
             known[name]["acted"] = dict(shares)
         return {"clock": self.clock, "delays": dict(self.delays), "conditions": dict(known)}

@@ -161,7 +161,7 @@ class Registry:
         """
         name = model_name(machine)
         try:
-            found = (
+            registered = (
                 self.client.get_model_version_by_alias(name, wanted)
                 if wanted in _ALIASES
                 else self.client.get_model_version(name, wanted)
@@ -177,7 +177,7 @@ class Registry:
                 hint="dtwin models lists what there is; dtwin train makes one",
             ) from error
         # A search for versions, and an alias query, leave the aliases out.
-        return _registered(machine, found, self.client.get_registered_model(name).aliases)
+        return _registered(machine, registered, self.client.get_registered_model(name).aliases)
 
     def champion(self, machine: str) -> RegisteredVersion | None:
         """Return the machine's champion, None when nothing was promoted."""
@@ -368,8 +368,10 @@ def model_name(machine: str) -> str:
     return f"{_PREFIX}{machine}"
 
 
-def _newest_first(machine: str, found: Sequence[ModelVersion], aliases: Mapping[str, str]) -> list[RegisteredVersion]:
-    ordered = sorted(found, key=lambda version: int(version.version), reverse=True)
+def _newest_first(
+    machine: str, versions: Sequence[ModelVersion], aliases: Mapping[str, str]
+) -> list[RegisteredVersion]:
+    ordered = sorted(versions, key=lambda version: int(version.version), reverse=True)
     return [_registered(machine, version, aliases) for version in ordered]
 
 
@@ -387,8 +389,8 @@ def _registered(machine: str, found: ModelVersion, aliases: Mapping[str, str]) -
 def _every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found]:
     """Return what a search of MLflow finds on all its pages: one holds no more than a hundred models."""
     page = search(filter_string=wanted)
-    found = list(page)
+    entries = list(page)
     while page.token:
         page = search(filter_string=wanted, page_token=page.token)
-        found += page
-    return found
+        entries += page
+    return entries

@@ -136,14 +136,14 @@ def _rows(reading: Connection, table: Table, before: str, now: str) -> Iterator[
 
 def _digests(reading: Connection, tables: list[Table], before: str, now: str) -> dict[str, str]:
     """Return a hash of the rows of each table, whatever their order."""
-    found = {}
+    digests = {}
     for table in tables:
         total, count = 0, 0
         for row in _rows(reading, table, before, now):
             total ^= int.from_bytes(hashlib.sha256(repr(sorted(row.items())).encode()).digest())
             count += 1
-        found[table.name] = f"{count} {total:x}"
-    return found
+        digests[table.name] = f"{count} {total:x}"
+    return digests
 
 
 def _copy_artifacts(source: Path | Bucket, target: Path | Bucket, progress: Progress | None) -> None:

@@ -170,12 +170,12 @@ class NotTold(Traced):
         raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
 
 
-def expressions_of(found: Any, builder: GraphBuilder, count: int) -> list[Expression]:
+def expressions_of(traced: Any, builder: GraphBuilder, count: int) -> list[Expression]:
     """Return the columns that an effect returned.
 
-    ``found``, (1, count): what its regressors gave.
+    ``traced``, (1, count): what its regressors gave.
     """
-    columns = _columns(found, builder)
+    columns = _columns(traced, builder)
     if len(columns) != count:
         raise NotTraceable(f"{len(columns)} columns for {count} parameters")
     return columns

@@ -84,9 +84,9 @@ def term_errors_um(
             if AXES[axis] not in AXES_OF[plane]:
                 continue
             state = _looking_along(AXES[axis], plane, motion, columns)
-            found = term.instance.effect.columns(state, term.instance.axis, term.shape) @ weights
-            if np.abs(found).max() > 0.0:
-                out[:, axis] = found
+            errors_um = term.instance.effect.columns(state, term.instance.axis, term.shape) @ weights
+            if np.abs(errors_um).max() > 0.0:
+                out[:, axis] = errors_um
                 break
     return out
 

@@ -60,8 +60,8 @@ def log_twin(
 
 def _finished(registry: Registry, tag: str, digest: str) -> str | None:
     """Return the finished run with a digest as tag, None without; unfinished ones are deleted."""
-    found = registry.client.search_runs([registry.experiment()], f"tags.`{tag}` = '{digest}'")
-    for run in found:
+    runs = registry.client.search_runs([registry.experiment()], f"tags.`{tag}` = '{digest}'")
+    for run in runs:
         if run.info.status == "FINISHED":
             return str(run.info.run_id)
         registry.client.delete_run(run.info.run_id)

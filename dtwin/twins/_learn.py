@@ -28,11 +28,11 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
     Returns ``twin``: the new version.
     Returns ``gain``: mean relative gain on conditions that were left out of its fit.
     """
-    twin, found = _unknown(twins, name, seed)
+    twin, diagnosis = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
     kind_named(obs.grid.kind).require("laws")
     problem = set_up(obs, twin.terms, [])
-    for law in found.laws:
+    for law in diagnosis.laws:
         effect = learned_effect(learned_name(law))
         gain = left_out_gain(problem, problem.whitened(obs.regressors(Instance(effect), {})))
         if gain > 0.0:
@@ -41,7 +41,7 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
         "no power law holds on conditions that were left out",
         code="twin.law_does_not_hold",
         where=f"twin {name} version {twin.version}",
-        got=found.laws[0].equation if found.laws else "no power law is significant",
+        got=diagnosis.laws[0].equation if diagnosis.laws else "no power law is significant",
         hint="--symbolic searches for other formulas; or measure more feeds and radii, or write the effect yourself",
     )
 
@@ -70,13 +70,15 @@ def learn_formula(twins: Twins, name: str, engine: Engine, seed: int) -> tuple[T
 
 def _unknown(twins: Twins, name: str, seed: int) -> tuple[Twin, Diagnosis]:
     require_alone(twins.newest(name), "learning a law")
-    twin, found = twins.diagnose(name, seed=seed)
-    if found.verdict != "unknown_effect":
+    twin, diagnosis = twins.diagnose(name, seed=seed)
+    if diagnosis.verdict != "unknown_effect":
         raise GateRefusal(
             "there is no unknown structure to learn",
             code="twin.nothing_to_learn",
             where=f"twin {name} version {twin.version}",
-            got=f"{found.verdict}: {found.headline}",
-            hint=f"dtwin twin add {name} EFFECT adds what is named" if found.found else f"dtwin twin diagnose {name}",
+            got=f"{diagnosis.verdict}: {diagnosis.headline}",
+            hint=f"dtwin twin add {name} EFFECT adds what is named"
+            if diagnosis.found
+            else f"dtwin twin diagnose {name}",
         )
-    return twin, found
+    return twin, diagnosis

@@ -136,11 +136,11 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     """
     obs = load(twins.home, require_alone(twins.newest(name), "a correction").campaign).obs
     require_uncorrected(obs.campaign)
-    twin, found = twins.diagnose(name, seed=seed)
+    twin, diagnosis = twins.diagnose(name, seed=seed)
     way = kind_named(obs.grid.kind).twin_correction()
     frozen = way.freeze(twin, obs, twins.home)
     gradings = _graded(frozen.twin, twin, obs, twins, way, seed)
-    objections = tuple(_objections(found, gradings, frozen.twin, way))
+    objections = tuple(_objections(diagnosis, gradings, frozen.twin, way))
     if objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
@@ -150,13 +150,13 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             allowed=f"nothing missing, and every corrected effect {way.grades[0]}",
             hint=_advice(name, gradings, frozen.twin, obs) + "; --trial registers it for a trial only",
         )
-    left = _left(found, frozen.twin, way)
+    left = _left(diagnosis, frozen.twin, way)
     judged = way.judge(frozen, twin, obs, twins.home)
     report = _report(frozen, judged, twin, obs, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report, ids[report.proposed], report.candidates[0], _description(frozen, found, objections, left)
+        report, ids[report.proposed], report.candidates[0], _description(frozen, diagnosis, objections, left)
     )
     geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
@@ -175,7 +175,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     _, gates = check_version(registry, version)
     virtual = bool(geometry.get("virtual", False))
     predicted = tuple(_predicted(frozen, obs))
-    return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left)
+    return Correction(frozen, version, diagnosis.verdict, gradings, objections, tuple(gates), predicted, virtual, left)
 
 
 def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Observations) -> str:

@@ -97,10 +97,10 @@ def encoder_split(
     chosen = obs.take(np.flatnonzero(there))
     seen = localise.residual_um(chosen.with_y(controller_um[there]), [])
     cycles = [cutoff.cycles(c.radius_mm, c.feed_mm_min) for c in chosen.conditions]
-    found = split(
+    parts = split(
         localise.residual_um(chosen, []), seen, chosen.mask, chosen.condition_of, np.array(cycles)[chosen.condition_of]
     )
-    return _EncoderSplit(cutoff, chosen, found, tuple(sorted(without)))
+    return _EncoderSplit(cutoff, chosen, parts, tuple(sorted(without)))
 
 
 def cutoff_of(cycles_per_rev: float | None, hz: float | None) -> Cutoff:

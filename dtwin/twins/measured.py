@@ -97,8 +97,8 @@ class Comparison:
 
 def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
     """Return the RMS of one run about the mean of its condition; NaN without repeats."""
-    found = _pure_error(obs, residual_um)
-    return float("nan") if found is None else found.floor_um
+    pure = _pure_error(obs, residual_um)
+    return float("nan") if pure is None else pure.floor_um
 
 
 def _pure_error(obs: Observations, residual_um: Floats) -> PureError | None:

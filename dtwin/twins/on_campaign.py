@@ -53,8 +53,8 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
             if twin.machine != machine or all(lake.campaign(own).kind != kind for own in of_twin):
                 continue
             if campaign in of_twin:
-                _, found = twins.diagnose(name)
-                result = found.as_dict()
+                _, diagnosis = twins.diagnose(name)
+                result = diagnosis.as_dict()
                 text = report_of(result).diagnosis_text(name, result)
             else:
                 result = twins.compare(name, campaign).as_dict()

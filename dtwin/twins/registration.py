@@ -57,8 +57,8 @@ class _Waiting:
 
 def version_paths(folder: Path) -> list[Path]:
     """Return the files of a twin's versions in the order of their numbers; none where there is no twin."""
-    found = {int(match[1]): path for path in folder.glob("v*.json") if (match := _VERSION.fullmatch(path.name))}
-    return [found[number] for number in sorted(found)]
+    paths = {int(match[1]): path for path in folder.glob("v*.json") if (match := _VERSION.fullmatch(path.name))}
+    return [paths[number] for number in sorted(paths)]
 
 
 def version_name(version: int) -> str:
@@ -106,7 +106,7 @@ def _oldest_first(home: Home, name: str = "*") -> list[Path]:
 
 
 def _still_waiting(paths: Iterable[Path]) -> list[_Waiting]:
-    return [found for path in paths if (found := _waiting_at(path)) is not None]
+    return [waiting for path in paths if (waiting := _waiting_at(path)) is not None]
 
 
 def _waiting_at(path: Path) -> _Waiting | None:
@@ -255,8 +255,8 @@ def _known(path: Path) -> dict[str, Any]:
     digest = _sha256(path)
     with contextlib.suppress(StoreError):
         if _receipt(path).exists():
-            found = read_document(_receipt(path))
-            return found if found["version"] == digest else {}
+            receipt = read_document(_receipt(path))
+            return receipt if receipt["version"] == digest else {}
         place = read_document(path).get("mlflow")
         return {**place, "version": digest} if place else {}
     return {}

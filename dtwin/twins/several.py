@@ -68,10 +68,10 @@ def fitted_together(
 ) -> SeveralTwin:
     """Return a twin of several campaigns; one that contradicts the others has values of its own and is named."""
     campaigns = [one.obs for one in loaded]
-    found = fit_several(campaigns, terms, library, robust=robust)
-    found, apart = without_contradictions(found, [started_of(obs) for obs in campaigns])
+    together = fit_several(campaigns, terms, library, robust=robust)
+    together, apart = without_contradictions(together, [started_of(obs) for obs in campaigns])
     data = [one.data for one in loaded]
-    return several_twin_of(found, apart, campaigns, name=name, version=version, action=action, data=data)
+    return several_twin_of(together, apart, campaigns, name=name, version=version, action=action, data=data)
 
 
 def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:

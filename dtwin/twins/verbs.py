@@ -143,16 +143,16 @@ class Twins(TwinShelf):
         twin = self.newest(name)
         loaded = self._load(twin.campaigns)
         if isinstance(twin, SeveralTwin):
-            found: Diagnosis = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
+            diagnosis: Diagnosis = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
         else:
             obs = loaded[0].obs
-            found = diagnose(obs, twin.terms, self.library, seed=seed)
-            found = replace(found, next_experiment=next_experiment(obs, twin.terms, found, self.library))
-        found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
+            diagnosis = diagnose(obs, twin.terms, self.library, seed=seed)
+            diagnosis = replace(diagnosis, next_experiment=next_experiment(obs, twin.terms, diagnosis, self.library))
+        diagnosis = replace(diagnosis, told=tuple(line for one in loaded for line in data_lines(one.data)))
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
-        document |= found.as_dict()
+        document |= diagnosis.as_dict()
         self.store_diagnosis(document)
-        return twin, found
+        return twin, diagnosis
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
         """Add an effect, refit, and store the new version.
@@ -282,7 +282,7 @@ class Twins(TwinShelf):
             )
         else:
             (one,) = loaded
-            found = fit(one.obs, terms, robust=robust)
-            twin = twin_of(found, one.obs, name=name, version=version, action=action, data=one.data)
+            fitted = fit(one.obs, terms, robust=robust)
+            twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict())
         return with_record(self.home, twin)

@@ -52,18 +52,20 @@ class _Reason(BaseModel):
 def campaign_list(request: Request, find: str = "", page: int = 1) -> Response:
     """Show campaigns, so many on a page; ``find`` is a part of their name, machine or kind."""
     every, wanted = bench_of(request).campaigns(), find.strip().casefold()
-    found = [one for one in every if wanted in f"{one.name} {one.machine} {one.kind}".casefold()] if wanted else every
-    pages = max(-(-len(found) // _ON_A_PAGE), 1)
+    matching = (
+        [one for one in every if wanted in f"{one.name} {one.machine} {one.kind}".casefold()] if wanted else every
+    )
+    pages = max(-(-len(matching) // _ON_A_PAGE), 1)
     page = min(max(page, 1), pages)
     return rendered(
         request,
         "campaigns.html",
         title="Campaigns",
-        campaigns=found[(page - 1) * _ON_A_PAGE : page * _ON_A_PAGE],
+        campaigns=matching[(page - 1) * _ON_A_PAGE : page * _ON_A_PAGE],
         find=find,
         page=page,
         pages=pages,
-        found=len(found),
+        found=len(matching),
         there=len(every),
         limit_mb=MAX_TRAY_BYTES // 1024**2,
     )

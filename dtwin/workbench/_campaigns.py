@@ -22,6 +22,6 @@ def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Ef
     alone = {str(axis) for row in rows if (axis := meta_of(row).condition.get("axis"))}
     axes = sorted({axis for plane in planes for axis in AXES_OF[plane]} | alone)
     geometry = json.loads(rows[0]["geometry_json"])
-    found = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)
-    effects = {i.effect.name: i.effect for i in found if not i.effect.setup}
+    instances = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)
+    effects = {i.effect.name: i.effect for i in instances if not i.effect.setup}
     return [effects[name] for name in sorted(effects)]

@@ -91,7 +91,7 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
     if read_as_it_is(path):
         # What it is will be seen at ingest.
         return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": ""}
-    found = look(path, bench.home, table.decimal)
+    looked = look(path, bench.home, table.decimal)
     try:
         return understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal).as_dict() | {
             "refused": "",
@@ -99,7 +99,7 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
         }
     except InputError as error:
         error.where = error.where and error.where.replace(f"{path.parent}/", "")
-        return _heads(found) | {"refused": error.render(), "names": _names()}
+        return _heads(looked) | {"refused": error.render(), "names": _names()}
 
 
 @router.post("/api/trays/{tray}/ingest")
@@ -130,20 +130,20 @@ def _names() -> list[str]:
     return sorted({column for kind in kinds() for column in kind.columns})
 
 
-def _heads(found: Looked) -> dict[str, Any]:
+def _heads(looked: Looked) -> dict[str, Any]:
     """Return a table of which no kind of test is known yet."""
-    units = found.units or ("",) * len(found.heads)
+    units = looked.units or ("",) * len(looked.heads)
     return {
-        "heads": list(found.heads),
-        "first_rows": [list(row) for row in found.body[:4]],
+        "heads": list(looked.heads),
+        "first_rows": [list(row) for row in looked.body[:4]],
         "columns": [
             {"head": head, "unit": unit, "name": "", "factor": 1.0, "why_not": ""}
-            for head, unit in zip(found.heads, units, strict=False)
+            for head, unit in zip(looked.heads, units, strict=False)
         ],
         "missing": [],
         "unconfirmed": [],
         "conditions": {},
-        "decimal": found.decimal,
+        "decimal": looked.decimal,
     }
 
 
@@ -155,8 +155,8 @@ def _ingested(bench: Bench, folder: Path, tables: Sequence[_Table], tell: Tell) 
         if read_as_it_is(path):
             alone[path] = table.told.as_dict()
             continue
-        found = understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal)
-        write_folder(found, folder / f"table-{number}", bench.home, confirmed=table.confirmed)
+        understood = understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal)
+        write_folder(understood, folder / f"table-{number}", bench.home, confirmed=table.confirmed)
         path.unlink()
     names = []
     for source in [*sources(folder, alone)]:

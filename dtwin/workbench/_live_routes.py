@@ -145,9 +145,9 @@ def _none(machine: str) -> InputError:
 @router.get("/api/live/{machine}/jitter")
 def jitter(request: Request, machine: str, started: str) -> Response:
     """Return the jitter of the session that began at a time."""
-    for found in sessions(bench_of(request).home):
-        if (found["machine"], found.get("started")) == (machine, started) and found.get("timing"):
-            figure: go.Figure = jitter_figure(found["timing"]["jitter_us_histogram"])
+    for session in sessions(bench_of(request).home):
+        if (session["machine"], session.get("started")) == (machine, started) and session.get("timing"):
+            figure: go.Figure = jitter_figure(session["timing"]["jitter_us_histogram"])
             return drawn(figure)
     raise InputError("no such session", code="page.unknown", got=f"{machine} {started}"[:100])
 
@@ -161,10 +161,10 @@ def _outside_share(session: Mapping[str, Any]) -> float:
 @router.post("/api/live/{machine}/stop")
 def stop(request: Request, machine: str) -> JSONResponse:
     """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
-    for found in _servings(bench_of(request).home):
-        if found.machine == machine:
-            os.kill(found.pid, signal.SIGINT)
-            return JSONResponse({"stopped": found.pid})
+    for serving in _servings(bench_of(request).home):
+        if serving.machine == machine:
+            os.kill(serving.pid, signal.SIGINT)
+            return JSONResponse({"stopped": serving.pid})
     raise InputError("nothing serves this machine now", code="live.none", got=machine[:80], hint="reload the page")
 
 
@@ -175,7 +175,7 @@ def _servings(home: Home) -> list[_Serving]:
     starts.
     """
     held = _locked_inodes()
-    found = []
+    servings = []
     for path in sorted((home.root / "locks").glob("machine-*.lock")):
         try:
             note = json.loads(path.read_text(encoding="utf-8"))
@@ -184,19 +184,19 @@ def _servings(home: Home) -> list[_Serving]:
         except (OSError, ValueError, KeyError, TypeError):
             continue
         if holder == pid and pid > 1:
-            found.append(_Serving(path.stem.removeprefix("machine-"), pid, since))
-    return found
+            servings.append(_Serving(path.stem.removeprefix("machine-"), pid, since))
+    return servings
 
 
 def sessions(home: Home) -> list[dict[str, Any]]:
     """Return the newest sessions of every machine as their logs state them, newest first."""
-    found: list[dict[str, Any]] = []
+    lines: list[dict[str, Any]] = []
     for path in sorted(home.logs.glob("serve-*.jsonl")):
         if path.name.endswith(_EVENTS):
             continue
         machine = path.stem.removeprefix("serve-")
-        found += [{"machine": machine, **line} for line in _newest_lines(path)]
-    return sorted(found, key=lambda s: str(s.get("started", "")), reverse=True)
+        lines += [{"machine": machine, **line} for line in _newest_lines(path)]
+    return sorted(lines, key=lambda s: str(s.get("started", "")), reverse=True)
 
 
 def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
@@ -226,9 +226,9 @@ def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
 
 def _locked_inodes() -> dict[int, int]:
     """Return the process that holds the lock of each inode, as the kernel lists them."""
-    found = {}
+    holders = {}
     for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
         parts = line.split()
         if len(parts) >= 6 and parts[1] == "FLOCK":
-            found[int(parts[5].rsplit(":", 1)[-1])] = int(parts[4])
-    return found
+            holders[int(parts[5].rsplit(":", 1)[-1])] = int(parts[4])
+    return holders

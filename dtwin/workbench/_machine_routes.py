@@ -91,18 +91,18 @@ def compare_tests(request: Request, name: str) -> JSONResponse:
 def together(request: Request, name: str) -> Response:
     """Show what the tests of a machine say together."""
     bench = bench_of(request)
-    found = machine_joint(bench.home, name, library=bench.library)
-    groups = {t["campaign"]: [[title_of(n, bench.library) for n in g] for g in t["found"]] for t in found["tests"]}
+    diagnosis = machine_joint(bench.home, name, library=bench.library)
+    groups = {t["campaign"]: [[title_of(n, bench.library) for n in g] for g in t["found"]] for t in diagnosis["tests"]}
     title = f"Tests of {name} together"
-    return rendered(request, "together.html", title=title, machine=name, found=found, groups=groups)
+    return rendered(request, "together.html", title=title, machine=name, found=diagnosis, groups=groups)
 
 
 @router.get("/machines/{name}/next")
 def next_page(request: Request, name: str) -> Response:
     """Show which test tells most for its time."""
     bench = bench_of(request)
-    found = machine_next(bench.home, name, library=bench.library)
-    return rendered(request, "next.html", title=f"Next test of {name}", found=found)
+    advice = machine_next(bench.home, name, library=bench.library)
+    return rendered(request, "next.html", title=f"Next test of {name}", found=advice)
 
 
 @router.get("/machines/{name}/next/{test}.{ending}")
@@ -197,13 +197,13 @@ def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JS
     return accepted(bench.jobs.start(f"{what} of {name}", work))
 
 
-def _series(found: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    chosen: Mapping[str, Any] | None = next((one for one in found["series"] if one["name"] == name), None)
+def _series(history: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    chosen: Mapping[str, Any] | None = next((one for one in history["series"] if one["name"] == name), None)
     if chosen is None:
-        raise InputError("there is no such figure", code="page.unknown", where=found["machine"], got=name[:80])
+        raise InputError("there is no such figure", code="page.unknown", where=history["machine"], got=name[:80])
     return chosen
 
 
-def _overdue(found: Mapping[str, Any]) -> bool:
-    due = found["next_test"]
+def _overdue(history: Mapping[str, Any]) -> bool:
+    due = history["next_test"]
     return bool(due) and str(due["on"]) < datetime.now(UTC).date().isoformat()

@@ -21,11 +21,11 @@ router = APIRouter()
 def measuring_page(request: Request) -> Response:
     """Show what is asked now."""
     asked = desks(bench_of(request).home)
-    found = [
+    desks_shown = [
         {"id": name, "name": folder.name, "folder": str(folder), "question": question}
         for name, (folder, question) in asked.items()
     ]
-    return rendered(request, "measuring.html", title="Measuring", desks=found, seen=_open(asked))
+    return rendered(request, "measuring.html", title="Measuring", desks=desks_shown, seen=_open(asked))
 
 
 @router.get("/api/measuring")
@@ -41,10 +41,10 @@ def _open(asked: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> dict[str, Any]
 @router.post("/api/measuring/{desk}/{question}/{answer}")
 def answered(request: Request, desk: str, question: str, answer: str) -> JSONResponse:
     """Answer a question."""
-    found = desks(bench_of(request).home).get(desk)
-    if found is None:
+    asking = desks(bench_of(request).home).get(desk)
+    if asking is None:
         raise InputError(
             "no campaign is measured there now", code="campaign.answer", got=desk[:40], hint="reload the page"
         )
-    give_answer(found[0], question, answer)
+    give_answer(asking[0], question, answer)
     return JSONResponse({"answered": answer})

@@ -46,20 +46,20 @@ def model_list(request: Request) -> Response:
 def model_page(request: Request, machine: str, version: str) -> Response:
     """Show a version: candidates, front, gates, evidence."""
     bench = bench_of(request)
-    found = _judged(bench, machine, version)
+    judged = _judged(bench, machine, version)
     from dtwin.report.campaign import evidence_table
     from dtwin.train.promotion import state_of
 
-    evidence = Table(*evidence_table(found.evidence)) if found.evidence else None
-    number = found.version.version
+    evidence = Table(*evidence_table(judged.evidence)) if judged.evidence else None
+    number = judged.version.version
     return rendered(
         request,
         "model.html",
         title=f"{machine} version {number}",
-        found=found,
+        found=judged,
         machine=machine,
         evidence=evidence,
-        state=state_of(found.version, bench.home),
+        state=state_of(judged.version, bench.home),
         mlflow=models.mlflow_page(bench.home, f"dtwin-{machine}", number),
     )
 
@@ -67,15 +67,15 @@ def model_page(request: Request, machine: str, version: str) -> Response:
 @router.get("/api/models/{machine}/{version}/{kind}")
 def model_figure(request: Request, machine: str, version: str, kind: str) -> Response:
     """Return a figure of a version: front, latency, r2 or evidence."""
-    found = _judged(bench_of(request), machine, version)
-    if kind == "front" and found.front:
-        return drawn(front_figure(found.front, found.floor_um, found.floor_dof))
+    judged = _judged(bench_of(request), machine, version)
+    if kind == "front" and judged.front:
+        return drawn(front_figure(judged.front, judged.floor_um, judged.floor_dof))
     if kind == "latency":
-        return drawn(comparison_figure(found.candidates, found.floor_um, found.floor_dof))
+        return drawn(comparison_figure(judged.candidates, judged.floor_um, judged.floor_dof))
     if kind == "r2":
-        return drawn(r2_figure(found.candidates))
-    if kind == "evidence" and found.evidence:
-        return drawn(evidence_figure(found.evidence))
+        return drawn(r2_figure(judged.candidates))
+    if kind == "evidence" and judged.evidence:
+        return drawn(evidence_figure(judged.evidence))
     raise InputError("there is no such figure", code="page.unknown", got=kind[:40])
 
 
@@ -84,27 +84,27 @@ def promote(request: Request, machine: str, version: str, why: _Comment) -> JSON
     """Check a version and make it champion, or put it on trial; the gates decide."""
     bench = bench_of(request)
     registry = models.require_registry(bench.home)
-    found = registry.version(machine, version)
+    registered = registry.version(machine, version)
 
     def work(tell: Tell) -> str:
         from dtwin.lifecycle.evidence import promote_proven, proven_or_measured
         from dtwin.lifecycle.train import put_on_trial as on_trial
 
-        address = f"/models/{machine}/{found.version}"
+        address = f"/models/{machine}/{registered.version}"
         if why.trial:
             tell("offline gates")
-            on_trial(bench.home, found, why.comment)
+            on_trial(bench.home, registered, why.comment)
             return address
         tell("evidence from runs with and without correction")
         proven_or_measured(
-            bench.home, found, seed=0, progress=lambda done, total, what: tell(f"{done} of {total}, {what}")
+            bench.home, registered, seed=0, progress=lambda done, total, what: tell(f"{done} of {total}, {what}")
         )
         tell("gates")
-        promote_proven(bench.home, found, why.comment)
+        promote_proven(bench.home, registered, why.comment)
         return address
 
     verb = "Put on trial" if why.trial else "Promote"
-    return accepted(bench.jobs.start(f"{verb} {machine} version {found.version}", work))
+    return accepted(bench.jobs.start(f"{verb} {machine} version {registered.version}", work))
 
 
 @router.post("/api/models/{machine}/rollback")
@@ -125,8 +125,8 @@ def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
 
 def _judged(bench: Bench, machine: str, version: str) -> models.Judged:
     registry = models.require_registry(bench.home)
-    found = registry.version(machine, version)
+    registered = registry.version(machine, version)
     # Tags change with every promotion; what they judge does not.
-    stamp = json.dumps([dict(found.tags), found.aliases], sort_keys=True)
-    key = ("model", machine, found.version, found.run_id, stamp)
-    return bench.cache.get(key, lambda: models.judged(registry, machine, found.version))
+    stamp = json.dumps([dict(registered.tags), registered.aliases], sort_keys=True)
+    key = ("model", machine, registered.version, registered.run_id, stamp)
+    return bench.cache.get(key, lambda: models.judged(registry, machine, registered.version))

@@ -120,7 +120,7 @@ def _row(logged: Mapping[str, Any], zero_um: float | None) -> dict[str, Any]:
 
 def _front(registry: Registry, version: RegisteredVersion) -> tuple[Mapping[str, Any], ...]:
     try:
-        found: Sequence[Mapping[str, Any]] = registry.read_json(version, "front.json")
+        front: Sequence[Mapping[str, Any]] = registry.read_json(version, "front.json")
     except InputError:
         return ()
-    return tuple(point for point in found if "terms" in point)
+    return tuple(point for point in front if "terms" in point)

@@ -23,8 +23,8 @@ def decimal(text: str, what: str) -> float:
     if len(plain) <= _MOST_CHARACTERS:
         if _PLAIN.fullmatch(plain):
             value = float(plain.replace(",", "."))
-        elif found := _GROUPED.fullmatch(plain):
-            groups = "," if found.group(2) else "."
+        elif grouped := _GROUPED.fullmatch(plain):
+            groups = "," if grouped.group(2) else "."
             value = float(plain.replace(groups, "").replace(",", "."))
     if math.isfinite(value):
         return value

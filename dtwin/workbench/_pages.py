@@ -69,7 +69,7 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
     ``context``: what the template shows; everything is escaped.
     """
     bench = bench_of(request)
-    found = _ENVIRONMENT.get_template(template).render(
+    text = _ENVIRONMENT.get_template(template).render(
         allowed=request.state.allowed,
         may=request.state.may,
         needed=[*NEEDED, ("", OTHERWISE)],
@@ -79,7 +79,7 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
         jobs=bench.jobs.unfinished(),
         **context,
     )
-    return HTMLResponse(found, status)
+    return HTMLResponse(text, status)
 
 
 def drawn(figure: go.Figure) -> Response:

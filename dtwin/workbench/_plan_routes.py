@@ -60,18 +60,18 @@ def plan_page(request: Request, name: str) -> Response:
     bench = bench_of(request)
     kind, told = _told(request.url.query)
     draft = draft_of(bench.home, name, kind)
-    found: Mapping[str, Any] | None = None
+    forecast: Mapping[str, Any] | None = None
     refused = ""
     try:
         document = with_settings(draft, told)
-        found = foretold(bench.home, document, bench.library, _LONGEST_S)
+        forecast = foretold(bench.home, document, bench.library, _LONGEST_S)
     except DtwinError as error:
         document, refused = draft, error.render()
-    shown = {} if found is None else _shown(bench, found)
+    shown = {} if forecast is None else _shown(bench, forecast)
     return rendered(
         request,
         "plan.html",
-        200 if found is not None else 400,
+        200 if forecast is not None else 400,
         title=f"Plan a test of {name}",
         machine=name,
         kind=kind,
@@ -83,7 +83,7 @@ def plan_page(request: Request, name: str) -> Response:
             if key not in ("kind", "machine")
         ],
         query=request.url.query or f"kind={kind}",
-        found=found,
+        found=forecast,
         refused=refused,
         with_programs=kind_named(kind).offers("programs"),
         foreseen=kind_named(kind).offers("foreseen"),
@@ -141,17 +141,17 @@ def changes_page(request: Request, name: str, campaign: str = "") -> Response:
     """Show the figures of a test beside those of another one of its kind."""
     bench = bench_of(request)
     other = request.query_params.get("with", "")
-    found = sheet_changes(bench.home, campaign, other, name) if campaign else last_changes(bench.home, name)
-    same = [one.name for one in bench.campaigns() if (one.machine, one.kind) == (name, found["kind"])]
+    compared = sheet_changes(bench.home, campaign, other, name) if campaign else last_changes(bench.home, name)
+    same = [one.name for one in bench.campaigns() if (one.machine, one.kind) == (name, compared["kind"])]
     return rendered(
         request,
         "changes.html",
         title=f"What changed in {name}",
         machine=name,
-        found=found,
-        told=changes_text(found)[1:],
-        head=change_table(found)[0],
-        rows=list(zip(found["figures"], change_table(found)[1], strict=True)),
+        found=compared,
+        told=changes_text(compared)[1:],
+        head=change_table(compared)[0],
+        rows=list(zip(compared["figures"], change_table(compared)[1], strict=True)),
         campaigns=same,
     )
 
@@ -168,15 +168,15 @@ def planned_of(bench: Bench, machine: str) -> list[dict[str, Any]]:
 
 
 def _compared_plans(bench: Bench, machine: str) -> list[dict[str, Any]]:
-    found = kept_plans(bench.home, machine)
-    answered = [one for one in found if one["answer"]][:_COMPARED]
+    plans = kept_plans(bench.home, machine)
+    answered = [one for one in plans if one["answer"]][:_COMPARED]
     for one in answered:
         try:
             one["compared"] = changes_title(sheet_changes(bench.home, one["answer"]))
         except InputError as error:
             one["compared"] = ""
             one["not_compared"] = error.message
-    return found
+    return plans
 
 
 def _told(query: str) -> tuple[str, dict[str, str]]:
@@ -226,9 +226,9 @@ def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _shown(bench: Bench, found: Mapping[str, Any]) -> dict[str, Any]:
+def _shown(bench: Bench, forecast: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a test would show: effects that are seen at their ordinary size, the others, those hidden, groups alike."""
-    sizes = found["detectable"] or []
+    sizes = forecast["detectable"] or []
 
     def words(label: str) -> str:
         return title_of(label, bench.library)
@@ -238,5 +238,5 @@ def _shown(bench: Bench, found: Mapping[str, Any]) -> dict[str, Any]:
         "seen": [one for one in seen if one["amplitude"] <= one["typical"]],
         "larger": [one for one in seen if one["amplitude"] > one["typical"]],
         "hidden": [words(one["label"]) for one in sizes if one["amplitude"] is None],
-        "alike": [[words(label) for label in group] for group in found["alike"] or []],
+        "alike": [[words(label) for label in group] for group in forecast["alike"] or []],
     }

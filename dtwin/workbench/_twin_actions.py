@@ -186,8 +186,8 @@ def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResp
         from dtwin.twins.correct import correct as register
 
         tell("diagnose, grade every effect, freeze and register")
-        found = register(bench.twins, name, trial=wanted.trial).as_dict()
-        return f"/models/{found['machine']}/{found['version']}"
+        correction = register(bench.twins, name, trial=wanted.trial).as_dict()
+        return f"/models/{correction['machine']}/{correction['version']}"
 
     return accepted(bench.jobs.start(f"Correct with {name}", work))
 

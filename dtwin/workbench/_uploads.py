@@ -102,8 +102,8 @@ def sources(folder: Path, told: Collection[Path] = ()) -> list[Path]:
         target = archive.with_name(f"{archive.stem}-unpacked")
         _unpack(archive, target)
         archive.unlink()
-    found = sorted(folder.rglob("campaign.toml"))
-    homes = [toml.parent for toml in found]
+    folders = sorted(folder.rglob("campaign.toml"))
+    homes = [toml.parent for toml in folders]
     alone = {".b5r"} if homes else {".b5r", ".csv", ".parquet", *SPREADSHEETS}
     loose = [
         path

@@ -84,8 +84,8 @@ class RandomWalkFilter(_RandomWalk):
     def static_um(self, deviation_um: Floats) -> Floats:
         """Return the filtered turn."""
         twice = np.tile(deviation_um, 2)
-        found, _, _, _ = kalman_kernel(twice, self.q_um2, self.r_um2, self.p_um2)
-        return np.asarray(found[len(deviation_um) :])
+        filtered, _, _, _ = kalman_kernel(twice, self.q_um2, self.r_um2, self.p_um2)
+        return np.asarray(filtered[len(deviation_um) :])
 
 
 class Smoother(_RandomWalk):
@@ -100,8 +100,8 @@ class Smoother(_RandomWalk):
         """Return the smoothed turn."""
         n = len(deviation_um)
         thrice = np.tile(deviation_um, 3)
-        found = kalman_kernel(thrice, self.q_um2, self.r_um2, self.p_um2)
-        return np.asarray(smooth_kernel(*found)[n : 2 * n])
+        filtered = kalman_kernel(thrice, self.q_um2, self.r_um2, self.p_um2)
+        return np.asarray(smooth_kernel(*filtered)[n : 2 * n])
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ class UnscentedFilter:
         kind = MODELS.index(self.model)
         twice = np.tile(deviation_um, 2)
         settings = np.array([self.alpha, self.q_um2, self.r_um2, self.p_um2])
-        found = unscented_kernel(twice, kind, UM_PER_MM * self.radius_mm, 2.0 * np.pi / n, settings)
-        return np.asarray(found[n:])
+        filtered = unscented_kernel(twice, kind, UM_PER_MM * self.radius_mm, 2.0 * np.pi / n, settings)
+        return np.asarray(filtered[n:])
 
 
 @dataclass(frozen=True)

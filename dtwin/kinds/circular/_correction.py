@@ -93,12 +93,12 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
     if not ratios:
         return None
     worst = max(ratios, key=lambda key: ratios[key])
-    found = rest[obs.mask]
+    residual_um = rest[obs.mask]
     return Scores(
         group=group,
-        r2=1.0 - float(np.mean(found**2) / np.mean(plain[obs.mask] ** 2)),
-        rms_um=rms(found),
-        mae_um=float(np.mean(np.abs(found))),
+        r2=1.0 - float(np.mean(residual_um**2) / np.mean(plain[obs.mask] ** 2)),
+        rms_um=rms(residual_um),
+        mae_um=float(np.mean(np.abs(residual_um))),
         worst_slice_ratio=ratios[worst],
         worst_slice=worst,
         n_groups=len(values),

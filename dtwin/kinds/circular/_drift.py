@@ -42,15 +42,15 @@ def circles_error(
     """
     require_inputs(bundle, PATH_INPUTS, ("path_radial",), "inputs of the path, one radial output")
     horizon_s = metrics.get("horizon_ms", 0.0) / 1000.0
-    found = gather(load_ticks(lake, lake.campaign(rows[0]["campaign"]), rows, progress))
-    parts = [_predicted_um(bundle, run, horizon_s) for run in found.runs]
+    gathered = gather(load_ticks(lake, lake.campaign(rows[0]["campaign"]), rows, progress))
+    parts = [_predicted_um(bundle, run, horizon_s) for run in gathered.runs]
     predicted = np.concatenate([values for values, _ in parts])
     return ChampionError(
-        rms_um=score(found, predicted, "run_id").rms_um,
-        before_um=found.rms_um(found.target_um),
-        noise_floor_um=noise_floor_um(found)[0],
+        rms_um=score(gathered, predicted, "run_id").rms_um,
+        before_um=gathered.rms_um(gathered.target_um),
+        noise_floor_um=noise_floor_um(gathered)[0],
         outside_box_share=float(np.mean(np.concatenate([outside for _, outside in parts]))),
-        n_runs=len(found.runs),
+        n_runs=len(gathered.runs),
     )
 
 

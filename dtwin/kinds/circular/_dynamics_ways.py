@@ -87,8 +87,8 @@ def twin_static_um(obs: Observations, effects: Sequence[str], library: Library |
 
     ``library``: effects; the built-in ones without.
     """
-    found = fit(obs, chosen_terms(list(effects), library or Library(), obs))
-    return np.asarray(obs.y_um - found.residual_um)
+    fitted = fit(obs, chosen_terms(list(effects), library or Library(), obs))
+    return np.asarray(obs.y_um - fitted.residual_um)
 
 
 def on_turn(static_um: Floats, turn: Turn) -> Floats:

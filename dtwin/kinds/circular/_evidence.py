@@ -79,15 +79,15 @@ def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, i
     content, seed, tcp, (plane, radius, feed), repeats = job
     bundle = Bundle.from_dict(content)
     cobot = VirtualCobot(seed=seed)
-    found: list[tuple[str, Run, dict[str, int]]] = []
+    measured: list[tuple[str, Run, dict[str, int]]] = []
     setup = f"evidence-{plane}-{radius:g}"
     for _ in range(repeats):
         for way in WAYS:
             for direction in ("CCW", "CW"):
                 condition = CircleCondition(plane, radius, feed, direction)
-                recording, acted = run_circle(cobot, bundle, np.array(tcp), condition, setup, 101 + len(found), way)
+                recording, acted = run_circle(cobot, bundle, np.array(tcp), condition, setup, 101 + len(measured), way)
                 run = run_of(recording, "e", plane, EPOCH)
                 correction = bundle.model_sha256 if way == "compensated" else ""
                 meta = replace(run.meta, correction=correction)
-                found.append((way, replace(run, meta=meta, signals=()), acted))
-    return found
+                measured.append((way, replace(run, meta=meta, signals=()), acted))
+    return measured

@@ -120,8 +120,8 @@ def tune(
         return judge(set_as(place).static_um(turn_um), reference_um, fitness).fitness
 
     begun = time.perf_counter()
-    found = minimise(value, [bounds], settings or SwarmSettings())
-    chosen = set_as(found.place)
+    best = minimise(value, [bounds], settings or SwarmSettings())
+    chosen = set_as(best.place)
     ends = [value(np.array([end])) for end in bounds]
     return Tuning(
         chosen=chosen,
@@ -129,10 +129,10 @@ def tune(
         fitness=fitness,
         judged=judge(chosen.static_um(turn_um), reference_um, fitness),
         unfiltered=judge(turn_um, reference_um, fitness),
-        history=found.history,
-        evaluations=found.evaluations,
+        history=best.history,
+        evaluations=best.evaluations,
         seconds=time.perf_counter() - begun,
-        inert=max(abs(end - found.value) for end in ends) <= 1e-6 * abs(found.value),
+        inert=max(abs(end - best.value) for end in ends) <= 1e-6 * abs(best.value),
     )
 
 

@@ -102,11 +102,11 @@ class Library:
         live = self.live_states(outputs)
         graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
         tape = Tape(graph, PATH_INPUTS, {k: self.initial[k] for k in live}, list(outputs))
-        found = []
+        columns_of_terms = []
         for run in runs:
             tape.reset()
-            found.append(tape.run_many(run.inputs.astype(float))[run.arc].astype(np.float32))
-        return found
+            columns_of_terms.append(tape.run_many(run.inputs.astype(float))[run.arc].astype(np.float32))
+        return columns_of_terms
 
     def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:
         """Return the states that outputs read, directly or through other states, sorted."""

@@ -35,7 +35,7 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
         for direction in ("CCW", "CW")
         for way in ("uncompensated", "compensated")
     ]
-    found: dict[Any, list[dict[str, Any]]] = defaultdict(list)
+    by_condition: dict[Any, list[dict[str, Any]]] = defaultdict(list)
     order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
     for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
         recording, _ = run_circle(
@@ -48,12 +48,12 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
             way,
         )
         run = evaluate_circle(recording, direction) | {"block": block}
-        found[(plane, radius, feed), way].append(run)
+        by_condition[(plane, radius, feed), way].append(run)
         if request.progress is not None:
             request.progress(number + 1, len(order), f"{plane} R{radius:g} F{feed:g}, {way}")
     return [
         CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
-        for ((plane, radius, feed), way), runs in found.items()
+        for ((plane, radius, feed), way), runs in by_condition.items()
         for run, rms in zip(runs, rms_per_run(runs), strict=True)
     ]
 

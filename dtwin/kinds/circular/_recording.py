@@ -197,11 +197,11 @@ def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
 
 def _unseen_by_rung(passes: models.Passes, base: Sequence[Term], rungs: Sequence[models.Rung]) -> list[float]:
     columns = models.stack([passes.columns(term) for term in base])
-    found = []
+    unseen_um = []
     for rung in rungs:
         columns = models.stack([columns, passes.columns(rung.term)])
-        found.append(models.unseen_path_um(passes, columns))
-    return found
+        unseen_um.append(models.unseen_path_um(passes, columns))
+    return unseen_um
 
 
 def _carry_over(passes: models.Passes, base: Sequence[Term], unseen: Sequence[float]) -> int:
@@ -234,13 +234,13 @@ def _alone(passes: models.Passes, base: Sequence[Term], library: Mapping[str, Ef
         "effects of joints": [t for t in pool if t.instance.effect.per == "joint"],
         "dip within every arc": [t for t in pool if t.instance.effect is ARC_DIP],
     }
-    found = []
+    rows = []
     for name, terms in families.items():
         best = models.best_of(passes, base, terms)
         if best is not None:
             term, left = best
-            found.append({"family": name, "label": term.label, "shape": dict(term.shape), "held_out_um": left})
-    return found
+            rows.append({"family": name, "label": term.label, "shape": dict(term.shape), "held_out_um": left})
+    return rows
 
 
 def _lines(passes: models.Passes, residual: tuple[Floats, Floats]) -> list[dict[str, Any]]:

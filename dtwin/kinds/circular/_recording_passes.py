@@ -109,12 +109,12 @@ def _repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
     usable = int(motion.stops[-1]) - margin
     start = motion.lead_in_samples
     bounds = [start - margin, *(int(s) for s in motion.stops if s > start)]
-    found = []
+    stretches = []
     for begin, end in itertools.pairwise(bounds):
         stretch = _best(run.meta.run_id, deviation[:usable], begin + margin, end - margin, motion)
         if stretch is not None:
-            found.append(stretch)
-    return tuple(found)
+            stretches.append(stretch)
+    return tuple(stretches)
 
 
 def within_run_floor_um(stretches: tuple[Stretch, ...]) -> float:

@@ -48,16 +48,16 @@ def vendor_figures(
         if _PITCH + letter in diagnostics:
             (place,) = instances(library[_CYCLIC], [], (axis,), joints=False)
             terms.append(Term(place, place.effect.start_shape | {"pitch_mm": diagnostics[_PITCH + letter]}))
-    found: dict[str, Any] = {"stated_um": diagnostics.get("RMS")}
+    figures: dict[str, Any] = {"stated_um": diagnostics.get("RMS")}
     for key, by_file in (("file_angles", True), ("aligned_angles", False)):
         whole = [_columns(a.file_state if by_file else a.state, terms) for a in passes.aligned]
         columns = passes.both(whole)
-        found[key] = {
+        figures[key] = {
             "parameters": int(np.linalg.matrix_rank(columns[0], _RANK)),
             "marked_window_um": _window_um(passes.aligned, whole),
             "held_out_um": models.judge(passes.y_um, columns)[1],
         }
-    return found
+    return figures
 
 
 def _columns(state: State, terms: list[Term]) -> Floats:

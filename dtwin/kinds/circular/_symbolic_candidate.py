@@ -99,8 +99,8 @@ def _searched(
     usable = np.flatnonzero(inside & rows.scored)
     some = rng.choice(usable, min(SUBSAMPLE, usable.size), replace=False)
     more = rng.choice(usable, min(_REFIT_ROWS, usable.size), replace=False)
-    found = engine.search({n: c[some] for n, c in columns.items()}, rows.target_um[some], seed)
-    return refit(found, {n: c[more] for n, c in columns.items()}, rows.target_um[more])
+    formulas = engine.search({n: c[some] for n, c in columns.items()}, rows.target_um[some], seed)
+    return refit(formulas, {n: c[more] for n, c in columns.items()}, rows.target_um[more])
 
 
 def _columns(rows: Rows) -> dict[str, Floats]:

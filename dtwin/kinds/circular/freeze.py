@@ -141,8 +141,8 @@ class _Path:
     def error(self, term: Term) -> dict[str, Expression]:
         """Return the predicted radial error of a term in every plane in which it acts."""
         weights = self.twin.values(term)
-        found = self._along(lambda state: [weighted(term, state, self.builder, weights)])
-        out = {plane: both[0] for plane, both in found.items() if not self._constant(both[0])}
+        radial = self._along(lambda state: [weighted(term, state, self.builder, weights)])
+        out = {plane: both[0] for plane, both in radial.items() if not self._constant(both[0])}
         if not out:
             raise NotTraceable("it acts in none of the planes that were measured")
         return out
@@ -284,5 +284,5 @@ def radial_error_um(
         **(covariates or {}),
     }
     graph = bundle.tick_graph
-    found = [graph.evaluate({**fixed, _ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
-    return np.array(found)
+    errors_um = [graph.evaluate({**fixed, _ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
+    return np.array(errors_um)

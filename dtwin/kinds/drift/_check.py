@@ -102,7 +102,7 @@ def contradicting(runs: Sequence[Run]) -> dict[str, tuple[float, list[str]]]:
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
     axis = {r.meta.run_id: r.meta.condition.get("axis") for r in sound}
-    found = {}
+    contradictions = {}
     for n, name in enumerate(told):
         alike = [other for other in told if axis[other] == axis[name]]
         others = [other for other in alike if other != name and (len(alike) > 2 or told.index(other) < n)]
@@ -110,8 +110,8 @@ def contradicting(runs: Sequence[Run]) -> dict[str, tuple[float, list[str]]]:
         times = [t for t in times if np.isfinite(t)]
         if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:
             continue
-        found[name] = (float(np.median(times)), others)
-    return found
+        contradictions[name] = (float(np.median(times)), others)
+    return contradictions
 
 
 def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:

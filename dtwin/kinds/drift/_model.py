@@ -148,11 +148,11 @@ def series_of(run: Run, *, as_read: bool = False) -> Series:
     sample = run.samples.get("sample_1")
     whole = None if sample is None else np.round(sample).astype(int)
     series = Series(run.samples["t_s"], run.samples["displacement_um"], temperatures, whole)
-    found = [] if as_read else shifts(series)
-    if not found:
+    steps = [] if as_read else shifts(series)
+    if not steps:
         return series
-    moved = series.moved_um - sum(shift.size_um * (series.t_s >= shift.at_s) for shift in found)
-    return replace(series, moved_um=np.asarray(moved), touched_s=tuple(shift.at_s for shift in found))
+    moved = series.moved_um - sum(shift.size_um * (series.t_s >= shift.at_s) for shift in steps)
+    return replace(series, moved_um=np.asarray(moved), touched_s=tuple(shift.at_s for shift in steps))
 
 
 def shifts(series: Series) -> list[Shift]:

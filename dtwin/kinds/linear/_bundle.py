@@ -130,8 +130,8 @@ def fit_harmonics(position_mm: Floats, error_um: Floats, pitch_mm: float, orders
     """
     angle = np.outer(2.0 * np.pi * position_mm / pitch_mm, np.arange(1.0, orders + 1.0))
     design = np.hstack([np.ones((len(position_mm), 1)), np.sin(angle), np.cos(angle)])
-    found = np.linalg.lstsq(design, error_um, rcond=None)[0]
-    return _Harmonics(float(found[0]), found[1 : orders + 1], found[orders + 1 :])
+    coefficients = np.linalg.lstsq(design, error_um, rcond=None)[0]
+    return _Harmonics(float(coefficients[0]), coefficients[1 : orders + 1], coefficients[orders + 1 :])
 
 
 @dataclass(frozen=True)

@@ -92,11 +92,11 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:
     """Return the runs of both directions, axis by axis."""
-    found: dict[str, list[Run]] = {}
+    by_axis: dict[str, list[Run]] = {}
     for run in runs:
         if set(run.samples["direction"]) == {"forward", "reverse"}:
-            found.setdefault(str(run.meta.condition.get("axis", "")), []).append(run)
-    return list(found.values())
+            by_axis.setdefault(str(run.meta.condition.get("axis", "")), []).append(run)
+    return list(by_axis.values())
 
 
 def _across_cycles(test: LinearTest) -> list[Finding]:
@@ -119,9 +119,9 @@ def _missed(run: Run) -> list[Finding]:
     twice = 0
     for way in ways:
         at = position[direction == way]
-        found = _targets_of(at)
-        absent += np.setdiff1d(np.round(wanted, 6), np.round(found, 6)).tolist()
-        twice += len(at) - len(found)
+        targets = _targets_of(at)
+        absent += np.setdiff1d(np.round(wanted, 6), np.round(targets, 6)).tolist()
+        twice += len(at) - len(targets)
     findings = []
     if absent:
         findings.append(

@@ -84,7 +84,7 @@ def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, li
             )
     of_runs = [np.round(run.samples["position_mm"] / _ROUND_MM).astype(np.int64) for run in runs]
     targets = np.unique(np.concatenate(of_runs))
-    most = max(len(np.unique(found)) for found in of_runs)
+    most = max(len(np.unique(positions)) for positions in of_runs)
     if len(targets) < _FEWEST_TARGETS or len(targets) > 2 * most:
         few = len(targets) < _FEWEST_TARGETS
         raise InputError(
@@ -99,14 +99,14 @@ def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, li
     points = np.asarray(targets * _ROUND_MM, dtype=np.float64)
     half_mm = 0.5 * float(points[-1] - points[0])
     rows: list[Row] = []
-    for run, found, time_h in zip(runs, of_runs, times_h, strict=True):
+    for run, positions, time_h in zip(runs, of_runs, times_h, strict=True):
         feed = run.meta.condition.get("feed_mm_min")
         feed_mm_min = float(feed) if isinstance(feed, int | float) else _FEED_MM_MIN
         for way in WAYS:
             here = np.asarray(run.samples["direction"] == way)
             if here.any():
                 condition = Stroke(axis, half_mm, feed_mm_min, way)
-                bins = np.searchsorted(targets, found[here])
+                bins = np.searchsorted(targets, positions[here])
                 rows.append(_row(run, condition, here, bins, len(targets), time_h))
     return _grid(points), rows
 

@@ -123,10 +123,10 @@ def _columns(test: LaserTest, pair: list[tuple[slice, int]], mm: float, period_s
 
 
 def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
-    found = []
+    findings = []
     sense, right = sign_rule(test)
     if sense is None:
-        found.append(
+        findings.append(
             Finding(
                 "laser.inconsistent",
                 "error",
@@ -135,7 +135,7 @@ def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
             )
         )
     elif not right:
-        found.append(
+        findings.append(
             Finding(
                 "laser.sign",
                 "error",
@@ -145,7 +145,7 @@ def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
         )
     odd = int(np.count_nonzero(test.column("Status")))
     if odd:
-        found.append(
+        findings.append(
             Finding(
                 "laser.status",
                 "warning",
@@ -154,7 +154,7 @@ def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
             )
         )
     if "reading_period_s" not in campaign.instrument:
-        found.append(
+        findings.append(
             Finding(
                 "clock.assumed",
                 "info",
@@ -162,4 +162,4 @@ def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
                 "nothing per hour can be said: set reading_period_s under [campaign.instrument]",
             )
         )
-    return tuple(found)
+    return tuple(findings)

@@ -50,12 +50,12 @@ def _cyclic_um(test: LinearTest) -> float | None:
     x = test.position_mm
     trend = np.vander((x - x.mean()) / max(float(np.ptp(x)), 1e-9), _TREND_DEGREE + 1)
     turn = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
-    found = []
+    amplitudes = []
     for errors in (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)):
         design = np.hstack([_waves(2 * np.pi * x / test.pitch_mm, harmonics), trend])
         fitted = np.linalg.lstsq(design, errors, rcond=None)[0][: 2 * harmonics]
-        found.append(float(np.ptp(_waves(turn, harmonics) @ fitted)))
-    return max(found)
+        amplitudes.append(float(np.ptp(_waves(turn, harmonics) @ fitted)))
+    return max(amplitudes)
 
 
 def positioning_result(runs: Sequence[Run]) -> dict[str, Any]:

@@ -43,7 +43,7 @@ class ReportTable:
 def report_tables(text: str) -> list[ReportTable]:
     """Return the tables of a text in Markdown that hold readings; none when it is no such text."""
     lines = text.splitlines()
-    found = []
+    tables = []
     above: list[str] = []
     for number, line in enumerate(lines):
         heading = _HEADING.match(line)
@@ -54,8 +54,8 @@ def report_tables(text: str) -> list[ReportTable]:
             heads = [cell.strip() for cell in lines[number - 1].strip().strip("|").split("|")]
             told = _told_by_heading(heads, body, above[::-1])
             if told is not None:
-                found.append(told)
-    return found
+                tables.append(told)
+    return tables
 
 
 def _until_no_table(lines: Sequence[str]) -> list[str]:

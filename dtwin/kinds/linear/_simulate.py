@@ -175,6 +175,6 @@ def _averages(position: Floats, error: Floats, reverse: np.ndarray[Any, Any]) ->
     for way in (False, True):
         targets, place = np.unique(position[reverse == way], return_inverse=True)
         sums = np.bincount(place, weights=error[reverse == way])
-        found = np.column_stack([targets, sums / np.bincount(place)])
-        rows.append(found[::-1] if way else found)
+        averages = np.column_stack([targets, sums / np.bincount(place)])
+        rows.append(averages[::-1] if way else averages)
     return np.vstack(rows)

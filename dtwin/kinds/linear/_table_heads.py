@@ -165,12 +165,12 @@ def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], .
 
 def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, which may stand in its first column; None when there is none."""
-    found = _below_titles(rows)
+    table = _below_titles(rows)
     # Titles have one cell.
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if found is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
-        found = _below_titles(list(zip_longest(*wide, fillvalue="")))
-    return found
+    if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
+        table = _below_titles(list(zip_longest(*wide, fillvalue="")))
+    return table
 
 
 def _one_reading_a_row(

@@ -147,5 +147,5 @@ def _summary(cycles: _Cycles, begun_s: float, allowed: dict[str, str], guard: Gu
 
 def _spread(values: Floats) -> dict[str, float]:
     names = ("p50", "p99", "p99.9", "max")
-    found = np.percentile(values, _QUANTILES) if len(values) else np.full(4, np.nan)
-    return {name: float(value) for name, value in zip(names, found, strict=True)}
+    quantiles = np.percentile(values, _QUANTILES) if len(values) else np.full(4, np.nan)
+    return {name: float(value) for name, value in zip(names, quantiles, strict=True)}

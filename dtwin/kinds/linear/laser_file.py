@@ -146,20 +146,20 @@ def sweeps(position: Floats) -> list[tuple[slice, int]]:
     ``position``, (n,): targets in the order of measurement.
     Rows of each sweep, and +1 or -1 for its direction.
     """
-    found: list[tuple[slice, int]] = []
+    pieces: list[tuple[slice, int]] = []
     begun, sign = 0, 0
     for i, step in enumerate(np.sign(np.diff(position)).astype(int).tolist()):
         if step == 0 or (sign and step != sign):
-            found.append((slice(begun, i + 1), sign or _other(found)))
+            pieces.append((slice(begun, i + 1), sign or _other(pieces)))
             begun, sign = i + 1, step
         else:
             sign = step
-    found.append((slice(begun, len(position)), sign or _other(found)))
-    return found
+    pieces.append((slice(begun, len(position)), sign or _other(pieces)))
+    return pieces
 
 
-def _other(found: list[tuple[slice, int]]) -> int:
-    return -found[-1][1] if found else 1
+def _other(pieces: list[tuple[slice, int]]) -> int:
+    return -pieces[-1][1] if pieces else 1
 
 
 def _numbers(words: list[str], width: int) -> list[float] | None:

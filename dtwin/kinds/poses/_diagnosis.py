@@ -159,10 +159,10 @@ def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None
 
     ``rows`` (n,): numbers of the readings in their table, for those that are far off the others.
     """
-    found = _candidates(grams, terms)
-    group = _group(grams, terms, found)
+    candidates = _candidates(grams, terms)
+    group = _group(grams, terms, candidates)
     labels = {c.effect for c in group}
-    shown = (*group, *sorted((c for c in found if c.effect not in labels), key=lambda c: -c.gain))
+    shown = (*group, *sorted((c for c in candidates if c.effect not in labels), key=lambda c: -c.gain))
     figures = pose_figures(grams, terms)
     verdict, headline, p = _verdict(grams, group, figures)
     headline += _far_off(held_out_mm(grams, terms), rows)

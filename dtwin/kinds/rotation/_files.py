@@ -112,10 +112,10 @@ def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
 
 
 def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
-    found = _headed(rows, recipe)
-    if found is None:
-        found = 0, [_meant(head, recipe) for head in rows[0]] if rows else [], 1
-    begin, columns, first = found
+    headed = _headed(rows, recipe)
+    if headed is None:
+        headed = 0, [_meant(head, recipe) for head in rows[0]] if rows else [], 1
+    begin, columns, first = headed
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
     roles = {c.role for c in columns}

@@ -102,19 +102,21 @@ def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
     head, unit_below = (cell.replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below))
     text = " ".join(head.replace("_", " ").split()).lower()
-    found = _UNIT.search(head.lower())
+    unit_said = _UNIT.search(head.lower())
     inside = _IN_BRACKETS.search(head.lower())
-    if found is not None and inside is not None and inside[1] not in _UNITS:
+    if unit_said is not None and inside is not None and inside[1] not in _UNITS:
         # Of 1000 rpm it is the last word only.
-        found = None
-    told = unit_below.strip("[]()").lower() or (found[1] if found else "")
+        unit_said = None
+    told = unit_below.strip("[]()").lower() or (unit_said[1] if unit_said else "")
     if "winkel" in text and "grad" in (told, inside and inside[1]):
         # Elsewhere than in German it may be 1/400 of a turn.
         told = "deg"
     words = (
-        text if found is None else text[: len(text) - len(found[0].strip().replace("_", " ").strip())].strip(" [(/,")
+        text
+        if unit_said is None
+        else text[: len(text) - len(unit_said[0].strip().replace("_", " ").strip())].strip(" [(/,")
     )
-    if not words and found is not None:
+    if not words and unit_said is not None:
         words = text
     # Of "run-out in µm" the last word is none of the name.
     words = re.sub(r"\s+in$", "", words)

@@ -134,7 +134,7 @@ def _pair(
     values: Floats, designs: Mapping[str, Floats], group: Floats, held: Mapping[str, float], noise: float
 ) -> tuple[tuple[str, ...], float, float] | None:
     """Return which of speed or its square with the time values follow, the largest change, and how probable it is by chance; else None."""
-    found: dict[str, tuple[float, float, float]] = {}
+    laws: dict[str, tuple[float, float, float]] = {}
     for name in (SPEED, SQUARE):
         if _together(TIME, name, designs):
             continue
@@ -143,12 +143,12 @@ def _pair(
         chance = _chance(values, fitted, held_dof=3 * values.shape[1], noise=noise)
         sse = _held_out(design, values, group)
         if chance < _CHANCE / 2.0 and sse < _BETTER * min(held[n] for n in (CONSTANT, SPEED, SQUARE, TIME)):
-            found[f"{name}+{TIME}"] = (sse, float(np.ptp(fitted)), chance)
-    if not found:
+            laws[f"{name}+{TIME}"] = (sse, float(np.ptp(fitted)), chance)
+    if not laws:
         return None
-    best = min(found, key=lambda name: found[name][0])
-    names = sorted((n for n in found if found[n][0] < _AS_GOOD * found[best][0]), key=lambda n: found[n][0])
-    return tuple(names), *found[best][1:]
+    best = min(laws, key=lambda name: laws[name][0])
+    names = sorted((n for n in laws if laws[n][0] < _AS_GOOD * laws[best][0]), key=lambda n: laws[n][0])
+    return tuple(names), *laws[best][1:]
 
 
 def _together(one: str, other: str, designs: Mapping[str, Floats]) -> bool:
@@ -163,8 +163,8 @@ def _held_out(design: Floats, values: Floats, group: Floats) -> float:
     total = 0.0
     for g in np.unique(group):
         own = group == g
-        found = np.linalg.lstsq(design[~own], values[~own], rcond=None)[0]
-        total += float(np.sum((values[own] - design[own] @ found) ** 2))
+        coefficients = np.linalg.lstsq(design[~own], values[~own], rcond=None)[0]
+        total += float(np.sum((values[own] - design[own] @ coefficients) ** 2))
     return total
 
 

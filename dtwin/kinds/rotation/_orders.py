@@ -57,9 +57,9 @@ def orders_of(turns: Turns) -> tuple[Order, ...]:
     least = _LEAST * float(np.ptp(turns.read_um, axis=1).mean())
     ratio = np.divide(power, floor, out=np.zeros(len(power)), where=floor > 0.0)
     tests = int(usable.sum())
-    found: list[Order] = []
+    orders: list[Order] = []
     for k in np.argsort(-ratio):
-        if not usable[k] or len(found) == _MOST:
+        if not usable[k] or len(orders) == _MOST:
             break
         single = float((1.0 + ratio[k] / known) ** -known)
         chance = float(-np.expm1(tests * np.log1p(-min(single, 0.5))))
@@ -69,12 +69,12 @@ def orders_of(turns: Turns) -> tuple[Order, ...]:
             continue
         shift = _vertex(*np.sqrt(power[k - 1 : k + 2]))
         at = (k + shift) / turns.n
-        if any(abs(at - other.order) * turns.n < 2.0 * _BESIDE for other in found):
+        if any(abs(at - other.order) * turns.n < 2.0 * _BESIDE for other in orders):
             continue
         amplitude = 2.0 * float(np.sqrt(power[k])) / float(window.sum())
         if amplitude > least:
-            found.append(Order(float(at), amplitude, chance, 1.0 / turns.n))
-    return tuple(sorted(found, key=lambda line: -line.amplitude_um))
+            orders.append(Order(float(at), amplitude, chance, 1.0 / turns.n))
+    return tuple(sorted(orders, key=lambda line: -line.amplitude_um))
 
 
 def _floor(power: Floats, usable: NDArray[np.bool_]) -> tuple[Floats, float]:

@@ -188,11 +188,11 @@ def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
     if len(np.unique(groups_of(speed))) < 3:
         return None
     design = np.column_stack([np.ones(len(speed)), speed])
-    found = np.linalg.lstsq(design, shift_deg, rcond=None)[0]
-    left = shift_deg - design @ found
+    coefficients = np.linalg.lstsq(design, shift_deg, rcond=None)[0]
+    left = shift_deg - design @ coefficients
     dof = len(speed) - 2
     error = math.sqrt(float(left @ left) / dof * float(np.linalg.inv(design.T @ design)[1, 1]))
-    slope = float(found[1])
+    slope = float(coefficients[1])
     if abs(slope) * float(np.ptp(speed)) < _LEAST_DEG or 2.0 * t_tail(abs(slope) / max(error, 1e-12), dof) > _CHANCE:
         return None
     return Delay(-slope / 6e-3, t_quantile(_COVERED, dof) * error / 6e-3, abs(slope) * float(speed.max()))

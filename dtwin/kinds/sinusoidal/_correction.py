@@ -111,6 +111,6 @@ def _told(twin: Twin, obs: Observations, groups: ToneGroups) -> Predicted:
     predicted = predict_um(twin, obs)
     vectors = {_tone(obs, row): tone_of(predicted, obs, row) for row in range(obs.n_rows)}
     tones = zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True)
-    found = np.array([vectors[tone] for tone in tones])
-    lags = np.degrees([-cmath.phase(v) for v in found.tolist()])
-    return (np.abs(found) - 1.0) * groups.amplitude_um, lags
+    responses = np.array([vectors[tone] for tone in tones])
+    lags = np.degrees([-cmath.phase(v) for v in responses.tolist()])
+    return (np.abs(responses) - 1.0) * groups.amplitude_um, lags

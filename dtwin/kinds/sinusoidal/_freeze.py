@@ -100,11 +100,11 @@ class _Tone:
                 f"{100 * share:.2g} % of its power is not in the tone itself: a sine cannot carry its corners"
             )
         weights = self.twin.values(term)
-        found = [
+        in_step = [
             weighted(term, self._state(sine, cosine), self.builder, weights)
             for sine, cosine in ((1.0, 0.0), (0.0, 1.0))
         ]
-        return found[0], found[1]
+        return in_step[0], in_step[1]
 
     def band(self, kept: Twin, factor: Floats) -> Band:
         """Return how uncertain the correction is, tick by tick.

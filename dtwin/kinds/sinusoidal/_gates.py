@@ -99,9 +99,9 @@ def _features_at(here: ToneGroups, sent_um: float) -> dict[str, float]:
         low, high = (float(np.mean(values[place == at])) for at in (k, k + 1))
         return max(low + share * (high - low), 0.1 * low)
 
-    found = {name: straight(values) for name, values in here.columns.items()}
+    features = {name: straight(values) for name, values in here.columns.items()}
     sent = {SENT_RMS: sent_um / np.sqrt(2.0), SENT_CREST: float(np.sqrt(2.0))}
-    return found | sent | {SENT_FREQUENCY: float(here.frequency_hz[0])}
+    return features | sent | {SENT_FREQUENCY: float(here.frequency_hz[0])}
 
 
 def dead_terms(bundle: Bundle, groups: ToneGroups) -> list[str]:
@@ -166,7 +166,7 @@ def features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
     graph = bundle.window_graph
     sensor = set(tone_columns(bundle.window.channels[1]))
     assert len(sensor) == len(TONE_FEATURES)
-    found: dict[str, Sequence[str]] = {}
+    used: dict[str, Sequence[str]] = {}
     for output in ("amplitude_error_um", "phase_error_rad"):
         needed, pending = set(), [graph.outputs[output]]
         while pending:
@@ -174,8 +174,8 @@ def features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
             pending += node.args
             if node.op == "input":
                 needed.add(node.name)
-        found[output] = sorted(needed & sensor)
-    return found
+        used[output] = sorted(needed & sensor)
+    return used
 
 
 def _bounded(bundle: Bundle) -> Verdict:

@@ -96,8 +96,8 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
     ``runs``: with samples and signals.
     Raises ``InputError`` when no run has all of them, or rates and channels differ.
     """
-    found = [group for run in runs if (group := _group(run)) is not None]
-    if not found:
+    groups = [group for run in runs if (group := _group(run)) is not None]
+    if not groups:
         raise InputError(
             "no run can be learned from",
             code="train.tones",
@@ -106,12 +106,12 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
             allowed="tool_z_mm, an accelerometers signal, six seconds",
             hint="dtwin check says more",
         )
-    contracts = {g["contract"] for g in found}
+    contracts = {g["contract"] for g in groups}
     if len(contracts) > 1:
         raise InputError("groups have different rates or channels", code="features.contract", where=where)
-    names = [n for n in found[0] if n not in ("contract", "trace")]
-    arrays = {name: np.array([g[name] for g in found]) for name in names}
-    return ToneGroups(contract=contracts.pop(), traces=tuple(g["trace"] for g in found), **arrays)
+    names = [n for n in groups[0] if n not in ("contract", "trace")]
+    arrays = {name: np.array([g[name] for g in groups]) for name in names}
+    return ToneGroups(contract=contracts.pop(), traces=tuple(g["trace"] for g in groups), **arrays)
 
 
 def heard_groups(everything: ToneGroups) -> ToneGroups:
@@ -199,20 +199,20 @@ def feature_findings(groups: ToneGroups) -> list[str]:
     clean = groups.only(groups.heard > _CLEAN)
     if clean.n < 3:
         return ["too few clean tones to tell constant features"]
-    found = []
+    lines = []
     for name in ("crest_factor", "impulse_factor", "shape_factor", "kurtosis", "skewness"):
         values = clean.feature(name)
         middle, spread = float(np.median(values)), float(np.std(values))
         if spread < _DEAD * max(abs(middle), 1.0):
-            found.append(
+            lines.append(
                 f"{name} is a dead constant on clean sines: {middle:z.3f} ± {spread:z.3f} over "
                 f"{clean.n} groups; as a factor of an equation it only rescales another constant"
             )
     sizes = ("rms", "mean_absolute_value", "peak_amplitude", "variance", "total_power")
     logs = np.log(np.column_stack([clean.feature(name) for name in sizes]))
     if np.min(np.corrcoef(logs.T)) > _SAME:
-        found.append(f"{', '.join(sizes)} tell the same on clean sines: one of them is enough")
-    return found
+        lines.append(f"{', '.join(sizes)} tell the same on clean sines: one of them is enough")
+    return lines
 
 
 def dead_features(groups: ToneGroups) -> set[str]:

@@ -71,14 +71,14 @@ def _given_form(groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[st
     """
     names = {n: c for n, c in zip(groups.contract.features, groups.names, strict=True)}
     scales = _scales_of(groups)
-    found = []
+    fits = []
     for starts, target in ((amplitude, groups.amplitude_error_um), (phase, groups.phase_error_deg)):
         fitted = refit([Found(s.format(**names), 0, 0.0) for s in starts], _scaled(groups.columns, scales), target)
         if not fitted:
             raise InputError("the equation cannot be fitted", code="train.form", got=starts[0])
         best = min(fitted, key=lambda f: f.rms)
-        found.append(Law(best.formula, best.constants, scales))
-    return found[0], found[1]
+        fits.append(Law(best.formula, best.constants, scales))
+    return fits[0], fits[1]
 
 
 def power_law(groups: ToneGroups) -> tuple[Law, Law]:

@@ -67,14 +67,14 @@ _FIGURES = (
 )
 
 
-def _trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+def _trial_table(trial: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of surfaces without and with a correction.
 
-    ``found``: from ``dtwin.kinds.sinusoidal.trial.trial``.
+    ``trial``: from ``dtwin.kinds.sinusoidal.trial.trial``.
     """
     head = ["Hz", "rpm", *(f"{title}: without, with" for title, _, _ in _FIGURES), "alarm"]
     rows = []
-    for row in found["rows"]:
+    for row in trial["rows"]:
         cells = [
             f"{row['before'][key]:{form}}, {row['after'][key]:{form}} ({-100.0 * row['reduction'][key]:+z.1f} %)"
             for _, key, form in _FIGURES
@@ -83,44 +83,44 @@ def _trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def trial_text(found: Mapping[str, Any]) -> str:
+def trial_text(trial: Mapping[str, Any]) -> str:
     """Return surfaces without and with a correction for a terminal."""
     guard: dict[str, int] = {}
-    for row in found["rows"]:
+    for row in trial["rows"]:
         for name, count in row["guard"].items():
             guard[name] = guard.get(name, 0) + count
     acted = ", ".join(f"{name} {count}" for name, count in guard.items())
-    worse = ", ".join(f"{f:g} Hz" for f in found["worse"]) or "none"
+    worse = ", ".join(f"{f:g} Hz" for f in trial["worse"]) or "none"
     return "\n".join(
         [
-            f"{found['surface']}; at the rim; {found['clock']}, slide {found['truth']}",
-            table(*_trial_table(found)),
+            f"{trial['surface']}; at the rim; {trial['clock']}, slide {trial['truth']}",
+            table(*_trial_table(trial)),
             f"frequencies that became worse: {worse}; guard, ticks: {acted}",
         ]
     )
 
 
-def trial_section(found: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]) -> Section:
+def trial_section(trial: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]) -> Section:
     """Return the section about surfaces without and with a correction.
 
     Parameters
     ----------
-    found : mapping
+    trial : mapping
         From ``dtwin.kinds.sinusoidal.trial.trial``.
     surfaces : mapping of float to (Surface, Surface)
         Without and with, by frequency; may be empty.
     """
-    figures = trial_figures(found["rows"])
+    figures = trial_figures(trial["rows"])
     if surfaces:
         figures += surface_figures_of(max(surfaces), surfaces[max(surfaces)])
     return Section(
         "Surfaces without and with the correction",
         [
-            f"Bicuspid surface {found['surface']}. Form and phase error are those of the rim; vector is "
-            f"the length of the difference of both sines. {found['clock']}; virtual slide: "
-            f"{found['truth']}."
+            f"Bicuspid surface {trial['surface']}. Form and phase error are those of the rim; vector is "
+            f"the length of the difference of both sines. {trial['clock']}; virtual slide: "
+            f"{trial['truth']}."
         ],
-        [("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}") for r in found["rows"] if r["alarm"]],
-        [Table(*_trial_table(found))],
+        [("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}") for r in trial["rows"] if r["alarm"]],
+        [Table(*_trial_table(trial))],
         figures,
     )

@@ -121,13 +121,13 @@ def _identified(measured: Session, wanted: Sequence[str]) -> tuple[tuple[str, ..
         offered = _tellable(measured, names)
         for more in offered:
             try:
-                found = _settled(measured, (*names, more))
+                identified = _settled(measured, (*names, more))
             except InputError:
                 # A cycle that lost balls cannot tell it, although the first one can.
                 continue
-            p, size = _moves(found)
+            p, size = _moves(identified)
             if p * len(offered) < _ALPHA:
-                better.append((size, (*names, more), found))
+                better.append((size, (*names, more), identified))
         if not better:
             break
         _, names, settled = max(better, key=lambda b: b[0])

@@ -230,7 +230,7 @@ def _mover(series: HeatSeries, left: Floats, column: int, seen_p: float, own: tu
 
 def _clearer_channel(series: HeatSeries, motion: Floats, rest: Floats, column: int, own: tuple[str, ...]) -> str | None:
     """Return the temperature logged beside the thermocouples that tells a motion far better."""
-    found: list[tuple[float, str]] = []
+    channels: list[tuple[float, str]] = []
     for channel in series.offered:
         if channel in own:
             continue
@@ -238,8 +238,8 @@ def _clearer_channel(series: HeatSeries, motion: Floats, rest: Floats, column: i
         with_it = motion - expected
         tells = _tells_p(motion, expected) < _ALPHA
         if tells and _gain(series, motion, with_it, column) >= EXPLAINED:
-            found.append((series.share_um(with_it, column), channel))
-    best = min(found, default=None)
+            channels.append((series.share_um(with_it, column), channel))
+    best = min(channels, default=None)
     if best is None or series.share_um(rest, column) < _CLEARER * best[0]:
         return None
     return best[1]

@@ -82,10 +82,10 @@ class HeatSeries:
     @property
     def bodies(self) -> dict[str, tuple[str, ...]]:
         """Thermocouples by body."""
-        found: dict[str, list[str]] = {}
+        by_body: dict[str, list[str]] = {}
         for name in self.thermocouples:
-            found.setdefault(body_of(name), []).append(name)
-        return {body: tuple(names) for body, names in found.items()}
+            by_body.setdefault(body_of(name), []).append(name)
+        return {body: tuple(names) for body, names in by_body.items()}
 
     @property
     def floor_um(self) -> float:

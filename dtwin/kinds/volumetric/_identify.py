@@ -105,9 +105,9 @@ class Artefact:
         ``moved_um``, (n, 3): how it moved.
         """
         ready = self._prepared(balls)
-        found, noise_um = self._solved(ready, moved_um)
+        parameters, noise_um = self._solved(ready, moved_um)
         spread = np.sqrt(np.diag(ready.inverse) * noise_um**2)
-        values: Floats = np.asarray(found[-len(self.names) :], dtype=np.float64)
+        values: Floats = np.asarray(parameters[-len(self.names) :], dtype=np.float64)
         return Identified(
             values, spread, noise_um, self._held_out_um(balls, moved_um, values), 3 * int(ready.use.sum())
         )
@@ -120,10 +120,10 @@ class Artefact:
         if self.held_out:
             raise InputError("no pose may be held out here", code="volumetric.held_out")
         ready = self._prepared(balls)
-        found, noise_um = self._solved(ready, moved_um)
-        known = len(found) - len(self.names)
-        taken = ready.columns[: moved_um.size, :known] @ found[:known]
-        values: Floats = np.asarray(found[known:], dtype=np.float64)
+        parameters, noise_um = self._solved(ready, moved_um)
+        known = len(parameters) - len(self.names)
+        taken = ready.columns[: moved_um.size, :known] @ parameters[:known]
+        values: Floats = np.asarray(parameters[known:], dtype=np.float64)
         return Settled(values, ready.inverse * noise_um**2, moved_um - taken.reshape(-1, 3))
 
     def _solved(self, ready: _Prepared, moved_um: Floats) -> tuple[Floats, float]:
@@ -131,12 +131,12 @@ class Artefact:
         y = np.zeros(len(ready.columns))
         measured = 3 * int(ready.use.sum())
         y[:measured] = moved_um[ready.use].ravel()
-        found = ready.solve @ y
-        left = y - ready.columns @ found
+        solution = ready.solve @ y
+        left = y - ready.columns @ solution
         # The pulled places cost what the rows that pull give.
         pulled = len(y) - measured if np.isfinite(self.pose_repeat_um) else 0
         free = max(measured + pulled - ready.columns.shape[1], 1)
-        return found, float(np.sqrt(left @ left / free))
+        return solution, float(np.sqrt(left @ left / free))
 
     def report(self, balls: Balls) -> Identifiability:
         """Return what a cycle's balls can tell of the coefficients."""
@@ -188,13 +188,13 @@ class Artefact:
         return float(np.sqrt(total / count)) if count else float("nan")
 
     def _require(self, columns: Floats, known: int) -> None:
-        found = identifiability(_without(columns[:, :known], columns[:, known:]), self.names)
-        if found.rank < found.wanted:
-            bad = (*found.unseen, *found.entangled)
+        hidden = identifiability(_without(columns[:, :known], columns[:, known:]), self.names)
+        if hidden.rank < hidden.wanted:
+            bad = (*hidden.unseen, *hidden.entangled)
             raise InputError(
                 "these balls cannot tell the error motions from one another",
                 code="volumetric.rank",
-                got=f"rank {found.rank} of {found.wanted}: {', '.join(bad)[:160]}",
+                got=f"rank {hidden.rank} of {hidden.wanted}: {', '.join(bad)[:160]}",
                 hint="measure the fixed balls for the rigid motions, more poses for the others, or "
                 "leave coefficients out",
             )

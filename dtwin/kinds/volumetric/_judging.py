@@ -137,14 +137,14 @@ def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
 
     ``moved_um``, (n, 3): how the tool point moves there.
     """
-    found = []
+    changes_um = []
     for pose in sorted(set(where.pose.tolist()) - {0}):
         rows = np.flatnonzero(where.pose == pose)
         one, other = np.triu_indices(len(rows), 1)
         apart = where.position_mm[rows][one] - where.position_mm[rows][other]
         unit = apart / np.linalg.norm(apart, axis=1)[:, None]
-        found.append(((moved_um[rows][one] - moved_um[rows][other]) * unit).sum(axis=1))
-    return np.concatenate(found)
+        changes_um.append(((moved_um[rows][one] - moved_um[rows][other]) * unit).sum(axis=1))
+    return np.concatenate(changes_um)
 
 
 def _distances(measured: Session, expected: Floats) -> dict[str, float]:

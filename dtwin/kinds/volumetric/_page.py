@@ -12,10 +12,10 @@ from dtwin.report.html import Section, Table, page
 from dtwin.report.plots import COLOURS, styled
 
 
-def volumetric_page(found: Mapping[str, Any]) -> str:
+def volumetric_page(result: Mapping[str, Any]) -> str:
     """Return what ``judged`` found as a page that holds everything it shows."""
-    d = found["distances"]
-    told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]
+    d = result["distances"]
+    told = [("note", line) for line in finding_lines(result)] or [("note", "nothing to warn of")]
     head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")
     rows = [
         [
@@ -26,38 +26,38 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
             str(round(r["rms_reduction_pct"])),
             str(len(r["sensors"])),
         ]
-        for r in found["coefficients"]
+        for r in result["coefficients"]
     ]
     sections = [
         Section("What to know first", (), told),
-        Section("Error motions", (), figures=[_motions(found)]),
+        Section("Error motions", (), figures=[_motions(result)]),
         Section(
             "How much the error changes within a job",
             ["Spread inside a job of that length along a line through the volume, less in 95 % of them."],
-            figures=[_spread(found, direction) for direction in "XYZ"],
+            figures=[_spread(result, direction) for direction in "XYZ"],
         ),
         Section("Every motion", (), tables=[Table(head, rows)]),
     ]
     subtitle = (
-        f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
+        f"{result['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
         f"{d['rms_left_um']:z.2f} µm (-{d['rms_reduction_pct']:z.0f} %)"
     )
-    return page(f"Heat in {found['campaign']}", subtitle, sections)
+    return page(f"Heat in {result['campaign']}", subtitle, sections)
 
 
-def _motions(found: Mapping[str, Any]) -> go.Figure:
+def _motions(result: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure()
-    names = [row["name"] for row in found["coefficients"]]
+    names = [row["name"] for row in result["coefficients"]]
     for label, key, colour in (("measured", "rms_um", "measured"), ("left by the model", "rms_left_um", "second")):
-        values = [row[key] for row in found["coefficients"]]
+        values = [row[key] for row in result["coefficients"]]
         figure.add_trace(go.Bar(x=names, y=values, name=label, marker_color=COLOURS[colour]))
     figure.update_layout(title="RMS of every error motion", yaxis_title="um, µm/m", barmode="group")
     return styled(figure)
 
 
-def _spread(found: Mapping[str, Any], direction: str) -> go.Figure:
+def _spread(result: Mapping[str, Any], direction: str) -> go.Figure:
     figure = go.Figure()
-    lines = [line for line in found["lines"] if line["direction"] == direction]
+    lines = [line for line in result["lines"] if line["direction"] == direction]
     for line, dash in zip(lines, ("solid", "dash", "dot"), strict=True):
         for label, key, colour in (("", "p95_um", "measured"), (", left", "p95_left_um", "second")):
             figure.add_trace(

@@ -10,18 +10,18 @@ from dtwin.report.text import table
 _SHOWN_H = (1, 5, 12, 20, 60)
 
 
-def judged_text(found: Mapping[str, Any]) -> str:
+def judged_text(verdict: Mapping[str, Any]) -> str:
     """Return what thermal models do in a campaign."""
-    d = found["distances"]
+    d = verdict["distances"]
     lines = [
-        f"{found['campaign']}: {found['cycles']} cycles, {found['sensors']} thermocouples; identification "
-        f"leaves {found['identified_um']:z.2f} µm, {found['held_out_poses_um']:z.2f} µm in held-out poses",
+        f"{verdict['campaign']}: {verdict['cycles']} cycles, {verdict['sensors']} thermocouples; identification "
+        f"leaves {verdict['identified_um']:z.2f} µm, {verdict['held_out_poses_um']:z.2f} µm in held-out poses",
         f"distances between balls: RMS {d['rms_um']:z.2f} -> {d['rms_left_um']:z.2f} µm "
         f"({-d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} µm "
         f"({-d['p2p_reduction_pct']:z.0f} %)",
     ]
-    if found["slots"]:
-        s = found["slots"]
+    if verdict["slots"]:
+        s = verdict["slots"]
         lines.append(
             f"sixteen slots in 15 h: range {s['mean_range_um']:z.1f} -> {s['mean_range_left_um']:z.1f} µm on "
             f"average, {s['max_range_um']:z.1f} -> {s['max_range_left_um']:z.1f} µm at worst"
@@ -37,18 +37,18 @@ def judged_text(found: Mapping[str, Any]) -> str:
             "yes" if r["memory"] else "",
             f"{r['largest_inflation']:z.0f}",
         ]
-        for r in found["coefficients"]
+        for r in verdict["coefficients"]
     ]
     head = ("", "unit", "RMS", "left", "less %", "sensors", "memory", "inflation")
-    lines += ["", table(head, rows), "", *_line_lines(found["lines"])]
-    return "\n".join([*lines, *finding_lines(found)])
+    lines += ["", table(head, rows), "", *_line_lines(verdict["lines"])]
+    return "\n".join([*lines, *finding_lines(verdict)])
 
 
-def finding_lines(found: Mapping[str, Any]) -> list[str]:
+def finding_lines(finding: Mapping[str, Any]) -> list[str]:
     """Return what is not explained, and what is worse than nothing, a line each."""
-    lines = [_unexplained_line(entry) for entry in found["unexplained"]]
-    if found["worse"]:
-        lines.append(f"worse than nothing: {', '.join(found['worse'])}")
+    lines = [_unexplained_line(entry) for entry in finding["unexplained"]]
+    if finding["worse"]:
+        lines.append(f"worse than nothing: {', '.join(finding['worse'])}")
     return lines
 
 

@@ -148,9 +148,9 @@ def _fitted(
     per_k: Floats = np.asarray(np.linalg.lstsq(used, motion, rcond=None)[0], dtype=np.float64)
     if remembers:
         design = np.column_stack([motion[:-1], used[1:]])
-        found = np.linalg.lstsq(design, motion[1:], rcond=None)[0]
-        if _LEAST_MEMORY < found[0] < _MOST_MEMORY:
-            memory, per_k = float(found[0]), np.asarray(found[1:], dtype=np.float64)
+        coefficients = np.linalg.lstsq(design, motion[1:], rcond=None)[0]
+        if _LEAST_MEMORY < coefficients[0] < _MOST_MEMORY:
+            memory, per_k = float(coefficients[0]), np.asarray(coefficients[1:], dtype=np.float64)
     model = ThermalModel(name, tuple(sensors[i] for i in chosen), per_k, memory, float("nan"))
     return model, motion - model.run(used)
 
