@@ -27,7 +27,7 @@ from dtwin.lifecycle.axis_tables import (
     with_across,
 )
 from dtwin.lifecycle.gcode_compensation import compensate
-from dtwin.lifecycle.gcode_program import program_of
+from dtwin.lifecycle.gcode_program import marked, program_of, require_unmarked
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
@@ -205,7 +205,7 @@ def export(source: Source, request: Request) -> Export:
             hint="dtwin twin correct NAME, then dtwin export NAME",
         )
     if request.form == "gcode":
-        return _program(source.twin, request)
+        return _program(source, source.twin, request)
     if request.form in HELD:
         return _settings(source, source.twin, request.form)
     return _tables(source, source.twin, request)
@@ -313,7 +313,7 @@ def _table_notes(request: Request, tables: Sequence[AxisTable], most: int) -> li
     ]
 
 
-def _program(twin: Twin, request: Request) -> Export:
+def _program(source: Source, twin: Twin, request: Request) -> Export:
     if request.program is None:
         raise InputError("there is no program to compensate", code="export.program", hint="--program FILE")
     if not 0.001 <= request.tolerance_um <= 100.0:
@@ -324,6 +324,7 @@ def _program(twin: Twin, request: Request) -> Export:
             allowed="0.001 to 100 µm",
         )
     text = program_of(request.program)
+    require_unmarked(text, request.program.name)
     made = compensate(
         text, twin, origin_mm=np.array(request.origin_mm), where=request.program.name, tolerance_um=request.tolerance_um
     )
@@ -339,7 +340,8 @@ def _program(twin: Twin, request: Request) -> Export:
         "interpolation_error_um": made.interpolation_um,
         "points_outside": made.outside,
     }
-    return Export(made.text, figures, {}, tuple(notes))
+    said = f"{source.bundle.name} of {source.bundle.machine}, version {source.version}, {source.state}"
+    return Export(marked(made.text, said), figures, {}, tuple(notes))
 
 
 def _source(

@@ -131,18 +131,21 @@ class _Work:
 
     def move(self, move: Move) -> list[str]:
         """Return the lines of one motion."""
-        head = [move.rest] if move.rest else []
+        head, tail = [move.rest] if move.rest else [], [move.after] if move.after else []
+        return [*head, *self._motion(move), *tail]
+
+    def _motion(self, move: Move) -> list[str]:
         last = np.array([1.0])
         if move.rapid:
             self.followed.turn(move.directions(last)[0])
-            return [*head, self._line("G0", move, self._targets(move, last)[0])]
+            return [self._line("G0", move, self._targets(move, last)[0])]
         if move.feed_mm_min <= 0.0:
             raise InputError("a motion has no feed", code="gcode.feed", where=f"line {move.line}", hint="add F")
         if move.started != move.known:
             # Where this motion begins is not known: its end is.
             self.followed.turn(np.where(move.started, move.directions(last)[0], 0.0))
-            return [*head, self._line("G1", move, self._targets(move, last)[0])]
-        lines = head
+            return [self._line("G1", move, self._targets(move, last)[0])]
+        lines: list[str] = []
         for first, final in pairwise(move.quadrants()):
             self.followed.turn(move.directions(np.array([0.5 * (first + final)]))[0])
             begin, *chords = self._chords(move, first, final)

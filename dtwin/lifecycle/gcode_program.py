@@ -21,6 +21,12 @@ _MODES = (0.0, 1.0, 2.0, 3.0)
 # Said once, and they do not change where the tool goes in absolute millimetres.
 _HARMLESS = {17.0, 18.0, 19.0, 21.0, 40.0, 49.0, 54.0, 61.0, 64.0, 71.0, 80.0, 90.0, 94.0}
 _ALLOWED = "G0 to G4, G17 to G19, G21 (G71), G40, G49, G54, G61, G64, G80, G90, G94; X Y Z I J K F"
+# What ends a program or switches something off acts once the motion of its line is over (ISO 6983, Fanuc, RS274).
+_AFTER = {0.0, 1.0, 2.0, 5.0, 9.0, 30.0, 60.0, 99.0}
+# Calls of other programs: where the tool is afterwards, this one does not say.
+_CALLS = {97.0, 98.0, 198.0}
+_MARK = "(DTWIN COMPENSATED"
+_BEFORE_A_COMMENT = re.compile(r"\s*(%.*|[O:]\s*\d+.*)?$", re.IGNORECASE)
 _LONGEST_LINE = 400
 _MAX_BYTES = 20_000_000
 
@@ -41,7 +47,8 @@ class Move:
     ``start_mm``, ``end_mm``, (3,): programmed points.
     ``feed_mm_min``: feed in force; 0 before the first F.
     ``known``, ``started``: axes whose position the program has said, with this line and before it.
-    ``rest``: other words of the line, such as M or S, which come before the motion.
+    ``rest``: other words of the line, such as M3 or S, which come before the motion.
+    ``after``: those that act when the motion is over, such as M5 or M30.
     ``centre_mm``, (2,): centre of an arc in its plane; None for a straight line.
     ``turn_rad``: angle of an arc, positive from the first axis of the plane to its second.
     """
@@ -54,6 +61,7 @@ class Move:
     known: tuple[bool, ...]
     started: tuple[bool, ...]
     rest: str = ""
+    after: str = ""
     plane: tuple[int, int] = (0, 1)
     centre_mm: Floats | None = None
     turn_rad: float = 0.0
@@ -118,6 +126,30 @@ def program_of(path: Path) -> str:
         ) from error
 
 
+def marked(text: str, whose: str) -> str:
+    """Return a compensated program with a comment that says so, below its % and its number.
+
+    ``whose``: twin, version and state; what an old control may not take in a comment becomes a blank.
+    """
+    lines = text.splitlines()
+    at = next((n for n, line in enumerate(lines) if not _BEFORE_A_COMMENT.match(line)), len(lines))
+    plain = " ".join(re.sub(r"[^A-Z0-9.,+-]+", " ", whose.upper()).split())
+    return "\n".join([*lines[:at], f"{_MARK}, {plain})", *lines[at:]]) + "\n"
+
+
+def require_unmarked(text: str, where: str) -> None:
+    """Refuse a program that is compensated already: its errors would be corrected twice."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.upper().startswith(_MARK):
+            raise InputError(
+                "the program is compensated already",
+                code="gcode.twice",
+                where=f"{where} line {number}",
+                got=line[:120],
+                allowed="a program as it was before",
+            )
+
+
 def read_program(text: str, where: str) -> Iterator[Passed | Move]:
     """Read a program line by line."""
     at = np.zeros(3)
@@ -141,18 +173,23 @@ def read_program(text: str, where: str) -> Iterator[Passed | Move]:
         for k, v in target.items():
             end["XYZ".index(k)] = v
             known["XYZ".index(k)] = True
-        rest = _rest(words)
+        rest, after = _rest(words)
         if mode in (2.0, 3.0):
             arc = _arc(words, at, end, mode, plane, f"{where} line {number}")
-            yield Move(number, False, at.copy(), end, feed, tuple(known), before, rest, *arc)
+            yield Move(number, False, at.copy(), end, feed, tuple(known), before, rest, after, *arc)
         else:
-            yield Move(number, mode == 0.0, at.copy(), end, feed, tuple(known), before, rest)
+            yield Move(number, mode == 0.0, at.copy(), end, feed, tuple(known), before, rest, after)
         at = end
 
 
-def _rest(words: list[tuple[str, float]]) -> str:
+def _rest(words: list[tuple[str, float]]) -> tuple[str, str]:
+    """Return the other words of a line, before and after its motion."""
     kept = [(k, v) for k, v in words if not (k in "XYZIJKFN" or (k == "G" and v in _MODES))]
-    return " ".join(f"{k}{v:g}" for k, v in kept)
+    late = [k == "M" and v in _AFTER for k, v in kept]
+    before, after = (
+        " ".join(f"{k}{v:g}" for (k, v), x in zip(kept, late, strict=True) if x == is_late) for is_late in (False, True)
+    )
+    return before, after
 
 
 def _arc(
@@ -184,7 +221,11 @@ def _arc(
 
 def _words(raw: str, where: str) -> list[tuple[str, float]]:
     plain = _COMMENT.sub("", raw[:_LONGEST_LINE]).strip().upper()
-    if plain in ("", "%") or plain.startswith("/"):
+    if plain in ("", "%"):
+        return []
+    if plain.startswith("/"):
+        if any(letter in plain for letter in "GXYZ") or any(f"M{call:g}" in plain for call in _CALLS):
+            raise _wrong(where, raw, "no motion that a switch of the control can leave out (/)")
         return []
     words = [(m[1], float(m[2])) for m in _WORD.finditer(plain)]
     if _WORD.sub("", plain).strip() or len(raw) > _LONGEST_LINE:
@@ -193,6 +234,8 @@ def _words(raw: str, where: str) -> list[tuple[str, float]]:
         good = letter in "XYZIJKFNSTMOP"
         if letter == "G":
             good = value in _MODES or value in _HARMLESS or value == 4.0
+        elif letter == "M" and (value in _CALLS or (value == 99.0 and any(k == "P" for k, _ in found))):
+            raise _wrong(where, raw, "no calls of other programs (M97, M98, M198) and no jumps (M99 P)")
         if not good:
             raise _wrong(where, f"{letter}{value:g} in {raw}", _ALLOWED)
     return words
