@@ -1,4 +1,9 @@
-"""Squareness as Klipper's skew correction, and with the scales of the axes as settings of RepRapFirmware (Duet)."""
+"""Squareness as Klipper's skew correction, and with the scales of the axes as settings of RepRapFirmware (Duet).
+
+Read in the firmware's own sources: ``klippy/extras/skew_correction.py`` subtracts its factors, the tangents by which angles
+are less than 90 degrees; RepRapFirmware (3.5 and 3.6, ``Move::AxisTransform``) adds its tangents, positive where an angle is
+more, after it has multiplied by the factors of M579. Both leave alone what a command does not name.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +23,15 @@ EFFECT, _SCALE = "squareness", "scale_mismatch"
 HELD = {"klipper": (EFFECT,), "reprap": (EFFECT, _SCALE)}
 """Effects that a form holds."""
 _SIDE_MM = 100.0
+_REPRAP = (
+    "RepRapFirmware (Duet), for config.g. The values replace those that were in force while it was measured: measure with",
+    "M556 S100 X0 Y0 Z0 and M579 X1 Y1 Z1. M556 adds a tangent, positive for an angle of more than 90 degrees; M579 multiplies.",
+)
+_KLIPPER = (
+    "needs [skew_correction] in printer.cfg; keep it with SKEW_PROFILE SAVE=dtwin and SAVE_CONFIG. Klipper loads no profile by",
+    "itself: SKEW_PROFILE LOAD=dtwin after homing, in each program. It replaces what was in force while it was measured: measure",
+    "with SET_SKEW CLEAR=1.",
+)
 
 
 def skews(twin: Twin) -> dict[str, float]:
@@ -63,14 +77,14 @@ def reprap_settings(twin: Twin, said: Sequence[str]) -> tuple[str, dict[str, flo
     square = any(t.instance.effect.name == EFFECT for t in twin.terms)
     by_plane = skews(twin) if square or not terms else {}
     scale = np.diag(_slope(replace(twin, terms=terms))) if terms else np.zeros(3)
-    lines = [*(f"; {line}" for line in said), "; RepRapFirmware (Duet), config.g. Signs and order are from memory:"]
-    lines.append("; measure the squareness again after M556; an angle of more than 90 degrees is positive")
+    lines = [*(f"; {line}" for line in (*said, *_REPRAP))]
     if by_plane:
         letters = {"XY": "X", "YZ": "Y", "XZ": "Z"}
-        sides = [f"{letter}{-_SIDE_MM * by_plane.get(plane, 0.0):z.6f}" for plane, letter in letters.items()]
+        sides = [f"{letter}{-_SIDE_MM * by_plane[p]:z.6f}" for p, letter in letters.items() if p in by_plane]
         lines.append(f"M556 S{_SIDE_MM:g} " + " ".join(sides))
     if terms:
-        lines.append("M579 " + " ".join(f"{axis}{1.0 / (1.0 + s):z.8f}" for axis, s in zip(AXES, scale, strict=True)))
+        measured = (axis for axis in AXES if any(axis in plane for plane in twin.box.planes))
+        lines.append("M579 " + " ".join(f"{axis}{1.0 / (1.0 + scale[AXES.index(axis)]):z.8f}" for axis in measured))
     return "\n".join(lines) + "\n", by_plane | {f"scale {a}": float(s) for a, s in zip(AXES, scale, strict=True) if s}
 
 
@@ -86,5 +100,4 @@ def klipper_settings(by_plane: dict[str, float], said: Sequence[str]) -> str:
         cosine = math.sin(math.atan(skew))
         lengths = (math.sqrt(2.0 + 2.0 * cosine), math.sqrt(2.0 - 2.0 * cosine), 1.0)
         parts.append(f"{plane}=" + ",".join(f"{_SIDE_MM * length:z.7f}" for length in lengths))
-    head = [*said, "needs [skew_correction] in printer.cfg; keep it with SKEW_PROFILE SAVE=dtwin and SAVE_CONFIG"]
-    return "".join(f"; {line}\n" for line in head) + f"SET_SKEW {' '.join(parts)}\n"
+    return "".join(f"; {line}\n" for line in (*said, *_KLIPPER)) + f"SET_SKEW {' '.join(parts)}\n"

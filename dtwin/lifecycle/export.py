@@ -287,7 +287,8 @@ def _settings(source: Source, twin: Twin, form: str) -> Export:
         text, found = reprap_settings(twin, said)
     held = HELD[form]
     left_out = {t.label: f"is no {' or '.join(held)}" for t in twin.terms if t.instance.effect.name not in held}
-    return Export(text, {"skew_rad" if form == "klipper" else "settings": found}, left_out, (NOT_LOADED,))
+    notes = (NOT_LOADED, "the values replace those that were in force: they are right for tests without any of them")
+    return Export(text, {"skew_rad" if form == "klipper" else "settings": found}, left_out, notes)
 
 
 def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:

@@ -240,20 +240,31 @@ def test_beckhoff_list(source: Source) -> None:
         written(replace(source, twin=large), "beckhoff")
 
 
-def duet_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
-    """Return where RepRapFirmware sends commanded points: scaled, then sheared by tangents."""
-    scale, tangent = np.ones(3), dict.fromkeys("XYZ", 0.0)
-    for line in text.splitlines():
-        code, *words = line.split(";")[0].split() or [""]
-        value = {word[0]: float(word[1:]) for word in words}
-        if code == "M579":
-            scale = np.array([value[a] for a in "XYZ"])
-        elif code == "M556":
-            tangent = {a: value[a] / value["S"] for a in "XYZ"}
-        else:
-            assert not code
-    x, y, z = (points_mm * scale).T
-    return np.column_stack([x + tangent["X"] * y + tangent["Z"] * z, y + tangent["Y"] * z, z])
+class Duet:
+    """RepRapFirmware 3.5: M579 and M556 change what they name; a point is scaled, then sheared by tangents."""
+
+    def __init__(self) -> None:
+        self.scale, self.tangent = dict.fromkeys("XYZ", 1.0), dict.fromkeys("XYZ", 0.0)
+
+    def read(self, text: str) -> Duet:
+        for line in text.splitlines():
+            code, *words = line.split(";")[0].split() or [""]
+            value = {word[0]: float(word[1:]) for word in words}
+            if code == "M579":
+                self.scale |= value
+            elif code == "M556":
+                # Versions before 3.4 do nothing below 10.
+                size = value.pop("S")
+                assert size >= 10.0
+                self.tangent |= {axis: side / size for axis, side in value.items()}
+            else:
+                assert not code
+        return self
+
+    def moves(self, points_mm: np.ndarray) -> np.ndarray:
+        x, y, z = (points_mm * [self.scale[a] for a in "XYZ"]).T
+        x = x + self.tangent["X"] * y + self.tangent["Z"] * z
+        return np.column_stack([x, y + self.tangent["Y"] * z, z])
 
 
 def test_duet_makes_the_axes_square_and_right_in_length(source: Source) -> None:
@@ -271,6 +282,22 @@ def test_duet_makes_the_axes_square_and_right_in_length(source: Source) -> None:
         return float(1000.0 * np.abs(np.linalg.norm((first - second) @ machine.T, axis=1) - asked).max())
 
     assert off_um(a, b) > 4.0
-    assert off_um(duet_moves(made.text, a), duet_moves(made.text, b)) < 0.01
+    printer = Duet().read(made.text)
+    assert off_um(printer.moves(a), printer.moves(b)) < 0.01
     with pytest.raises(InputError, match="no squareness"):
         export(replace(source, twin=made_twin(EFFECTS[:1])[0]), Request("reprap"))
+
+
+def test_a_duet_keeps_what_was_not_measured(source: Source) -> None:
+    twin, _ = made_twin((("squareness", "XY", (30.0,), {}), ("scale_mismatch", "X", (40.0,), {})))
+    flat = replace(twin, box=replace(twin.box, planes=("XY",)))
+    printer = Duet()
+    printer.scale["Z"], printer.tangent["Y"], printer.tangent["Z"] = 1.01, 2e-3, 3e-3
+    made = export(replace(source, twin=flat), Request("reprap"))
+    printer.read(made.text)
+    assert (printer.scale["Z"], printer.tangent["Y"], printer.tangent["Z"]) == (1.01, 2e-3, 3e-3)
+    # An angle of less than 90 degrees is negative, and a long axis gets less.
+    assert printer.tangent["X"] == pytest.approx(30e-6)
+    assert printer.scale["X"] == pytest.approx(1.0 - 40e-6)
+    assert "from memory" not in made.text
+    assert any("were in force" in note for note in made.notes)

@@ -253,18 +253,18 @@ def test_a_siemens_table_brings_the_axis_where_it_was_told_to(source: Source) ->
 
 
 def klipper_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
-    """Return where Klipper's upper triangle of shears sends commanded points."""
+    """Return where Klipper sends commanded points, in the words of its ``skew_correction.py``."""
     (command,) = [line for line in text.splitlines() if not line.startswith(";")]
     assert command.startswith("SET_SKEW ")
-    factor = {}
+    factor = dict.fromkeys(("XY", "XZ", "YZ"), 0.0)
     for part in command.split()[1:]:
         plane, lengths = part.split("=")
         ac, bd, ad = (float(v) for v in lengths.split(","))
-        ab = math.sqrt((ac**2 + bd**2) / 2.0 - ad**2)
-        factor[plane] = 1.0 / math.tan(math.acos((ac**2 - ab**2 - ad**2) / (2.0 * ab * ad)))
-    shear = np.eye(3)
-    shear[0, 1], shear[0, 2], shear[1, 2] = (factor[plane] for plane in ("XY", "XZ", "YZ"))
-    return points_mm @ np.linalg.inv(shear).T
+        side = math.sqrt(2 * ac * ac + 2 * bd * bd - 4 * ad * ad) / 2.0
+        factor[plane] = math.tan(math.pi / 2 - math.acos((ac * ac - side * side - ad * ad) / (2 * side * ad)))
+    x, y, z = points_mm.T
+    skewed_x = x - y * factor["XY"] - z * (factor["XZ"] - factor["XY"] * factor["YZ"])
+    return np.column_stack([skewed_x, y - z * factor["YZ"], z])
 
 
 def test_klipper_makes_the_axes_square(source: Source) -> None:
@@ -274,6 +274,8 @@ def test_klipper_makes_the_axes_square(source: Source) -> None:
     made = export(replace(source, twin=twin), Request("klipper"))
     assert made.left_out == {"straightness Y": "is no squareness"}
     assert "never loaded into a control" in made.text
+    assert "LOAD=dtwin after homing" in made.text
+    assert "SET_SKEW CLEAR=1" in made.text
     leans = np.array([[0.0, -30e-6, 0.0], [0.0, 0.0, -20e-6], [15e-6, 0.0, 0.0]])
     a, b = np.random.default_rng(6).uniform(-100.0, 100.0, (2, 1000, 3))
     asked = np.linalg.norm(a - b, axis=1)
