@@ -9,7 +9,8 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import identifier
 from dtwin.serve.export_plc import NOT_RUN
 
-_UNSAFE = re.compile(r"[^\w .,:+\-/^]")
+# Controls read ASCII, or one of many other alphabets.
+_UNSAFE = re.compile(r"[^\w .,:+\-/^]", re.ASCII)
 
 
 def commented(said: Sequence[str], first: str, last: str) -> str:
@@ -26,7 +27,11 @@ def whose(bundle: Bundle, version: str, state: str) -> list[str]:
         f"dtwin: {bundle.name} for machine {bundle.machine}, version {version}, state {state}",
         f"bundle sha256 {bundle.sha256}",
     ]
-    return [_UNSAFE.sub("?", line) for line in lines]
+    return _safe(lines)
+
+
+def _safe(lines: Sequence[str]) -> list[str]:
+    return [_UNSAFE.sub("?", line.replace("µm", "um")) for line in lines]
 
 
 def said_of(bundle: Bundle, version: str, state: str) -> list[str]:
@@ -38,7 +43,7 @@ def said_of(bundle: Bundle, version: str, state: str) -> list[str]:
     lines.append("inputs in this order, valid in these ranges, outside of which nothing may be corrected:")
     lines += [f"  {i.name}, {i.unit}: {i.low!r} to {i.high!r}" for i in bundle.inputs]
     lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
-    return [_UNSAFE.sub("?", line) for line in lines]
+    return _safe(lines)
 
 
 def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:

@@ -74,7 +74,7 @@ def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> st
     lines = [
         *said,
         BY_MEMORY,
-        f"FANUC Series {series}. Detection unit and least input increment 1 µm; reference at machine zero.",
+        f"FANUC Series {series}. Detection unit and least input increment 1 um; reference at machine zero.",
         "%",
         *(f"N{number:05d}{parameter}A{axis}P{value}" for number, value in datum.items()),
         *(f"N{10000 + first + n:05d}{datapoint}P{step}" for n, step in enumerate(steps, start=1)),

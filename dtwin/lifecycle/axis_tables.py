@@ -166,21 +166,31 @@ def compensation_file(table: AxisTable, said: Sequence[str] = ()) -> str:
     """Return LinuxCNC's COMP_FILE of type 1: nominal, forward trim, reverse trim in mm.
 
     A trim is added to the command of the joint; backlash is in the difference of the two, so that
-    ``BACKLASH`` of the joint must be 0. The form has no comments, so that ``said`` is not in it.
+    ``BACKLASH`` of the joint must be 0. LinuxCNC stops reading at the first line that is no row: what is ``said`` stands
+    below the rows.
+
+    Raises ``InputError`` when rows would be less than 1 um apart.
     """
+    require_apart(table)
     rows = zip(table.position_mm, table.forward_um, table.reverse_um, strict=True)
     lines = [f"{p:z.6f} {0.0 - f / UM_PER_MM:z.6f} {0.0 - r / UM_PER_MM:z.6f}" for p, f, r in rows]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *(f"# {line}" for line in said)]) + "\n"
+
+
+def _linuxcnc(table: AxisTable, said: Sequence[str]) -> str:
+    form = f"axis {table.axis}, COMP_FILE_TYPE = 1: position, forward and reverse trim in mm, for LINEAR_UNITS = mm"
+    return compensation_file(table, [*(line for line in said if line != NOT_LOADED), form])
 
 
 def _comp_notes(table: AxisTable) -> list[str]:
     return [
         "COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table",
+        "positions and trims are mm: for a machine whose LINEAR_UNITS is mm",
         "LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure",
     ]
 
 
-LINUXCNC = AxisForm(compensation_file, _comp_notes)
+LINUXCNC = AxisForm(_linuxcnc, _comp_notes)
 
 
 def require_apart(table: AxisTable, least_mm: float = 0.001) -> None:

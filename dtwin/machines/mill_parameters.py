@@ -102,7 +102,7 @@ class MillParameters:
     Attributes
     ----------
     squareness_um_m : dict of str to float
-        Angle missing to 90 degrees, by plane.
+        By how much the angle of two axes is more than 90 degrees, by plane.
     changeover_um : float
         Step of the commanded radius where the leading axis changes.
     shift_um_h : tuple of float

@@ -241,7 +241,7 @@ def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(session: 
         bridge.ask(do="set", pin="plant.play-x", value=0.0)
     at = np.array([-60.0, 0.0, 60.0])
     forward, reverse = (1e3 * (SCALE * at - half) for half in (play_mm / 2, -play_mm / 2))
-    rows = compensation_file(AxisTable("X", at, forward, reverse, 0.0))
+    rows = compensation_file(AxisTable("X", at, forward, reverse, 0.0), ["LinuxCNC has stopped reading here"])
     with LinuxcncSession(replace(FAULTS, play_x=play_mm), {"X": rows}) as compensated:
         (trace,) = run_circles(compensated, circles()[:1])
         inside, folder = processes_in(compensated), compensated.folder

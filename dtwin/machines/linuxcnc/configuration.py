@@ -166,7 +166,7 @@ def compensation_text(path: Path) -> str:
     Parameters
     ----------
     path : Path
-        Lines of nominal position, forward and reverse trim, in mm.
+        Lines of nominal position, forward and reverse trim, in mm; comments (``#``) below them, where LinuxCNC has stopped.
 
     Raises
     ------
@@ -182,6 +182,8 @@ def compensation_text(path: Path) -> str:
         ) from error
     last = -float("inf")
     rows = [line for line in text.splitlines() if line.strip()]
+    while rows and rows[-1].startswith("#"):
+        rows.pop()
     for number, line in enumerate(rows, start=1):
         nominal = _triplet(line)
         if not last < nominal < 1e6:
