@@ -1,8 +1,9 @@
-"""Stored pitch error compensation of FANUC Series 16i, 18i, 21i and 0i, and of 30i, 31i, 32i; increments of 1 µm (IS-B).
+"""Stored pitch error compensation of FANUC Series 16i, 18i, 21i, 0i-A to 0i-C, and of 30i, 31i, 32i, 0i-D, 0i-F; steps of 1 um (IS-B).
 
 Of the parameter manuals: numbers 3620 to 3624 and 1851, 128 points an axis, steps of -7 to 7 times the magnification, each
-the change since the point before as seen from the negative side. From memory: the blocks ``N10000`` of the data, and that the
-30i marks parameters with ``Q1`` and these data with ``Q0``.
+the change since the point before as seen from the negative side; point n is of the section that ends there (Series 0i-PB,
+B-63980EN, page 100). From memory: that a step is added to the command, the blocks ``N10000`` of the data, that the 30i marks
+parameters with ``Q1`` and these data with ``Q0``, and that its 3624 is a number of mm with a point, as its other lengths are.
 """
 
 from __future__ import annotations
@@ -20,6 +21,10 @@ from dtwin.units import UM_PER_MM
 
 _POINTS, _STEP, _MAGNIFICATION, _BACKLASH = 128, 7, 100, 9999
 _AXES = "XYZ"
+# A control without the option that interpolates puts a whole step in at once: of one increment, where points suffice.
+_HELD_UM = 1.0
+# Largest feed in mm/min over the smallest interval in mm.
+_FEED_PER_MM = 7500.0
 
 
 def _grid(low: float, high: float, count: int) -> Floats:
@@ -67,14 +72,15 @@ def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> st
         3621: first + 1,
         3622: first + len(steps),
         3623: magnification,
-        3624: interval_um,
+        3624: f"{interval_um / UM_PER_MM:.3f}" if marked else interval_um,
     }
-    series = "30i, 31i, 32i; not 16i" if marked else "16i, 18i, 21i, 0i; not 30i"
+    series = "30i, 31i, 32i, 0i-D, 0i-F; not 16i" if marked else "16i, 18i, 21i, 0i-A to 0i-C; not 30i"
     parameter, datapoint = ("Q1", "Q0") if marked else ("", "")
     lines = [
         *said,
         BY_MEMORY,
-        f"FANUC Series {series}. Detection unit and least input increment 1 um; reference at machine zero.",
+        "From memory: steps are added to the command, and the blocks N1....",
+        f"FANUC Series {series}. Metric (1001#0 = 0). Detection unit and least input increment 1 um; reference at machine zero.",
         "%",
         *(f"N{number:05d}{parameter}A{axis}P{value}" for number, value in datum.items()),
         *(f"N{10000 + first + n:05d}{datapoint}P{step}" for n, step in enumerate(steps, start=1)),
@@ -84,16 +90,18 @@ def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> st
 
 
 def _notes(table: AxisTable) -> list[str]:
-    _, magnification, _ = _steps(table)
+    steps, magnification, _ = _steps(table)
+    apart_mm = float(table.position_mm[1] - table.position_mm[0])
+    largest = magnification * max(map(abs, steps))
     return [
         BY_MEMORY,
-        f"values are rounded to {magnification} µm; between two points the control may put a whole step in at once",
-        f"points are {table.position_mm[1] - table.position_mm[0]:g} mm apart: the control wants the largest feed in mm/min "
-        "over 7500, or more (from memory)",
+        f"values are rounded to {magnification} µm; a control that does not interpolate puts in up to {largest} µm at once",
+        f"points are {apart_mm:g} mm apart: enough for feeds, rapid ones too, up to {_FEED_PER_MM * apart_mm:.0f} mm/min "
+        f"(over {_FEED_PER_MM:g}, from memory); --points with fewer for more",
         *lost_motion_notes(table, "1851"),
         "the number of the axis, and those of the points, are ours: change them where the machine has others",
     ]
 
 
-FORM = AxisForm(_write, _notes, _POINTS, _grid)
-FORM_30I = AxisForm(partial(_write, marked=True), _notes, _POINTS, _grid)
+FORM = AxisForm(_write, _notes, _POINTS, _grid, held_um=_HELD_UM)
+FORM_30I = AxisForm(partial(_write, marked=True), _notes, _POINTS, _grid, held_um=_HELD_UM)

@@ -58,6 +58,7 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
     lines = [
         *(f"# {line}" for line in said),
         f"# {BY_MEMORY}",
+        "# From memory: a value is added to the command.",
         "# Classic Haas control, VF series; to be keyed in on the page of the lead screw compensation.",
         f"# axis {table.axis}; 127 encoder steps are the limit, at {_STEPS_PER_INCH:g} steps in an inch",
         "entry,position_inch,value_inch",

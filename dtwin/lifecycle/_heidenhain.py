@@ -1,7 +1,7 @@
 """The non-linear axis error compensation of a HEIDENHAIN control, a ``.COM`` table.
 
-Columns ``AXISPOS``, ``BACKLASH`` and the axis, in mm, are of the technical manual of the NCK controls (TNC 640, 620,
-320, MANUALplus 620). From memory are the frame of the table, the sign (what is added to the command) and the number of rows.
+Columns ``AXISPOS`` (from the machine datum), ``BACKLASH`` (the values of the negative direction) and the axis are of the technical
+manual of the NCK controls (TNC 640, 620, 320, MANUALplus 620: there page 716). From memory are the frame of the table, the sign (what is added to the command) and the number of rows.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
             for line in (
                 *said,
                 BY_MEMORY,
+                "From memory: values are added to the command; BACKLASH has the whole value of the negative direction.",
                 "For NCK controls: TNC 640, 620, 320, MANUALplus 620. Delete these lines if refused.",
             )
         ),

@@ -14,8 +14,8 @@ _POINTS = 200
 def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
     """Return the leadscrew error compensation of a SINUMERIK, ``$AA_ENC_COMP``, in mm.
 
-    A value is added to what the encoder reads, so that a positive one moves the axis backwards: it is
-    the error itself, the mean of both directions. Lost motion is a machine datum, which is told in a comment.
+    A value is added to what the encoder reads, so that a positive one moves the axis backwards (function manual of the
+    808D, 01/2017, page 106): it is the error itself, the mean of both directions. Lost motion is a machine datum, which is told in a comment.
     ``said``: comments for the head.
 
     Raises ``InputError`` when rows would be less than 1 um apart.
@@ -30,6 +30,7 @@ def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
         *(f"; {line}" for line in said),
         f"; before: MD38000 $MA_MM_ENC_COMP_MAX_POINTS[0,{name}] = {last + 1} or more where the series has it",
         "; (that clears memory of the control: back it up), MD32700 $MA_ENC_COMP_ENABLE[0] = 0; after: 1",
+        "; mm, for MD10240 $MN_SCALING_SYSTEM_IS_METRIC = 1",
         f"; MD32450 $MA_BACKLASH[0,{name}] = {lost_motion_um(table)[0] / UM_PER_MM:z.6f}",
         "CHANDATA(1)",
         *(f"$AA_ENC_COMP[0,{n},{name}]={value:z.6f}" for n, value in enumerate(both)),

@@ -46,6 +46,7 @@ def _before(table: AxisTable, numbers: Sequence[int], counts: Sequence[int]) -> 
     name = f"{table.axis}1"
     points = ", ".join(f"[{n}] = {count}" for n, count in zip(numbers, counts, strict=True))
     return [
+        "; mm, for MD10240 $MN_SCALING_SYSTEM_IS_METRIC = 1; from memory: values are added to the set position",
         f"; before: MD18342 $MN_MM_CEC_MAX_POINTS{points} or more where the series has it (that clears memory: back it up),",
         f"; $SN_CEC_TABLE_ENABLE = 0; after: 1 for each table, MD32710 $MA_CEC_ENABLE[{name}] = 1",
         f"; MD32720 $MA_CEC_MAX_SUM[{name}] must hold {_largest_mm(table):z.6f} mm; MD32450 $MA_BACKLASH[0,{name}] = 0",

@@ -58,6 +58,8 @@ class AxisForm:
     ``most``: rows that the control holds.
     ``grid``: where its rows may lie; evenly without.
     ``across``: whether it also holds what depends on the position of one other axis.
+    ``held_um``: how far a value may be from the error, where the control may hold that of a row up to the next;
+    infinite where it draws straight lines.
     """
 
     write: Callable[[AxisTable, Sequence[str]], str]
@@ -65,6 +67,7 @@ class AxisForm:
     most: int = MOST_TRIPLETS
     grid: Grid = np.linspace
     across: bool = False
+    held_um: float = np.inf
 
 
 def axis_table(
@@ -78,6 +81,7 @@ def axis_table(
     most: int = MOST_TRIPLETS,
     grid: Grid = np.linspace,
     along: str = "",
+    held_um: float = np.inf,
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
@@ -90,6 +94,7 @@ def axis_table(
     ``most``: rows that the control holds.
     ``grid``: where its rows may lie; beyond the travel the error of its end is kept.
     ``along``: axis of the positions, where it is another one.
+    ``held_um``: of the form.
     """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
@@ -110,11 +115,11 @@ def axis_table(
     for count in counts:
         at = grid(low, high, count)
         forward, reverse = axis_table_um(twin, axis, np.clip(at, low, high) - origin_mm, speed_mm_s, along or axis)
-        off = max(
-            float(np.abs(np.interp(dense, at, rows) - exact).max())
-            for rows, exact in zip((forward, reverse), truth, strict=True)
-        )
-        if off <= TOLERANCE_UM:
+        ways = list(zip((forward, reverse), truth, strict=True))
+        off = max(float(np.abs(np.interp(dense, at, rows) - exact).max()) for rows, exact in ways)
+        row = np.clip(np.searchsorted(at, dense, side="right") - 1, 0, len(at) - 2)
+        held = max(float(np.abs(rows[row + end] - exact).max()) for rows, exact in ways for end in (0, 1))
+        if off <= TOLERANCE_UM and held <= held_um:
             break
     return AxisTable(axis, at, forward, reverse, off, along)
 

@@ -264,7 +264,15 @@ def _tables(source: Source, twin: Twin, request: Request) -> Export:
         refused = own_axis_only(twin.terms, twin, axis, relative, speed)
         kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
         table = axis_table(
-            kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most, grid=grid
+            kept,
+            axis,
+            travel,
+            origin_mm=origin,
+            points=request.points,
+            speed_mm_s=speed,
+            most=most,
+            grid=grid,
+            held_um=np.inf if form is None else form.held_um,
         )
         if form is not None and form.across:
             table, refused = with_across(table, twin, refused, request.origin_mm, form)

@@ -133,7 +133,7 @@ def test_siemens_sag_names_what_it_cannot_hold(source: Source) -> None:
 
 
 class Fanuc:
-    """Stored pitch error: steps are summed from the reference position; the option that interpolates is on."""
+    """Stored pitch error: steps are summed from the reference position; a step is of the section up to its point."""
 
     def __init__(self, text: str) -> None:
         head, body, end = text.split("%")
@@ -143,6 +143,8 @@ class Fanuc:
         self.datum, self.steps = {}, {}
         for line in body.split():
             parameter, datum = ("Q1", "Q0") if self.marked else ("", "")
+            # Of a 30i lengths have a point, in mm; of a 16i they are counts of 0.001 mm.
+            line = re.sub(r"^(N03624Q1A1P\d+)\.(\d{3})$", r"\1\2", line) if self.marked else line
             setting = re.fullmatch(rf"N0(\d{{4}}){parameter}A1P(-?\d+)", line)
             step = re.fullmatch(rf"N1(\d{{4}}){datum}P(-?\d+)", line)
             assert setting or step, line
@@ -155,7 +157,7 @@ class Fanuc:
         assert len(self.steps) < 128
         assert all(-7 <= step <= 7 for step in self.steps.values())
 
-    def trim_mm(self, command: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    def trim_mm(self, command: np.ndarray, forward: np.ndarray, interpolates: bool = True) -> np.ndarray:
         reference, size = self.datum[3620], self.datum[3624] / 1000.0
         at, sums = {0: 0.0}, 0.0
         for number in range(reference + 1, self.datum[3622] + 1):
@@ -166,7 +168,9 @@ class Fanuc:
             sums -= self.steps[number]
             at[number - 1 - reference] = sums
         points = np.array(sorted(at))
-        pitch = np.interp(command, points * size, [at[n] * self.datum[3623] for n in points]) / 1000.0
+        # Without that option a whole step comes in the middle of its section.
+        places = command if interpolates else size * np.round(command / size)
+        pitch = np.interp(places, points * size, [at[n] * self.datum[3623] for n in points]) / 1000.0
         return pitch - np.where(forward > 0, 0.0, self.datum[1851] / 1000.0)
 
 
@@ -177,6 +181,7 @@ def test_fanuc_pitch_error(source: Source, travel: tuple[float, float], series: 
     made = written(source, series, travel_mm=travel, origin_mm=(middle, 0.0, 0.0))
     control = Fanuc(made.text)
     assert control.marked == (series == "fanuc30i")
+    assert ("." in made.text.split("%")[1]) == control.marked
     assert control.datum[1851] == 4
     command, forward = places(*travel)
     left = left_um(command, control.trim_mm(command, forward), forward, middle)
@@ -185,6 +190,24 @@ def test_fanuc_pitch_error(source: Source, travel: tuple[float, float], series: 
     assert np.ptp(error_um(command - middle, forward)) > 8.0
     with pytest.raises(InputError, match="too many rows"):
         written(source, series, points=129)
+
+
+@pytest.mark.parametrize("interpolates", [True, False])
+def test_fanuc_has_points_enough_for_a_control_that_does_not_interpolate(source: Source, interpolates: bool) -> None:
+    # Straight lines would need two points: half of 8 um would come at once.
+    twin, _ = made_twin((("scale_mismatch", "X", (40.0,), {}),))
+    control = Fanuc(written(replace(source, twin=twin), "fanuc", travel_mm=(-200.0, 0.0)).text)
+    command, forward = places(-200.0, 0.0)
+    left = 1000.0 * control.trim_mm(command, forward, interpolates) + 40e-3 * (command - 350.0)
+    assert np.ptp(left) < 2.1
+    assert len(control.steps) < 40
+
+
+def test_fanuc_numbers_its_points_as_the_manual_does(source: Source) -> None:
+    """Series 0i-PB, B-63980EN: -400 to 800 mm every 50, reference 40: the farthest are 33 and 56."""
+    made = written(source, "fanuc", travel_mm=(-400.0, 800.0), origin_mm=(200.0, 0.0, 0.0), points=27)
+    datum = Fanuc(made.text).datum
+    assert (datum[3624], datum[3620] - datum[3621], datum[3622] - datum[3620]) == (50_000, 40 - 33, 56 - 40)
 
 
 def test_fanuc_takes_large_steps_by_magnification_and_refuses_larger_ones(source: Source) -> None:
@@ -228,13 +251,18 @@ def test_beckhoff_list(source: Source) -> None:
             datum[key] = value
     get = {key: int(value) for key, value in datum.items() if key != "kopf.log_achs_name"}
     count = get["kw.ssfk.kw_nr_max"]
-    assert (get["kopf.log_achs_nr"], get["kw.ssfk.unit"], get["kw.ssfk.bilateral"]) == (1, 1, 1)
-    assert count <= 1500
+    assert (get["kopf.achs_nr"], get["kw.ssfk.unit"], get["kw.ssfk.bilateral"]) == (1, 1, 1)
+    assert count < 1500
     at = (get["kw.ssfk.kw_startpos"] + get["kw.ssfk.interval"] * np.arange(count)) / 1e4
     pos, neg = ([get[f"kw.ssfk.table[{n}].{way}"] / 1e4 for n in range(count)] for way in ("pos", "neg"))
     command, forward = places(250.0, 450.0)
-    trim = np.where(forward > 0, np.interp(command, at, pos), np.interp(command, at, neg))
+    # Beckhoff's formula: actual minus commanded, so that the control takes it away.
+    trim = -np.where(forward > 0, np.interp(command, at, pos), np.interp(command, at, neg))
     assert np.abs(left_um(command, trim, forward, 350.0)).max() < 0.2
+    # As in their example, play leaves the axis behind: less in the positive direction.
+    assert all(p < n for p, n in zip(pos, neg, strict=True))
+    with pytest.raises(InputError, match="too close together"):
+        written(source, "beckhoff", travel_mm=(250.0, 250.0001))
     large, _ = made_twin((("scale_mismatch", "X", (80_000.0,), {}),))
     with pytest.raises(InputError, match="larger than the control takes"):
         written(replace(source, twin=large), "beckhoff")
