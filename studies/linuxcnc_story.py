@@ -11,6 +11,7 @@ import numpy as np
 
 from dtwin.acquire.linuxcnc import DIRECTIONS, MACHINE, CirclePlan, run_circles, run_of, write_circles
 from dtwin.config import Home
+from dtwin.errors import InputError
 from dtwin.lifecycle.evidence import compute_measured, make_champion
 from dtwin.lifecycle.export import Request, export, source_of
 from dtwin.lifecycle.train import put_on_trial
@@ -167,7 +168,13 @@ def compensation_tables(home: Home, made: Correction) -> tuple[dict[str, str], d
     tables: dict[str, str] = {}
     left_out: dict[str, str] = {}
     for axis in "XY":
-        written = export(source, Request("comp", axis=axis, travel_mm=_TABLE_TRAVEL_MM))
+        try:
+            written = export(source, Request("comp", axis=axis, travel_mm=_TABLE_TRAVEL_MM))
+        except InputError as nothing:
+            if nothing.code != "export.effects":
+                raise
+            left_out[axis] = str(nothing.got)
+            continue
         left_out |= written.left_out
         tables[axis] = written.text
     return tables, left_out

@@ -63,7 +63,7 @@ def export(
         program=program,
         tolerance_um=tolerance_um,
     )
-    made = export_twin(home(), source, form)
+    made = export_twin(home(), source, form, machine)
     if made is not None:
         name, version, state = source, str(made.twin_version), "twin"
     else:

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, own_kinds
-from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens, _siemens_cec
+from dtwin.lifecycle._axis_exports import ONE_AXIS, tables_of
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
+from dtwin.lifecycle._export_records import UNREGISTERED, Export, Request, Source
 from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
-from dtwin.lifecycle.axis_tables import (
-    LINUXCNC,
-    MOST_TRIPLETS,
-    NOT_LOADED,
-    TOLERANCE_UM,
-    AxisForm,
-    AxisTable,
-    axis_table,
-    csv_table,
-    with_across,
-)
+from dtwin.lifecycle.axis_tables import NOT_LOADED
 from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import marked, program_of, require_unmarked
 from dtwin.physics.effect import Effect
@@ -37,91 +27,25 @@ from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
 from dtwin.serve.pointer import resolve
 from dtwin.train.promotion import state_of
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.twin_axes import AXES, own_axis_only
 from dtwin.train.twin_terms import choose
 from dtwin.twins.shelf import kind_of
 from dtwin.twins.verbs import Twins
 
+__all__ = ["FORMATS", "Export", "Request", "Source", "export", "export_twin", "source_of"]
+
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
-_ONE_AXIS: Mapping[str, AxisForm] = {
-    "comp": LINUXCNC,
-    "siemens": _siemens.FORM,
-    "siemens-cec": _siemens_cec.FORM,
-    "heidenhain": _heidenhain.FORM,
-    "fanuc": _fanuc.FORM,
-    "fanuc30i": _fanuc.FORM_30I,
-    "haas": _haas.FORM,
-    "beckhoff": _beckhoff.FORM,
-}
-_TABLES = (*_ONE_AXIS, "csv", "gcode", *HELD)
+_TABLES = (*ONE_AXIS, "csv", "gcode", *HELD)
 _OF_TWINS = tuple(dict.fromkeys(form for kind in own_kinds() for form in kind.export_forms))
 FORMATS = (*_EQUATIONS, *_TABLES, *(form for form in _OF_TWINS if form not in _EQUATIONS))
-_UNREGISTERED = "not registered"
 
 
-@dataclass(frozen=True)
-class Source:
-    """What is exported.
-
-    ``state``: ``champion``, ``trial``, ``candidate`` ... and whether it is for a trial only.
-    ``twin``: the twin behind it, reduced to what it corrects.
-    ``version``: in the model registry, or that it is not there; a bundle learns it by promotion only.
-    """
-
-    bundle: Bundle
-    state: str
-    twin: Twin | None
-    version: str = _UNREGISTERED
-
-
-@dataclass(frozen=True)
-class Request:
-    """How it is written.
-
-    Attributes
-    ----------
-    form : str
-        One of ``FORMATS``.
-    travel_mm : tuple of float, optional
-        Of the tables; the largest measured radius to both sides without.
-    origin_mm : tuple of float
-        Centre of the measured circles in the coordinates of the machine or program.
-    tolerance_um : float
-        Of the chords of a compensated program.
-    """
-
-    form: str
-    axis: str = ""
-    travel_mm: tuple[float, float] | None = None
-    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    points: int | None = None
-    program: Path | None = None
-    tolerance_um: float = 0.1
-
-
-@dataclass(frozen=True)
-class Export:
-    """A written form.
-
-    ``figures``: rows, interpolation error and the like.
-    ``left_out``: effects that this form cannot hold, and why.
-    ``twin_version``: of the twin that was written without a registered correction.
-    """
-
-    text: str
-    figures: Mapping[str, Any] = field(default_factory=dict)
-    left_out: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    twin_version: int | None = None
-
-
-def export_twin(home: Home, name: str, form: str) -> Export | None:
+def export_twin(home: Home, name: str, form: str, machine: str | None = None) -> Export | None:
     """Write a twin whose kind has forms of its own; None where the name is of no such twin.
 
     Raises
     ------
     InputError
-        When its kind does not have this form, or the form cannot hold the twin.
+        When its kind does not have this form, the form cannot hold the twin, or it is of another machine.
     """
     if not (home.root / "twins" / Path(name).name).is_dir() or name.endswith(".json"):
         return None
@@ -136,7 +60,20 @@ def export_twin(home: Home, name: str, form: str) -> Export | None:
             got=form,
             allowed=", ".join(kind.export_forms),
         )
-    return kind.export_twin(home, name, form)
+    made = kind.export_twin(home, name, form)
+    _require_machine(name, made.machine, machine)
+    return made
+
+
+def _require_machine(name: str, its_machine: str, machine: str | None) -> None:
+    if machine not in (None, its_machine):
+        raise InputError(
+            "the correction is of another machine",
+            code="export.machine",
+            where=name,
+            got=f"--machine {machine}",
+            allowed=its_machine,
+        )
 
 
 def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None) -> Source:
@@ -159,6 +96,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     if name in ("latest", "trial") or name.endswith(".json"):
         resolved = resolve(name, machine, home, harmless=True)
         bundle = Bundle.from_dict(read_json(resolved.path, MAX_BYTES))
+        _require_machine(name, bundle.machine, machine)
         version = _registered(registry, resolved.machine, resolved.version, bundle)
         return _source(home, bundle, resolved.state, version, library)
     if name.isdigit():
@@ -173,6 +111,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     else:
         version = _of_twin(home, registry, name)
     bundle = Bundle.from_dict(registry.bundle(version))
+    _require_machine(name, bundle.machine, machine)
     return _source(home, bundle, state_of(version, home), version, library)
 
 
@@ -184,6 +123,14 @@ def export(source: Source, request: Request) -> Export:
     InputError
         When the form cannot hold it.
     """
+    if request.axis and request.form not in ONE_AXIS:
+        raise InputError(
+            "this form is not of one axis",
+            code="export.axis",
+            where=request.form,
+            got=f"--axis {request.axis}",
+            allowed=f"--axis with {', '.join(ONE_AXIS)}",
+        )
     if request.form in _EQUATIONS:
         return _equation(source, request.form)
     if request.form not in _TABLES:
@@ -208,7 +155,7 @@ def export(source: Source, request: Request) -> Export:
         return _program(source, source.twin, request)
     if request.form in HELD:
         return _settings(source, source.twin, request.form)
-    return _tables(source, source.twin, request)
+    return tables_of(source, source.twin, request)
 
 
 def _equation(source: Source, form: str) -> Export:
@@ -239,53 +186,6 @@ def _equation(source: Source, form: str) -> Export:
     return Export(commented(said, "# ", "") + text, notes=(NOT_RUN,))
 
 
-def _tables(source: Source, twin: Twin, request: Request) -> Export:
-    measured = [a for a in AXES if any(a in plane for plane in twin.box.planes)]
-    if request.form in _ONE_AXIS and request.axis not in measured:
-        raise InputError(
-            "a compensation file is for one axis",
-            code="export.axis",
-            got=request.axis or "none",
-            allowed=", ".join(measured),
-            hint="--axis X",
-        )
-    form = _ONE_AXIS.get(request.form)
-    axes = measured if form is None else [request.axis]
-    most, grid = (MOST_TRIPLETS, np.linspace) if form is None else (form.most, form.grid)
-    reach = twin.box.radius_mm[1]
-    speed = twin.box.feed_mm_min[0] / 60.0
-    tables: list[AxisTable] = []
-    left_out: dict[str, str] = {}
-    for axis in axes:
-        number = AXES.index(axis)
-        origin = request.origin_mm[number]
-        travel = request.travel_mm or (origin - reach, origin + reach)
-        relative = (travel[0] - origin, travel[1] - origin)
-        refused = own_axis_only(twin.terms, twin, axis, relative, speed)
-        kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
-        table = axis_table(
-            kept,
-            axis,
-            travel,
-            origin_mm=origin,
-            points=request.points,
-            speed_mm_s=speed,
-            most=most,
-            grid=grid,
-            held_um=np.inf if form is None else form.held_um,
-        )
-        if form is not None and form.across:
-            table, refused = with_across(table, twin, refused, request.origin_mm, form)
-        left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
-        tables.append(table)
-    if form is None:
-        text, said = csv_table(tables), []
-    else:
-        text = form.write(tables[0], [*whose(source.bundle, source.version, source.state), NOT_LOADED])
-        said = [*([] if form is LINUXCNC else [NOT_LOADED]), *form.notes(tables[0])]
-    return Export(text, _table_figures(tables), left_out, (*_table_notes(request, tables, most), *said))
-
-
 def _settings(source: Source, twin: Twin, form: str) -> Export:
     said = [*whose(source.bundle, source.version, source.state), NOT_LOADED]
     if form == "klipper":
@@ -297,29 +197,6 @@ def _settings(source: Source, twin: Twin, form: str) -> Export:
     left_out = {t.label: f"is no {' or '.join(held)}" for t in twin.terms if t.instance.effect.name not in held}
     notes = (NOT_LOADED, "the values replace those that were in force: they are right for tests without any of them")
     return Export(text, {"skew_rad" if form == "klipper" else "settings": found}, left_out, notes)
-
-
-def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
-    return {
-        "axes": {
-            t.axis: {
-                "rows": len(t.position_mm),
-                "travel_mm": [float(t.position_mm[0]), float(t.position_mm[-1])],
-                "interpolation_error_um": t.interpolation_um,
-                "largest_um": float(max(np.abs(t.forward_um).max(), np.abs(t.reverse_um).max())),
-            }
-            for t in tables
-        }
-    }
-
-
-def _table_notes(request: Request, tables: Sequence[AxisTable], most: int) -> list[str]:
-    return [
-        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} µm off; "
-        f"a table of {most} rows is not enough for {TOLERANCE_UM:g} µm"
-        for t in tables
-        if t.interpolation_um > TOLERANCE_UM and request.points is None
-    ]
 
 
 def _program(source: Source, twin: Twin, request: Request) -> Export:
@@ -356,7 +233,7 @@ def _program(source: Source, twin: Twin, request: Request) -> Export:
 def _source(
     home: Home, bundle: Bundle, state: str, version: RegisteredVersion | None, library: Mapping[str, Effect] | None
 ) -> Source:
-    number = _UNREGISTERED if version is None else version.version
+    number = UNREGISTERED if version is None else version.version
     if version is None or "twin" not in version.tags:
         return Source(bundle, state, None, number)
     twin = Twins(home, library).newest(version.tags["twin"], int(version.tags["twin_version"]))

@@ -193,6 +193,11 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         (["export", "latest", "--as", "comp", "--out", "n"], "export.axis"),
         (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"], "export.numbers"),
         (["export", "latest", "--as", "gcode", "--out", "n"], "export.program"),
+        (["export", "latest", "--as", "gcode", "--program", "part-corrected.nc", "--out", "n"], "gcode.twice"),
+        (["export", "mill-a", "--machine", "other", "--as", "c", "--out", "n"], "export.machine"),
+        (["export", "latest", "--as", "csv", "--axis", "X", "--out", "n"], "export.axis"),
+        (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "900,950", "--out", "n"], "export.travel"),
+        (["export", "latest", "--as", "comp", "--axis", "X", "--out", "part.nc/n"], "store.write"),
     ):
         ended, said = run(wrong)
         assert ended == 1

@@ -68,7 +68,7 @@ def export_twin(home: Home, name: str, form: str) -> Export:
     arm = _arm(twin, chain_in(run), held)
     unknown = sum(p["value"] is None for p in twin.document["parameters"])
     notes = [_NOT_LOADED, *([f"{unknown} parameters cannot be told and are left as they were"] if unknown else [])]
-    return Export(write(arm), {"joints": len(arm.rows)}, left_out, tuple(notes), twin.version)
+    return Export(write(arm), {"joints": len(arm.rows)}, left_out, tuple(notes), twin.version, twin.machine)
 
 
 def _arm(twin: PoseTwin, chain: Floats, held: set[str]) -> _Arm:

@@ -188,4 +188,7 @@ def test_what_a_form_cannot_hold_is_refused(home: Home) -> None:
         export_twin(home, "sag", "urdf")
     with pytest.raises(InputError, match="not written in this form"):
         export_twin(home, "plain", "comp")
+    with pytest.raises(InputError, match="of another machine"):
+        export_twin(home, "plain", "urdf", "other")
+    assert export_twin(home, "plain", "urdf", "arm") is not None
     assert export_twin(home, "latest", "urdf") is None

@@ -127,7 +127,7 @@ def test_siemens_sag_holds_both_directions_and_the_other_axis(source: Source) ->
 
 
 def test_siemens_sag_names_what_it_cannot_hold(source: Source) -> None:
-    twin, _ = made_twin((*EFFECTS[:2], EFFECTS[4]))
+    twin, _ = made_twin((*EFFECTS[:2], ("scale_mismatch", "Y", (10.0,), {}), EFFECTS[4]))
     made = export(replace(source, twin=twin), Request("siemens-cec", axis="Y", travel_mm=(-50.0, 50.0)))
     assert set(made.left_out) == {"servo_mismatch Y on Y"}
 
@@ -196,9 +196,10 @@ def test_fanuc_pitch_error(source: Source, travel: tuple[float, float], series: 
 def test_fanuc_has_points_enough_for_a_control_that_does_not_interpolate(source: Source, interpolates: bool) -> None:
     # Straight lines would need two points: half of 8 um would come at once.
     twin, _ = made_twin((("scale_mismatch", "X", (40.0,), {}),))
-    control = Fanuc(written(replace(source, twin=twin), "fanuc", travel_mm=(-200.0, 0.0)).text)
+    made = written(replace(source, twin=twin), "fanuc", travel_mm=(-200.0, 0.0), origin_mm=(-100.0, 0.0, 0.0))
+    control = Fanuc(made.text)
     command, forward = places(-200.0, 0.0)
-    left = 1000.0 * control.trim_mm(command, forward, interpolates) + 40e-3 * (command - 350.0)
+    left = 1000.0 * control.trim_mm(command, forward, interpolates) + 40e-3 * (command + 100.0)
     assert np.ptp(left) < 2.1
     assert len(control.steps) < 40
 

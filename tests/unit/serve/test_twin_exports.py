@@ -181,12 +181,19 @@ def test_a_compensation_file_holds_play_and_scale_of_one_axis_and_nothing_else(s
         "squareness XY on X": "depends on the position of another axis",
         "straightness Y on X": "depends on the position of another axis",
     }
-    on_y = export(source, Request("comp", axis="Y"))
-    assert on_y.left_out == {"servo_mismatch Y on Y": "depends on the feed"}
+    # A table of zeros would be loaded, and believed.
+    with pytest.raises(InputError, match="nothing that a table of this axis holds") as refusal:
+        export(source, Request("comp", axis="Y"))
+    assert refusal.value.got == "servo_mismatch Y on Y: depends on the feed"
     for bad in (
         Request("comp"),
         Request("comp", axis="X", points=257),
         Request("comp", axis="X", travel_mm=(5.0, 5.0)),
+        # Without --origin nothing of this travel was measured.
+        Request("comp", axis="X", travel_mm=(250.0, 450.0)),
+        Request("csv", axis="X"),
+        Request("klipper", axis="X"),
+        Request("c", axis="X"),
     ):
         with pytest.raises(InputError):
             export(source, bad)
@@ -250,6 +257,16 @@ def test_a_siemens_table_brings_the_axis_where_it_was_told_to(source: Source) ->
         export(replace(source, twin=twin), replace(request, points=201))
     with pytest.raises(InputError, match="too close"):
         export(replace(source, twin=twin), replace(request, travel_mm=(350.0, 350.1), points=200))
+
+
+def test_a_table_says_where_it_goes_beyond_what_was_measured(source: Source) -> None:
+    origin = (350.0, 0.0, 0.0)
+    inside = export(source, Request("siemens", axis="X", travel_mm=(250.0, 450.0), origin_mm=origin))
+    assert "measured from" not in inside.text
+    wide = export(source, Request("siemens", axis="X", travel_mm=(0.0, 450.0), origin_mm=origin))
+    said = "axis X: measured from 250 to 450 mm; beyond, the table is what the twin's formulas go on to"
+    assert f"; {said}" in wide.text
+    assert said in wide.notes
 
 
 def klipper_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
