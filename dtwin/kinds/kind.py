@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.train.twin_axes import AxisErrors
     from dtwin.twins.correct import TwinWay
     from dtwin.twins.verbs import Twins
 
@@ -62,6 +63,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "drawings": ("a picture of a run", "a figure of one run"),
     "twins": ("a twin", "effects, and a fit of them"),
     "export_twin": ("an export of the twin itself", "a geometry that controls and simulators take"),
+    "axis_errors": ("tables of one axis from its equation", "an equation of position and direction alone"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
@@ -313,6 +315,10 @@ class Kind:
     def export_twin(self, home: Home, name: str, form: str) -> Export:
         """Write a twin in one of ``export_forms``."""
         raise self.lacks("export_twin")
+
+    def axis_errors(self, bundle: Bundle) -> AxisErrors:
+        """Return what a bundle of such campaigns says along its axis."""
+        raise self.lacks("axis_errors")
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         """Return the grid on which runs are compared, and the runs on it."""

@@ -32,6 +32,7 @@ class AxisTable:
     ``forward_um``, ``reverse_um``, (n,): actual minus nominal, by direction of motion; lost motion is in the
     difference.
     ``interpolation_um``: largest error of straight lines between the rows.
+    ``left_share``: RMS that straight lines between the rows leave of the error, over that of the error, both from their means.
     ``along``: axis of the positions, where it is another one; empty without.
     ``across``: tables of this axis over the positions of the others.
     """
@@ -42,6 +43,7 @@ class AxisTable:
     reverse_um: Floats
     interpolation_um: float
     along: str = ""
+    left_share: float = 0.0
     across: tuple[AxisTable, ...] = ()
 
 
@@ -96,6 +98,28 @@ def axis_table(
     ``along``: axis of the positions, where it is another one.
     ``held_um``: of the form.
     """
+
+    def errors_um(at: Floats) -> tuple[Floats, Floats]:
+        return axis_table_um(twin, axis, at - origin_mm, speed_mm_s, along or axis)
+
+    return tabulated(axis, errors_um, travel_mm, points=points, most=most, grid=grid, along=along, held_um=held_um)
+
+
+def tabulated(
+    axis: str,
+    errors_um: Callable[[Floats], tuple[Floats, Floats]],
+    travel_mm: tuple[float, float],
+    *,
+    points: int | None,
+    most: int = MOST_TRIPLETS,
+    grid: Grid = np.linspace,
+    along: str = "",
+    held_um: float = np.inf,
+) -> AxisTable:
+    """Tabulate errors of one axis with as few rows as the tolerance allows; arguments as of ``axis_table``.
+
+    ``errors_um``: of positions on the machine, going up and going down.
+    """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
         raise InputError(
@@ -109,19 +133,23 @@ def axis_table(
             "a table has too few or too many rows", code="export.points", got=str(points), allowed=f"2 to {most}"
         )
     dense = np.linspace(low, high, _CHECKED)
-    truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s, along or axis)
+    truth = errors_um(dense)
     doubled = (2, 3, 5, 9, 17, 33, 65, 129, 257, 513)
     counts = [points] if points is not None else [*(n for n in doubled if n < most), most]
     for count in counts:
         at = grid(low, high, count)
-        forward, reverse = axis_table_um(twin, axis, np.clip(at, low, high) - origin_mm, speed_mm_s, along or axis)
+        forward, reverse = errors_um(np.clip(at, low, high))
         ways = list(zip((forward, reverse), truth, strict=True))
         off = max(float(np.abs(np.interp(dense, at, rows) - exact).max()) for rows, exact in ways)
         row = np.clip(np.searchsorted(at, dense, side="right") - 1, 0, len(at) - 2)
         held = max(float(np.abs(rows[row + end] - exact).max()) for rows, exact in ways for end in (0, 1))
         if off <= TOLERANCE_UM and held <= held_um:
             break
-    return AxisTable(axis, at, forward, reverse, off, along)
+    left = np.array([np.interp(dense, at, rows) - exact for rows, exact in ways])
+    before_um = float(np.std(truth))
+    return AxisTable(
+        axis, at, forward, reverse, off, along, float(np.std(left)) / before_um if before_um > 0.0 else 0.0
+    )
 
 
 def _of(twin: Twin, labels: Collection[str]) -> tuple[Term, ...]:

@@ -11,7 +11,8 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, own_kinds
-from dtwin.lifecycle._axis_exports import ONE_AXIS, tables_of
+from dtwin.kinds.registry import kind_of as kind_of_bundle
+from dtwin.lifecycle._axis_exports import ONE_AXIS, positioning_table, tables_of
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle._export_records import UNREGISTERED, Export, Request, Source
 from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
@@ -20,6 +21,7 @@ from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import marked, program_of, require_unmarked
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
+from dtwin.schema import DEFAULT_KIND
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.export import identifier, to_c, to_latex, to_python
@@ -142,13 +144,16 @@ def export(source: Source, request: Request) -> Export:
             allowed=", ".join((*_EQUATIONS, *_TABLES)),
             hint="dtwin export TWIN --as " + request.form,
         )
-    if source.twin is None:
+    kind = kind_of_bundle(source.bundle)
+    if kind.offers("axis_errors") and request.form in (*ONE_AXIS, "csv"):
+        return positioning_table(source, kind.axis_errors(source.bundle), request)
+    if source.twin is None or kind.name != DEFAULT_KIND:
         raise InputError(
             "this form needs the error of single axes",
             code="export.axes",
             where=source.bundle.name,
-            got="an equation along the path",
-            allowed="the correction of a twin",
+            got=f"a correction of {kind.name} campaigns" if source.twin else "an equation along the path",
+            allowed="the correction of a twin of circles",
             hint="dtwin twin correct NAME, then dtwin export NAME",
         )
     if request.form == "gcode":

@@ -6,7 +6,7 @@ along one axis at a time gives the error as a vector in machine axes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,20 @@ AXES = "XYZ"
 # Far from the last reversal: play is taken up, friction slides.
 _FAR_MM = 1e6
 _TOLERANCE_UM = 1e-9
+
+
+@dataclass(frozen=True)
+class AxisErrors:
+    """What a correction of one axis says along it.
+
+    ``axis``: X, Y or Z.
+    ``measured_mm``: first and last position of the tests.
+    ``um``: error at positions in mm (n,), actual minus commanded, going up and going down, shape (n,) each.
+    """
+
+    axis: str
+    measured_mm: tuple[float, float]
+    um: Callable[[Floats], tuple[Floats, Floats]]
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ RATE_HZ = 100.0
 ROOM_MM = 25.0
 # Below every place that an axis can start from.
 _FAR_MM = 2500.0
-POSITION, _DIRECTION = "position_mm", "direction_1"
+POSITION, _DIRECTION, MEMORY = "position_mm", "direction_1", "slide_mm"
 # What bundles from before 2026-12 ask for.
 _INCHES = "position_in"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
@@ -226,9 +226,9 @@ def remembering_bundle(
     position = builder.input(POSITION)
     output = _output(axis)
     lower, upper = (position + limit(position - limit(position) / UM_PER_MM) / UM_PER_MM for limit in limits)
-    lifted = builder.apply("max", builder.state("slide_mm"), lower)
+    lifted = builder.apply("max", builder.state(MEMORY), lower)
     slide = builder.apply("min", lifted, upper)
-    graph = builder.graph({output.name: (slide - position) * UM_PER_MM}, {"slide_mm": slide})
+    graph = builder.graph({output.name: (slide - position) * UM_PER_MM}, {MEMORY: slide})
     return create_bundle(
         corrects="linear",
         name=name,
@@ -236,7 +236,7 @@ def remembering_bundle(
         model_version=1,
         inputs=(_position(travel_mm),),
         outputs=(output,),
-        states=(State("slide_mm", "mm", travel_mm[0] - _FAR_MM),),
+        states=(State(MEMORY, "mm", travel_mm[0] - _FAR_MM),),
         tick_graph=graph,
         safety=safety,
         provenance=Provenance(code_version=__version__, evidence="none", table_versions=dict(table_versions or {})),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.train.twin_axes import AxisErrors
     from dtwin.twins.correct import TwinWay
     from dtwin.twins.verbs import Twins
 
@@ -146,6 +147,11 @@ class _Linear(Kind):
         from dtwin.report import twins
 
         return twins
+
+    def axis_errors(self, bundle: Bundle) -> AxisErrors:
+        from dtwin.kinds.linear._served_axis import axis_errors
+
+        return axis_errors(bundle)
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.kinds.linear._grid import stroke_rows

@@ -55,6 +55,7 @@ GIVEN: dict[str, tuple[Any, ...]] = {
     "variation": ((), ""),
     "twins": (None, None),
     "export_twin": (None, "", ""),
+    "axis_errors": (None,),
     "rows": ((), ()),
     "gates": (None, {}),
     "champion_error": (None, (), None, {}),
