@@ -52,6 +52,10 @@ def export(
     if form not in FORMATS:
         raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))
     _require_new(out, force=force)
+    if program is not None and out.exists() and program.exists() and out.samefile(program):
+        raise InputError(
+            "the program would be lost", code="export.exists", where=str(out), allowed="a file beside it", hint="--out"
+        )
     low_high = numbers(travel, 2, "--travel") if travel is not None else None
     x, y, z = numbers(origin, 3, "--origin")
     request = Request(

@@ -164,7 +164,9 @@ def read_program(text: str, where: str) -> Iterator[Passed | Move]:
         feed = next((v for k, v in words if k == "F"), feed)
         mode = next((c for c in codes if c in _MODES), mode)
         target = {k: v for k, v in words if k in "XYZ"}
-        if not target or 4.0 in codes:
+        # A whole circle may name its centre alone.
+        turns = mode in (2.0, 3.0) and any(k in "IJK" for k, _ in words)
+        if not (target or turns) or 4.0 in codes:
             yield Passed(raw)
             continue
         if mode < 0.0:
@@ -175,6 +177,8 @@ def read_program(text: str, where: str) -> Iterator[Passed | Move]:
             known["XYZ".index(k)] = True
         rest, after = _rest(words)
         if mode in (2.0, 3.0):
+            if not all(before[axis] for axis in plane):
+                raise _wrong(f"{where} line {number}", raw, "an arc from a point that the program has named")
             arc = _arc(words, at, end, mode, plane, f"{where} line {number}")
             yield Move(number, False, at.copy(), end, feed, tuple(known), before, rest, after, *arc)
         else:

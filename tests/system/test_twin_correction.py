@@ -194,6 +194,7 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"], "export.numbers"),
         (["export", "latest", "--as", "gcode", "--out", "n"], "export.program"),
         (["export", "latest", "--as", "gcode", "--program", "part-corrected.nc", "--out", "n"], "gcode.twice"),
+        (["export", "latest", "--as", "gcode", "--program", "part.nc", "--out", "part.nc", "--force"], "export.exists"),
         (["export", "mill-a", "--machine", "other", "--as", "c", "--out", "n"], "export.machine"),
         (["export", "latest", "--as", "csv", "--axis", "X", "--out", "n"], "export.axis"),
         (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "900,950", "--out", "n"], "export.travel"),
@@ -203,6 +204,7 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         assert ended == 1
         assert code in said, said
     assert not (tmp_path / "n").exists()
+    assert (tmp_path / "part.nc").read_text("utf-8") == PROGRAM
     assert run(["export", "mill-a", "--as", "csv", "--out", "n"])[0] == 0
 
 

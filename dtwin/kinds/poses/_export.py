@@ -100,7 +100,8 @@ def _arm(twin: PoseTwin, chain: Floats, held: set[str]) -> _Arm:
 def _dh(arm: _Arm) -> str:
     """Return CSV; ``beta_deg`` is a turn about y after alpha, which plain rows have not."""
     rows = np.column_stack([arm.rows[:, :2], np.degrees(arm.rows[:, 2:])])
-    lines = [*(f"# {line}" for line in arm.said), "joint,a_mm,d_mm,alpha_deg,theta_deg,beta_deg"]
+    order = "standard (distal) rows, from the base on: Rz(q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta), q as the control shows it"
+    lines = [*(f"# {line}" for line in (*arm.said, order)), "joint,a_mm,d_mm,alpha_deg,theta_deg,beta_deg"]
     lines += [",".join([str(n), *(f"{v:z.9f}" for v in row)]) for n, row in enumerate(rows, start=1)]
     return "\n".join(lines) + "\n"
 

@@ -99,6 +99,8 @@ def move(x: float, y: float, z: float) -> np.ndarray:
 
 
 def by_dh(text: str) -> Callable[[Any], np.ndarray]:
+    # Standard and modified rows have the same names and mean different chains.
+    assert "# standard (distal) rows, from the base on: Rz(q + theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)" in text
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
     def flange(q: Any) -> np.ndarray:

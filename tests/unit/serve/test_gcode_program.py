@@ -55,6 +55,21 @@ def test_motion_that_the_program_does_not_show_is_refused(line: str, twin: Twin)
     assert "line 2" in str(refusal.value.where)
 
 
+@pytest.mark.parametrize("circle", ["G3 I-50 J0 F900", "G3 F900\nI-50"])
+def test_a_circle_that_names_its_centre_alone_is_compensated_like_one_with_its_end(circle: str, twin: Twin) -> None:
+    whole = compensated("G0 X60 Y0\nG1 X50 Y0 F900\nG3 X50 Y0 I-50 J0 F900\n", twin)
+    alone = compensated(f"G0 X60 Y0\nG1 X50 Y0 F900\n{circle}\n", twin)
+    assert [line for line in alone if line.startswith("G1 X")] == [line for line in whole if line.startswith("G1 X")]
+    assert len(whole) > 100
+    assert not [line for line in alone if "I" in line]
+
+
+@pytest.mark.parametrize("line", ["G3 X0 Y10 I-10 J0 F100", "G3 I-10 F100", "G18 G2 X0 Z5 I-5 K0 F100"])
+def test_an_arc_from_a_point_that_nobody_knows_is_refused(line: str, twin: Twin) -> None:
+    with pytest.raises(InputError, match="not understand"):
+        compensated(f"G21 G90\nG0 X10\n{line}\n", twin)
+
+
 @pytest.mark.parametrize("line", ["M99", "/M8", "/ (stop here)"])
 def test_what_moves_nothing_is_kept(line: str, twin: Twin) -> None:
     assert line in compensated(f"G0 X10 Y0\n{line}\n", twin)
