@@ -238,7 +238,7 @@ def _words(raw: str, where: str) -> list[tuple[str, float]]:
         good = letter in "XYZIJKFNSTMOP"
         if letter == "G":
             good = value in _MODES or value in _HARMLESS or value == 4.0
-        elif letter == "M" and (value in _CALLS or (value == 99.0 and any(k == "P" for k, _ in found))):
+        elif letter == "M" and (value in _CALLS or (value == 99.0 and any(k == "P" for k, _ in words))):
             raise _wrong(where, raw, "no calls of other programs (M97, M98, M198) and no jumps (M99 P)")
         if not good:
             raise _wrong(where, f"{letter}{value:g} in {raw}", _ALLOWED)
