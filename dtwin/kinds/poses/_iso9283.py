@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -48,13 +49,12 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
     """Return figures of one run, in mm; None for what its rows do not allow."""
     measured, setup, error, place = measured_of(run), series.setup, series.error_mm, series.poses.place
     point = series.poses.at.tool_mm(setup.tool_mm)
-    count = np.bincount(place)
-    means = np.stack([np.bincount(place, error[:, i]) / count for i in range(3)], axis=1)
+    count, means = np.bincount(place), means_of(error, place)
     accuracy = np.linalg.norm(means, axis=1)
     scatter = np.linalg.norm(error - means[place], axis=1)
     often = np.flatnonzero(count >= _FEWEST_REPEATS)
     repeatability = [scatter[place == p].mean() + 3.0 * scatter[place == p].std(ddof=1) for p in often]
-    apart = distances_off(point, error)
+    apart = distances_off(means_of(point, place), means)
     as_is = None
     if "error_x_mm" in run.samples:
         as_is = mean_mm(axes(run, "error"))
@@ -70,7 +70,9 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
         "pose_repeatability_mm": None
         if not repeatability
         else {"median": float(np.median(repeatability)), "max": float(np.max(repeatability)), "poses": len(often)},
-        "distance_accuracy_mm": {"rms": float(np.sqrt((apart**2).mean())), "max": float(np.abs(apart).max())},
+        "distance_accuracy_mm": None
+        if not apart.size
+        else {"rms": float(np.sqrt((apart**2).mean())), "max": float(np.abs(apart).max())},
         "as_written_mm": as_is,
         "frame_alone_mm": frame_alone if as_is is not None else None,
         "taken_away": series.taken_away,
@@ -78,14 +80,33 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
     }
 
 
-def distances_off(point: Floats, error: Floats) -> Floats:
-    """Return by how much the distances of pairs of poses are too long, (pairs,): 2000 pairs, always the same ones.
+def means_of(values: Floats, place: Floats) -> Floats:
+    """Return the mean of the readings (n, 3) of each pose, (poses, 3); ``place`` (n,): number of the pose of each."""
+    count = np.bincount(place)
+    return np.stack([np.bincount(place, values[:, i]) / count for i in range(3)], axis=1)
 
-    ``point``, ``error`` (n, 3): commanded points, and measured less commanded.
+
+def distances_off(point: Floats, error: Floats) -> Floats:
+    """Return by how much the distances of pairs of poses are too long, (pairs,): of all pairs, of many poses of 2000.
+
+    The standard takes the mean of repeated distances, so that scatter is no error of distance; a reading is never paired
+    with another one of its own pose.
+
+    ``point``, ``error`` (poses, 3): commanded points, and the mean of measured less commanded.
     """
-    one, other = np.random.default_rng(0).integers(0, len(point), (2, _PAIRS))
+    one, other = _pairs(len(point))
     wanted = point[one] - point[other]
     return np.asarray(np.linalg.norm(wanted + error[one] - error[other], axis=1) - np.linalg.norm(wanted, axis=1))
+
+
+@lru_cache(maxsize=8)
+def _pairs(poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the numbers of both poses of each pair, always the same ones."""
+    if poses * (poses - 1) // 2 <= _PAIRS:
+        return np.triu_indices(poses, k=1)
+    rng = np.random.default_rng(0)
+    one = rng.integers(0, poses, _PAIRS)
+    return one, (one + rng.integers(1, poses, _PAIRS)) % poses
 
 
 def lines(run_id: str, found: dict[str, Any]) -> list[str]:
@@ -102,8 +123,9 @@ def lines(run_id: str, found: dict[str, Any]) -> list[str]:
     out += [
         f"  left by {found['taken_away']}: {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
         f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most",
-        f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most",
     ]
+    if distance is not None:
+        out.append(f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most")
     said = found["pose_repeatability_mm"]
     if said is None:
         return [*out, "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.poses._check import problem_of
-from dtwin.kinds.poses._iso9283 import axes, distances_off
+from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of
 from dtwin.kinds.poses._series import Series
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _AGAIN = 200
-_FEWEST_REPEATS = 3
+_FEWEST_REPEATS, _ASKED_REPEATS = 3, 30
 _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
@@ -55,7 +55,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
         one_um = 1000.0 * series.floor_mm / math.sqrt(3.0)
-        mean = _means(error_um, place)[place]
+        mean = means_of(error_um, place)[place]
         again = [
             _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
         ]
@@ -85,11 +85,15 @@ def _taken_away(run: Run, series: Series) -> str:
     poses = int(series.poses.place.max()) + 1
     said = f"{run.meta.run_id}: AP and AD are of what is left by the best {series.taken_away}"
     if "error_x_mm" in run.samples:
-        largest_um = 1000.0 * np.linalg.norm(_means(axes(run, "error"), series.poses.place), axis=1).max()
+        largest_um = 1000.0 * np.linalg.norm(means_of(axes(run, "error"), series.poses.place), axis=1).max()
         said += f"; as the file has its errors, AP is {largest_um:z.4g} µm"
     if poses < _FEW_POSES:
         numbers = _NUMBERS[series.taken_away]
         said += f"; {poses} poses are few for the {numbers} numbers of {series.taken_away}, and the figures too small"
+    repeats = np.bincount(series.poses.place)
+    fewest = int(repeats[repeats >= _FEWEST_REPEATS].min(initial=_ASKED_REPEATS))
+    if fewest < _ASKED_REPEATS:
+        said += f"; RP is of {fewest} readings a pose and more; ISO 9283 asks for thirty"
     return f"{said}."
 
 
@@ -105,18 +109,14 @@ def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, .
     return (under.reading(_READING_UM), *under.environment(1), own, *under.length(metres))
 
 
-def _means(error_um: Floats, place: Floats) -> Floats:
-    count = np.bincount(place)
-    return np.stack([np.bincount(place, error_um[:, i]) / count for i in range(3)], axis=1)
-
-
 def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, float]:
     """Return the figures of errors (n, 3) of poses with these numbers; RP where a pose was measured three times."""
-    count, means = np.bincount(place), _means(error_um, place)
+    count, means = np.bincount(place), means_of(error_um, place)
     accuracy = np.linalg.norm(means, axis=1)
     told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
-    apart = distances_off(point_um, error_um)
-    told |= {"AD": float(np.abs(apart).max()), "AD rms": float(np.sqrt((apart**2).mean()))}
+    apart = distances_off(means_of(point_um, place), means)
+    if apart.size:
+        told |= {"AD": float(np.abs(apart).max()), "AD rms": float(np.sqrt((apart**2).mean()))}
     often = count >= _FEWEST_REPEATS
     if often.any():
         away = np.linalg.norm(error_um - means[place], axis=1)

@@ -115,6 +115,23 @@ def test_distances_have_an_uncertainty_and_a_longer_ruler_is_in_it() -> None:
     assert doubted["expanded_um"] == pytest.approx(longer["AD rms"]["value_um"], rel=0.4)
 
 
+def test_a_distance_is_between_the_means_of_two_poses() -> None:
+    """ISO 9283 takes the mean of repeated distances: scatter alone is no error of distance, nor is a pose paired with itself."""
+    found = characteristics(poses(0.0, repeats=30, noise_um=20.0), uncertainty_um=0.0)
+    # Two means of thirty readings differ by 5 um, single readings by 28 um, and five times that at most.
+    assert found["AD rms"]["value_um"] == pytest.approx(20.0 * np.sqrt(2.0 / 30.0), rel=0.25)
+    assert found["AD"]["value_um"] < 30.0
+
+
+def test_few_readings_of_a_pose_are_said() -> None:
+    campaign = Campaign("c", "m", "poses", machine_geometry={"chain": "ur5"})
+    few, enough = (
+        " ".join(sheet_of(kind_named("poses"), campaign, [poses(0.0, repeats=n)], {})["notes"]) for n in (3, 30)
+    )
+    assert "RP is of 3 readings a pose and more; ISO 9283 asks for thirty" in few
+    assert "thirty" not in enough
+
+
 def test_without_repeats_a_distance_has_no_uncertainty() -> None:
     found = characteristics(poses(300.0, repeats=1))
     assert not np.isfinite(found["AD"]["expanded_um"] or np.nan)
