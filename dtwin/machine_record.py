@@ -71,7 +71,7 @@ class MachineRecord:
             **self.facts,
             **({"test_every_days": self.test_every_days} if self.test_every_days else {}),
             "axes": {axis: dict(known) for axis, known in self.axes.items()},
-            "tolerances": {symbol: limits.stated() for symbol, limits in self.tolerances.items()},
+            "tolerances": {symbol: limits.stated(symbol) for symbol, limits in self.tolerances.items()},
             "events": [event.as_dict() for event in self.events],
         }
 

@@ -9,6 +9,9 @@ from typing import Any
 from dtwin.errors import InputError
 from dtwin.units import is_number
 
+_SIGNED = ("D", "B̄")
+"""Figures that may be negative: mean radial deviation of a circle, mean reversal error of an axis."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -22,15 +25,19 @@ class Limits:
             return f"≤ {self.high_um:g}"
         return f"≥ {self.low_um:g}" if self.high_um is None else f"{self.low_um:g} to {self.high_um:g}"
 
-    def stated(self) -> float | dict[str, float]:
-        """Return the limits as a file states them: one number, or a table."""
+    def stated(self, symbol: str) -> float | dict[str, float]:
+        """Return the limits of a figure as a file states them: one number that is read as the same again, or a table."""
         bounds = {"low": self.low_um, "high": self.high_um}
         known = {name: bound for name, bound in bounds.items() if bound is not None}
-        return known if "low" in known else known["high"]
+        high = known.get("high")
+        return high if high is not None and _bounds(symbol, high) == known else known
 
 
 def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     """Read limits by symbol: a largest value, or a table with ``low`` and ``high``, in µm.
+
+    One number of a figure that has a sign is a limit of its size: a deviation of -30 is not within 10. Of ``Fmin``, the
+    smallest deviation of a circle, it is how far down it may be.
 
     Raises
     ------
@@ -39,7 +46,7 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     """
     by_symbol = {}
     for symbol, value in stated.items():
-        bounds = value if isinstance(value, Mapping) else {"high": value}
+        bounds = value if isinstance(value, Mapping) else _bounds(symbol, value)
         low, high = bounds.get("low"), bounds.get("high")
         numbers = [b for b in (low, high) if b is not None]
         good = bool(numbers) and set(bounds) <= {"low", "high"} and all(map(is_number, numbers))
@@ -53,3 +60,12 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
             )
         by_symbol[symbol] = Limits(*(None if b is None else float(b) for b in (low, high)))
     return by_symbol
+
+
+def _bounds(symbol: str, value: Any) -> dict[str, Any]:
+    """Return the bounds that one number states; what is no number as it is, to be refused."""
+    if is_number(value) and value > 0.0 and symbol in _SIGNED:
+        return {"low": -value, "high": value}
+    if is_number(value) and symbol.startswith("Fmin"):
+        return {"low": -abs(value)}
+    return {"high": value}

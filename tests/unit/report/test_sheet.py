@@ -158,6 +158,22 @@ def test_a_tolerance_that_is_none_is_refused(stated: dict[str, object]) -> None:
         limits_from(stated, "here")
 
 
+def test_one_number_limits_the_size_of_a_figure_that_has_a_sign() -> None:
+    limits = limits_from({"D": 10.0, "B̄": 3.0, "Fmin(CW)": -5.0, "Fmax(CW)": 5.0, "G(b)": 8.0}, "here")
+    assert (limits["D"], limits["B̄"]) == (Limits(-10.0, 10.0), Limits(-3.0, 3.0))
+    assert (limits["Fmin(CW)"], limits["Fmax(CW)"]) == (Limits(low_um=-5.0), Limits(high_um=5.0))
+    assert limits["G(b)"] == Limits(high_um=8.0)
+    assert limits_from({"Fmin(CW)": 5.0, "D": {"high": 4.0}}, "here") == {
+        "Fmin(CW)": Limits(low_um=-5.0),
+        "D": Limits(high_um=4.0),
+    }
+    for symbol, one in {**limits, "H": Limits(high_um=2.0)}.items():
+        assert limits_from({symbol: one.stated(symbol)}, "here") == {symbol: one}
+    assert limits_from({"D": Limits(high_um=4.0).stated("D")}, "here") == {"D": Limits(high_um=4.0)}
+    small = Characteristic("D", "x", -30.0, 3, 1.0, 2.0, 1.5, limits["D"])
+    assert small.decision == "outside"
+
+
 def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
     runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2, 3) for way in ("CCW", "CW")]
     kind = kind_named("circular")
