@@ -35,9 +35,12 @@ class LinearTest:
     first: str = "forward"
 
 
-def linear_test(runs: Sequence[Run]) -> LinearTest:
-    """Put the readings of runs into matrices."""
-    columns = [_by_target(run, way) for way in ("forward", "reverse") for run in runs]
+def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse")) -> LinearTest:
+    """Put the readings of runs into matrices.
+
+    ``ways``: of both matrices; twice the same of runs in one direction only.
+    """
+    columns = [_by_target(run, way) for way in ways for run in runs]
     anywhere, times = np.unique(np.concatenate([numbers for numbers, _ in columns]), return_counts=True)
     targets = anywhere[times == len(columns)]
     matrix = np.stack([errors[np.isin(numbers, targets, assume_unique=True)] for numbers, errors in columns], axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._asked import BOTH, Ways, asked, can_be_told, ways_of
 from dtwin.kinds.linear._cycles import spoilt_finding
 from dtwin.kinds.linear._matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.physics.linear import linear_figures, stacked_figures
@@ -45,60 +47,73 @@ _FIGURES = (
 def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     """Evaluate every axis of a campaign.
 
-    ``runs``: with all columns; runs with an error of quality are left out where there are others, and named.
+    ``runs``: with all columns; runs with an error of quality are left out where there are others, and named. Runs of one
+    direction are evaluated, in that direction, where an axis has no others.
     """
-    axes: dict[str, list[Run]] = {}
-    notes = []
+    axes: dict[str, dict[Ways, list[Run]]] = {}
     for run in runs:
-        if set(run.samples["direction"]) != {"forward", "reverse"}:
-            notes.append(f"{run.meta.run_id} is not evaluated: it has one direction only.")
-        else:
-            axes.setdefault(str(run.meta.condition.get("axis", "Z")), []).append(run)
-    parts = []
-    for axis, every in sorted(axes.items()):
-        members, said = sound_runs(every)
-        notes += said
-        sound = not any(f.severity == "error" for run in members for f in run.findings)
-        test = linear_test(members)
-        title = f"axis {axis}"
-        if len(members) < 2 or not test.position_mm.size:
-            notes.append(f"{title} is not evaluated: it takes two runs that share their targets.")
-            continue
-        span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} mm"
-        ids = tuple(run.meta.run_id for run in members)
-        spoilt = spoilt_finding(test)
-        if spoilt is not None:
-            sound = False
-            notes.append(f"{title}: {spoilt.message}.")
-        if test.left_out:
-            many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
-            notes.append(f"{title}: {many} not evaluated, for not every run read them from both sides.")
-        notes += _other_formulas(test, title)
-        stated = {f.message for run in members for f in run.findings if f.code == "linear.stated_figures"}
-        notes += [f"{title}: {message}." for message in sorted(stated)]
-        parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test, under), sound))
+        of_axis = axes.setdefault(str(run.meta.condition.get("axis", "Z")), {})
+        of_axis.setdefault(ways_of(run), []).append(run)
+    parts: list[Part] = []
+    notes: list[str] = []
+    for axis, by_ways in sorted(axes.items()):
+        both = by_ways.get(BOTH)
+        if both is not None:
+            alone = [run for ways, members in by_ways.items() if ways != BOTH for run in members]
+            notes += [f"{run.meta.run_id} is not evaluated: it has one direction only." for run in alone]
+            by_ways = {BOTH: both}
+        for ways, every in sorted(by_ways.items()):
+            part, said = _evaluated(f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, under)
+            parts += [] if part is None else [part]
+            notes += said
     basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
 
 
-def _figures(test: LinearTest, under: Circumstances) -> tuple[Characteristic, ...]:
-    told = asdict(linear_figures(test.forward_um, test.reverse_um))
+def _evaluated(title: str, every: Sequence[Run], ways: Ways, under: Circumstances) -> tuple[Part | None, list[str]]:
+    members, notes = sound_runs(every)
+    sound = not any(f.severity == "error" for run in members for f in run.findings)
+    test = linear_test(members, ways)
+    if not test.position_mm.size:
+        return None, [*notes, f"{title} is not evaluated: its runs share no target."]
+    span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} mm"
+    spoilt = spoilt_finding(test)
+    if spoilt is not None:
+        sound = False
+        told = f"{spoilt.message}" if ways == BOTH else "readings do not belong to the others: measure again"
+        notes.append(f"{title}: {told}.")
+    if test.left_out:
+        many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
+        sides = " from both sides" if ways == BOTH else ""
+        notes.append(f"{title}: {many} not evaluated, for not every run read them{sides}.")
+    if ways == BOTH and len(members) > 1:
+        notes += _other_formulas(test, title)
+    notes += [f"{title}: {said}." for said in asked(test)]
+    stated = {f.message for run in members for f in run.findings if f.code == "linear.stated_figures"}
+    notes += [f"{title}: {message}." for message in sorted(stated)]
+    targets = "1 target" if len(test.position_mm) == 1 else f"{len(test.position_mm)} targets"
+    ids = tuple(run.meta.run_id for run in members)
+    return Part(f"{title}, {span}, {targets}", ids, _figures(test, ways, under), sound), notes
+
+
+def _figures(test: LinearTest, ways: Ways, under: Circumstances) -> tuple[Characteristic, ...]:
     n = test.forward_um.shape[1]
-    normal = np.random.default_rng(0).standard_normal((_AGAIN, 2, *test.forward_um.shape))
-    drawn = stacked_figures(_again(test.forward_um, normal[:, 0]), _again(test.reverse_um, normal[:, 1]))
+    named = [figure for figure in _FIGURES if can_be_told(figure[0], ways, n)]
+    if n == 1:
+        # Of single readings means are known, and what runs differ by is not.
+        twice = (np.repeat(errors, 2, axis=1) for errors in (test.forward_um, test.reverse_um))
+        told = asdict(linear_figures(*twice))
+        scatter = dict.fromkeys(told, math.nan)
+    else:
+        told = asdict(linear_figures(test.forward_um, test.reverse_um))
+        normal = np.random.default_rng(0).standard_normal((_AGAIN, 2, *test.forward_um.shape))
+        drawn = stacked_figures(_again(test.forward_um, normal[:, 0]), _again(test.reverse_um, normal[:, 1]))
+        scatter = {key: float(np.std(drawn[key], ddof=1)) for key in told}
     # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction.
-    dof = 2.0 * (n - 1)
+    dof = (2.0 if ways == BOTH else 1.0) * (n - 1)
     return tuple(
-        Characteristic(
-            symbol,
-            name,
-            told[key],
-            1,
-            float(np.std(drawn[key], ddof=1)),
-            dof,
-            contributions=_contributions(symbol, test, under),
-        )
-        for symbol, name, key in _FIGURES
+        Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=_contributions(symbol, test, under))
+        for symbol, name, key in named
     )
 
 
@@ -149,9 +164,11 @@ def _again(errors_um: Floats, normal: Floats) -> Floats:
 
 def positioning_figure(runs: Sequence[Run]) -> go.Figure:
     """Draw the mean of each direction over the position."""
-    test = linear_test(runs)
+    ways = ways_of(runs[0])
+    test = linear_test(runs, ways)
     if not test.position_mm.size:
         raise InputError("no target was read in every run from both sides", code="sheet.targets")
-    curves = {"forward": test.forward_um.mean(axis=1), "reverse": test.reverse_um.mean(axis=1)}
-    named = {f"{way}, mean of {len(runs)} runs": (test.position_mm, mean) for way, mean in curves.items()}
+    means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
+    count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
+    named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
     return error_figure(named, title=f"Deviation of axis {test.axis}", x_title="position, mm")

@@ -1,0 +1,115 @@
+"""Test sheets of positioning tests that are less, or longer, than the standard's usual one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dtwin.kinds.linear._sheet import positioning_figure
+from dtwin.kinds.registry import kind_named
+from dtwin.report.sheet import Sheet, judged
+from dtwin.report.uncertainty import Circumstances
+from dtwin.schema import Run, RunMeta
+
+
+def sweeps(n: int, targets: np.ndarray, ways: tuple[str, ...] = ("forward", "reverse")) -> list[Run]:
+    """Return n runs of an axis with a slope, a wave and 2 um of lost motion."""
+    rng = np.random.default_rng(n)
+    place = np.concatenate([targets if way == "forward" else targets[::-1] for way in ways])
+    way = np.repeat(list(ways), targets.size)
+    runs = []
+    for number in range(n):
+        error = 0.01 * place + np.sin(place / 30.0) - 2.0 * (way == "reverse") + rng.normal(0.0, 0.5, place.size)
+        samples = {"t_s": np.arange(place.size) * 1.0, "position_mm": place, "direction": way, "error_um": error}
+        runs.append(Run(RunMeta(f"r{number}", kind="linear", condition={"axis": "X"}, repeat=number + 1), samples))
+    return runs
+
+
+def sheet_of(runs: list[Run]) -> Sheet:
+    return judged(kind_named("linear").sheet(runs, Circumstances()), {})
+
+
+def read(runs: list[Run], way: str) -> np.ndarray:
+    """Return readings (targets, runs) by rising target."""
+    columns = []
+    for run in runs:
+        chosen = run.samples["direction"] == way
+        columns.append(run.samples["error_um"][chosen][np.argsort(run.samples["position_mm"][chosen])])
+    return np.stack(columns, axis=1)
+
+
+def test_one_run_of_a_long_axis_has_the_figures_of_its_means() -> None:
+    """ISO 230-2 tests axes over 2 m once in each direction: E, B and M without repeatability."""
+    runs = sweeps(1, np.arange(0.0, 3001.0, 250.0))
+    sheet = sheet_of(runs)
+    (part,) = sheet.parts
+    up, down = read(runs, "forward")[:, 0], read(runs, "reverse")[:, 0]
+    assert {c.symbol: c.value_um for c in part.characteristics} == {
+        "E": pytest.approx(max(up.max(), down.max()) - min(up.min(), down.min())),
+        "E↑": pytest.approx(np.ptp(up)),
+        "E↓": pytest.approx(np.ptp(down)),
+        "B": pytest.approx(np.abs(up - down).max()),
+        "B̄": pytest.approx((up - down).mean()),
+        "M": pytest.approx(np.ptp((up + down) / 2.0)),
+    }
+    assert not any(np.isfinite(c.expanded_um) for c in part.characteristics)
+    assert sheet.notes == ()
+    assert positioning_figure(runs).data
+
+
+@pytest.mark.parametrize(("way", "arrow"), [("forward", "↑"), ("reverse", "↓")])
+def test_one_direction_has_its_own_figures(way: str, arrow: str) -> None:
+    runs = sweeps(5, np.arange(0.0, 501.0, 50.0), (way,))
+    (part,) = sheet_of(runs).parts
+    mean, deviation = read(runs, way).mean(axis=1), read(runs, way).std(axis=1, ddof=1)
+    assert part.title == f"axis X, {way} only, 0 to 500 mm, 11 targets"
+    assert {c.symbol: c.value_um for c in part.characteristics} == {
+        f"A{arrow}": pytest.approx((mean + 2 * deviation).max() - (mean - 2 * deviation).min()),
+        f"R{arrow}": pytest.approx(4 * deviation.max()),
+        f"E{arrow}": pytest.approx(np.ptp(mean)),
+    }
+    assert all(c.expanded_um > 0.0 and c.dof == 4.0 for c in part.characteristics)
+    assert len(positioning_figure(runs).data) == 1
+
+
+def test_an_axis_of_both_directions_leaves_others_out() -> None:
+    runs = sweeps(5, np.arange(0.0, 501.0, 50.0))
+    alone = Run(
+        RunMeta("alone", kind="linear", condition={"axis": "X"}), sweeps(1, np.arange(5.0), ("forward",))[0].samples
+    )
+    sheet = sheet_of([*runs, alone])
+    assert sheet.notes[0] == "alone is not evaluated: it has one direction only."
+    assert sheet.parts[0].runs == ("r0", "r1", "r2", "r3", "r4")
+
+
+@pytest.mark.parametrize(
+    ("runs", "targets", "said"),
+    [
+        (5, np.arange(0.0, 501.0, 50.0), ""),
+        (3, np.arange(0.0, 501.0, 50.0), "asks for five runs, these are 3"),
+        (1, np.arange(0.0, 501.0, 50.0), "asks for five runs, this is one, and tells no repeatability"),
+        (5, np.arange(0.0, 301.0, 100.0), "asks for 5 targets on this travel, these are 4"),
+        (5, np.arange(0.0, 1601.0, 400.0), "asks for 8 targets on this travel, these are 5"),
+        (1, np.arange(0.0, 3001.0, 500.0), "a target every 250 mm in the mean, these are 7"),
+        (2, np.arange(0.0, 3001.0, 250.0), "R and A of 2 m at most"),
+    ],
+)
+def test_what_the_standard_asks_for_is_said(runs: int, targets: np.ndarray, said: str) -> None:
+    notes = " ".join(n for n in sheet_of(sweeps(runs, targets)).notes if "would be" not in n)
+    assert said in notes
+    assert bool(said) == bool(notes)
+
+
+def test_the_uncertainty_of_one_direction_covers_its_mean_figure() -> None:
+    perfect = dict.fromkeys(("uncertainty_um", "uncertainty_um_per_m", "alignment_mm"), 0.0)
+    under = Circumstances(perfect | {"temperature_uncertainty_k": 0.0, "expansion_uncertainty_um_per_m_k": 0.0})
+    rng = np.random.default_rng(7)
+    told = []
+    for _ in range(100):
+        runs = sweeps(5, np.arange(0.0, 501.0, 50.0), ("forward",))
+        for run in runs:
+            run.samples["error_um"][:] += rng.normal(0.0, 0.5, run.n_samples)
+        sheet = judged(kind_named("linear").sheet(runs, under), {})
+        told.append(next((c.value_um, c.expanded_um) for c in sheet.parts[0].characteristics if c.symbol == "A↑"))
+    value, half = np.array(told).T
+    assert np.mean(np.abs(value - value.mean()) <= half) >= 0.9
