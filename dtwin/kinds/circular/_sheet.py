@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -23,6 +24,8 @@ _Arc = tuple[Floats, Floats]
 _READING_UM = 0.7
 _LENGTH_UM = 1.0
 _ASLANT_MM = 0.2
+_WHOLE_DEG = 350.0
+"""Less than this is an arc; a circle may lack what a window or a lost sample took."""
 
 
 def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
@@ -40,6 +43,7 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         else:
             conditions.setdefault((m.plane or "", m.radius_mm, m.feed_mm_min or 0.0), []).append(run)
     parts = []
+    arcs: set[str] = set()
     for (plane, radius_mm, feed), members in sorted(conditions.items()):
         title = f"{plane} R{radius_mm:g}" + (f" F{feed:g}" if feed else "")
         kept: list[Run] = []
@@ -53,10 +57,18 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         except InputError as error:
             notes.append(f"{title} is not evaluated: {error.message}.")
             continue
+        arc_deg = min((_arc_deg(run) for run in kept), default=360.0)
+        if arc_deg < _WHOLE_DEG:
+            arcs.add(title)
+            notes.append(
+                f"{title}: arcs of {arc_deg:z.0f}° tell centre and radius badly; ISO 230-4 has F about a least-squares centre, "
+                "and D, of whole circles only: no limit of theirs is decided."
+            )
         told = tuple(_with_contributions(c, radius_mm, under) for c in figures)
         parts.append(Part(title, tuple(r.meta.run_id for r in kept), told, sound))
     basis = "what runs of one condition differ by (unit of replication: the run, pooled over conditions)"
-    return Sheet("ISO 230-4, circular test", "G(b)", pooled(parts), basis, tuple(notes))
+    told_parts = tuple(_of_an_arc(part) if part.title in arcs else part for part in pooled(parts))
+    return Sheet("ISO 230-4, circular test", "G(b)", told_parts, basis, tuple(notes))
 
 
 def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:
@@ -82,10 +94,29 @@ def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...
     return tuple(characteristics)
 
 
+def _arc_deg(run: Run) -> float:
+    """Return how much of a turn the samples go over: all but their largest gap."""
+    around = np.sort(_arc(run)[0] % 360.0)
+    return 360.0 - float(np.diff(around, append=around[0] + 360.0).max())
+
+
+def _of_an_arc(part: Part) -> Part:
+    """Return the figures of an arc: radii without uncertainty, for repeats do not show what the arc hides."""
+
+    def told(c: Characteristic) -> Characteristic:
+        return replace(c, deviation_um=math.nan, dof=0.0) if _is_radius(c.symbol) else c
+
+    return replace(part, characteristics=tuple(map(told, part.characteristics)))
+
+
+def _is_radius(symbol: str) -> bool:
+    return symbol == "D" or symbol.startswith("F")
+
+
 def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstances) -> Characteristic:
     """Say what makes a figure uncertain: differences of readings by the instrument, radii by their length, too."""
     found = [under.reading(_READING_UM), *under.environment(c.repeats)]
-    if c.symbol == "D" or c.symbol.startswith("F"):
+    if _is_radius(c.symbol):
         length = under.stated("calibration_um", _LENGTH_UM)
         aslant = under.stated("height_difference_mm", _ASLANT_MM)
         found += [

@@ -104,6 +104,28 @@ def test_without_repeats_nothing_is_decided() -> None:
     assert "not known" in sheet.basis
 
 
+def test_an_arc_decides_nothing_of_radii() -> None:
+    """The least-squares centre of 100 degrees of an oval is off by more than anything that repeats show."""
+    rng = np.random.default_rng(4)
+    runs = [circle(way, n, rng.normal(0, 0.05, ANGLE.size)) for n in (1, 2, 3) for way in ("CCW", "CW")]
+    whole = judged(circular_sheet(runs, PERFECT), {"D": Limits(-9.0, 9.0)})
+    assert whole.notes == ()
+    cut = []
+    for run in runs:
+        inside = (run.samples["angle_deg"] % 360.0 > 20.0) & (run.samples["angle_deg"] % 360.0 < 120.0)
+        cut.append(replace(run, samples={name: values[inside] for name, values in run.samples.items()}))
+    sheet = judged(circular_sheet(cut, PERFECT), {"D": Limits(-9.0, 9.0), "G(b)": Limits(None, 9.0)})
+    (note,) = sheet.notes
+    assert note.startswith("XY R100 F2000: arcs of 98°")
+    found = {c.symbol: c for c in sheet.parts[0].characteristics}
+    assert abs(found["D"].value_um) > 1.0
+    assert {s for s, c in found.items() if not np.isfinite(c.expanded_um)} == {
+        "D",
+        *(f"F{end}({way})" for end in ("max", "min") for way in ("CCW", "CW")),
+    }
+    assert (found["D"].decision, found["G(b)"].decision) == ("cannot say", "inside")
+
+
 def test_a_spoilt_run_is_left_out_where_there_are_others() -> None:
     rng = np.random.default_rng(2)
     runs = [circle(way, n, rng.normal(0, 0.1, ANGLE.size)) for n in (1, 2, 3) for way in ("CCW", "CW")]
