@@ -32,7 +32,10 @@ def add(
     notes: Annotated[str | None, typer.Option(help="Anything else.")] = None,
     axis: Annotated[list[str] | None, typer.Option(help="AXIS:travel_mm=500,pitch_mm=10; may be repeated.")] = None,
     tolerance: Annotated[
-        list[str] | None, typer.Option(help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10'; one number limits the size of D.")
+        list[str] | None,
+        typer.Option(
+            help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10'; one number limits the size of D."
+        ),
     ] = None,
     test_every: Annotated[float | None, typer.Option(help="Days between two tests; 0 takes it back.")] = None,
     as_json: Json = False,

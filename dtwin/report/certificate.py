@@ -16,6 +16,7 @@ from dtwin.report.sheet import headline_budget, overview
 
 _FIGURE_PX, _BESIDE_PX = 380, 300
 """So that a picture and its table fit below the head of the first page; and beside each other."""
+_DECIMAL_POINT = {"de": ","}
 LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": GERMAN}
 """Words and phrases of a certificate by language; what is not there is English."""
 _PAGE = """<!doctype html>
@@ -47,11 +48,11 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
 <table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, µm</th><th>U (95 %), µm</th><th>{{ say("limit") }}, µm</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, µm</th><th>{{ say("change") }}, µm</th>{% endif %}</tr></thead>
-<tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ c.shown.value }}</td><td>{{ c.shown.expanded }}</td><td>{{ c.shown.limit }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ c.before }}</td><td>{{ c.change }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
+<tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ tell(c.shown.value) }}</td><td>{{ tell(c.shown.expanded) }}</td><td>{{ tell(c.shown.limit) }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ tell(c.before) }}</td><td>{{ tell(c.change) }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
 {% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0]) }}</h2>
 <table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), µm</th><th>{{ say("from") }}</th></tr></thead>
-<tbody>{% for row in budget[1] %}<tr><td>{{ say(row[0]) }}</td><td>{{ row[1] }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
+<tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
 <p class="note">{{ tell(sheet.basis) }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" and (sheet.notes or findings) %} {{ say("Notes are in English.") }}{% endif %}</p>
@@ -90,11 +91,12 @@ def certificate_page(
     # What people named stays as they named it.
     phrases = {**words, **{name: name for part in sheet["parts"] for name in part["runs"]}}
     longest_first = "|".join(map(re.escape, sorted(phrases, key=len, reverse=True)))
-    phrase = re.compile(rf"(?<![\w-])(?:{longest_first})(?![\w-])") if words else None
+    point = _DECIMAL_POINT.get(language, ".")
+    phrase = re.compile(rf"(?<![\w-])(?:{longest_first})(?![\w-])|(?<=\d)\.(?=\d)") if words else None
 
     def tell(text: object) -> str:
-        """Translate the phrases that are known in a longer text."""
-        return str(text) if phrase is None else phrase.sub(lambda found: phrases[found[0]], str(text))
+        """Translate the phrases that are known in a longer text, and write its numbers as the language does."""
+        return str(text) if phrase is None else phrase.sub(lambda found: phrases.get(found[0], point), str(text))
 
     old = {} if earlier is None else _values(earlier["sheet"])
     # A round picture leaves room beside it: three conditions fit on a page.
@@ -102,7 +104,7 @@ def certificate_page(
     parts = [
         {
             "title": part["title"],
-            "figure": figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX)),
+            "figure": figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX, point)),
             "rows": [_row(part, c, old) for c in part["characteristics"]],
         }
         for part, figure in zip(sheet["parts"], figures, strict=True)
@@ -117,7 +119,7 @@ def certificate_page(
             beside=beside,
             language=language,
             facts=facts,
-            head=[(name, facts.get(name, "")) for name in HEAD],
+            head=[(n, tell(facts.get(n, "")) if n == "temperature" else facts.get(n, "")) for n in HEAD],
             runs=facts.get("runs", ""),
             sheet=sheet,
             budget=headline_budget(sheet),
@@ -129,13 +131,15 @@ def certificate_page(
     )
 
 
-def _told(figure: go.Figure, tell: Callable[[object], str], height_px: int) -> go.Figure:
-    """Return a picture of that height, with its title, axes and names translated."""
+def _told(figure: go.Figure, tell: Callable[[object], str], height_px: int, point: str) -> go.Figure:
+    """Return a picture of that height, with its title, axes and names translated, and that decimal point."""
     title, small = tell(figure.layout.title.text or ""), {}
     if height_px < _FIGURE_PX:
         title = title.replace(", ", ",<br>")
         small = {"title_font_size": 11, "legend_font_size": 9, "margin": {"t": 60, "b": 40, "l": 30, "r": 30}}
-    told = go.Figure(figure).update_layout(height=height_px, title_text=title, **small)
+    told = go.Figure(figure).update_layout(
+        height=height_px, title_text=title, separators=",." if point == "," else ".,", **small
+    )
     told.for_each_trace(lambda trace: trace.update(name=tell(trace.name or "")))
     for axes in (told.for_each_xaxis, told.for_each_yaxis):
         axes(lambda axis: axis.update(title_text=tell(axis.title.text or "")))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import plotly.graph_objects as go
 import pytest
 from conftest import require_program
 from machine_years import steady, stepping, write_tests
@@ -16,6 +17,9 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.pipeline.certificate import certificate
+from dtwin.report.certificate import certificate_page
+
+BASIS = "6.5 µm within 1 h, drift test night; what goes beyond the repeatability"
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +46,49 @@ def test_it_says_in_german_what_was_tested_and_what_is_decided(home: Home) -> No
         assert told in page
     assert not re.findall(r"circular test|degrees of freedom|unit of replication|Budget of|runs", page)
     value, before, change = map(
-        float, re.search(r"G\(b\) .*?<td>([\d.]+)</td>.*?([\d.]+)</td><td>\+([\d.]+)", page, re.S).groups()
-    )  # type: ignore[union-attr]
+        lambda told: float(told.replace(",", ".")),
+        re.search(r"G\(b\) .*?<td>([\d,]+)</td>.*?([\d,]+)</td><td>\+([\d,]+)", page, re.S).groups(),  # type: ignore[union-attr]
+    )
     assert value - before == pytest.approx(change, abs=0.011)
     assert "inside" in certificate(home, "t00")
+
+
+def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
+    """Every phrase of a sheet of each kind; a word that stands for two things had been put in the place of both."""
+    budget = {
+        "contributions": [
+            {"source": "environment", "standard_um": 1.368, "basis": BASIS},
+            {"source": "expansion", "standard_um": 1.0, "basis": "2 K from 20 °C, assumed, for none was written"},
+        ],
+        "standard_um": 1.694,
+        "k": 2.0,
+    }
+    shown = {"value": "11.2", "expanded": "± 3.4", "limit": "-5 to 12.5"}
+    figures = [
+        {"symbol": symbol, "name": name, "value_um": 11.2, "expanded_um": 3.388, "shown": shown, "decision": ""}
+        for symbol, name in (("A", "bi-directional accuracy"), ("AD", "distance accuracy, largest"))
+    ]
+    figures[0]["budget"] = budget
+    part = {"title": "axis X, forward only, 0 to 500.5 mm, 11 targets", "runs": ["r-1.5"], "verdict": "inside"}
+    sheet = {"standard": "ISO 230-2, positioning", "headline": "A", "verdict": "inside", "basis": "", "notes": []}
+    sheet["parts"] = [{**part, "characteristics": figures}]
+    drawn = go.Figure(go.Scatter(x=[0.5], y=[1.5], name="r-1.5"))
+    page = certificate_page(
+        {"campaign": "v1.5", "machine": "m", "temperature": "20.5 °C"}, sheet, [drawn], [], language="de"
+    )
+    for told in (
+        "Achse X, nur vorwärts, 0 bis 500,5 mm, 11 Zielpositionen",
+        "bidirektionale Positioniergenauigkeit",
+        "Abstandsgenauigkeit, größte",
+        "-5 bis 12,5",
+        "1,368",
+        "6,5 µm innerhalb von 1 h, Driftmessung night; soweit über die Wiederholpräzision hinaus",
+        "2 K von 20 °C entfernt, angenommen, da nicht notiert",
+        "20,5 °C",
+        "v1.5",
+        "r-1.5",
+    ):
+        assert told in page
 
 
 def test_what_cannot_be_written_is_refused(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
