@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,6 +108,10 @@ class Sheet:
         Where the uncertainty comes from, and what is not in it.
     notes : tuple of str
         What was left out, and why.
+    symbols : tuple of str
+        Of every figure that tests of this kind may have.
+    untold : tuple of str
+        Those that have a limit, and that no condition of this test tells: nothing is inside without them.
     """
 
     standard: str
@@ -115,9 +119,12 @@ class Sheet:
     parts: tuple[Part, ...]
     basis: str = ""
     notes: tuple[str, ...] = ()
+    symbols: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
+        made = [c.decision for p in self.parts for c in p.characteristics]
         parts = [
             {
                 "title": p.title,
@@ -130,7 +137,7 @@ class Sheet:
         return {
             "standard": self.standard,
             "headline": self.headline,
-            "verdict": _worst(c.decision for p in self.parts for c in p.characteristics),
+            "verdict": _worst([*made, OPEN] if self.untold else made),
             "parts": parts,
             "basis": self.basis,
             "notes": list(self.notes),
@@ -185,10 +192,11 @@ def pooled(parts: Iterable[Part]) -> tuple[Part, ...]:
     return tuple(replace(part, characteristics=tuple(map(with_pool, part.characteristics))) for part in kept)
 
 
-def judged(sheet: Sheet, limits: Mapping[str, Limits]) -> Sheet:
+def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Collection[str] = ()) -> Sheet:
     """Return the sheet with budgets, uncertainties, limits and decisions.
 
     ``sheet``: as a kind of campaign evaluated it.
+    ``asked``: symbols whose limits the test has to decide; where it does not tell one, nothing is called inside.
     """
 
     def complete(c: Characteristic, sound: bool) -> Characteristic:
@@ -211,7 +219,10 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits]) -> Sheet:
         if budgets
         else "U is not known, for no sound run was repeated: no limit can be decided."
     )
-    return replace(sheet, parts=parts, basis=basis)
+    told = {c.symbol for p in parts for c in p.characteristics}
+    untold = tuple(symbol for symbol in sheet.symbols if symbol in asked and symbol not in told)
+    notes = [f"{symbol} has a tolerance, and this test does not tell it." for symbol in untold]
+    return replace(sheet, parts=parts, basis=basis, notes=(*sheet.notes, *notes), untold=untold)
 
 
 HEAD = ("value, µm", "U (95 %), µm", "limit, µm", "decision")

@@ -25,6 +25,13 @@ _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
+_NAMES = {
+    "AP": "pose accuracy, largest",
+    "AP mean": "pose accuracy, mean",
+    "AD": "distance accuracy, largest",
+    "AD rms": "distance accuracy, RMS",
+    "RP": "pose repeatability, largest",
+}
 
 
 def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
@@ -38,7 +45,7 @@ def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         title = f"{run.meta.run_id}, {int(series.poses.place.max()) + 1} poses"
         parts.append(Part(title, (run.meta.run_id,), _figures(series, under), sound))
     basis = "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)"
-    return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes))
+    return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes), tuple(_NAMES))
 
 
 def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]:
@@ -59,17 +66,10 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         again = [
             _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
         ]
-    names = {
-        "AP": "pose accuracy, largest",
-        "AP mean": "pose accuracy, mean",
-        "AD": "distance accuracy, largest",
-        "AD rms": "distance accuracy, RMS",
-        "RP": "pose repeatability, largest",
-    }
     return tuple(
         Characteristic(
             symbol,
-            names[symbol],
+            _NAMES[symbol],
             value,
             1,
             float(np.std([a[symbol] for a in again], ddof=1)) if again else math.nan,

@@ -15,7 +15,7 @@ from dtwin.report.checking import check_source, sheet_of
 from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines
 from dtwin.report.uncertainty import Circumstances, Contribution, Variation, combined
 from dtwin.schema import Campaign, Finding, Run, RunMeta
-from dtwin.tolerances import limits_from
+from dtwin.tolerances import limits_from, limits_of
 
 ROOT = Path(__file__).parents[3]
 PERFECT = Circumstances(
@@ -194,6 +194,27 @@ def test_one_number_limits_the_size_of_a_figure_that_has_a_sign() -> None:
     assert limits_from({"D": Limits(high_um=4.0).stated("D")}, "here") == {"D": Limits(high_um=4.0)}
     small = Characteristic("D", "x", -30.0, 3, 1.0, 2.0, 1.5, limits["D"])
     assert small.decision == "outside"
+
+
+def test_a_tolerance_that_a_test_does_not_tell_keeps_it_from_being_inside() -> None:
+    """One direction tells no G(b): that its own G is inside does not prove what was asked for (ISO 14253-1)."""
+    rng = np.random.default_rng(6)
+    runs = [circle("CCW", n, rng.normal(0, 0.1, ANGLE.size)) for n in (1, 2, 3)]
+    campaign, kind = Campaign("c", "m"), kind_named("circular")
+    asked = limits_from({"G(CCW)": 50.0, "G(b)": 50.0, "A": 1.0}, "here")
+    sheet = sheet_of(kind, campaign, runs, asked)
+    assert (sheet["verdict"], sheet["parts"][0]["verdict"]) == ("cannot say", "inside")
+    # A is of another kind of test.
+    assert sheet["notes"] == ["G(b) has a tolerance, and this test does not tell it."]
+    assert sheet_of(kind, campaign, runs, limits_from({"G(CCW)": 50.0}, "here"))["verdict"] == "inside"
+
+
+def test_a_symbol_of_two_standards_is_that_of_positioning_unless_its_kind_is_told() -> None:
+    """A of ISO 230-2 is the accuracy of an axis, A of a turning one its asynchronous error motion."""
+    stated = limits_from({"A": 10.0, "rotation:A": 1.0, "R": 5.0, "S": 2.0, "circular:Fmin(CW)": 4.0}, "here")
+    assert limits_of(stated, "rotation") == {"A": Limits(high_um=1.0), "S": Limits(high_um=2.0)}
+    assert {s: limits_of(stated, "linear")[s].high_um for s in "AR"} == {"A": 10.0, "R": 5.0}
+    assert limits_of(stated, "circular")["Fmin(CW)"] == Limits(low_um=-4.0)
 
 
 def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
