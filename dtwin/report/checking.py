@@ -149,6 +149,11 @@ def _checked(
     for result in results:
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
+    # A copy is no repeat: the sheet has to know before it says what repeats differ by.
+    light = [
+        replace(run, findings=(*run.findings, copies[run.meta.run_id])) if run.meta.run_id in copies else run
+        for run in light
+    ]
     sheet = {}
     if kind.offers("sheet"):
         machine = campaign.machine

@@ -173,16 +173,16 @@ def repeated(symbol: str, name: str, values_um: Sequence[float]) -> Characterist
 def pooled(parts: Iterable[Part]) -> tuple[Part, ...]:
     """Return the parts with the deviation of each figure pooled over conditions, degrees of freedom added.
 
-    A condition that was measured once gets the deviation of the others.
+    A condition that was measured once gets the deviation of the others; those that are not sound tell none.
     """
     kept = tuple(parts)
     of_symbol: dict[str, list[Characteristic]] = {}
     for part in kept:
-        for c in part.characteristics:
+        for c in part.characteristics if part.sound else ():
             of_symbol.setdefault(c.symbol, []).append(c)
 
     def with_pool(c: Characteristic) -> Characteristic:
-        known = [other for other in of_symbol[c.symbol] if other.dof > 0]
+        known = [other for other in of_symbol.get(c.symbol, ()) if other.dof > 0]
         dof = sum(other.dof for other in known)
         if not dof:
             return c

@@ -104,6 +104,32 @@ def test_without_repeats_nothing_is_decided() -> None:
     assert "not known" in sheet.basis
 
 
+def test_repeats_that_are_not_sound_tell_nothing_of_other_conditions() -> None:
+    """A sensor that is stuck never differs: pooled with others it had made them look too certain."""
+    rng = np.random.default_rng(5)
+    good = [circle(way, n, rng.normal(0, 0.1, ANGLE.size) + n) for n in (1, 2, 3) for way in ("CCW", "CW")]
+    stuck = [
+        replace(circle(way, n, np.zeros(ANGLE.size), feed=9000.0), findings=(Finding("x.y", "error", "stuck"),))
+        for n in (1, 2, 3)
+        for way in ("CCW", "CW")
+    ]
+    alone, beside = (judged(circular_sheet(runs, PERFECT), {}).parts[0] for runs in (good, [*good, *stuck]))
+    assert [c.expanded_um for c in beside.characteristics] == [c.expanded_um for c in alone.characteristics]
+
+
+def test_a_copy_of_a_run_is_no_repeat_of_a_check(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        rows = "\n".join(f"{0.1 * n},{a},{np.cos(np.radians(2 * a))}" for n, a in enumerate(ANGLE))
+        (tmp_path / f"{name}.csv").write_text(f"t_s,angle_deg,deviation_um\n{rows}\n", encoding="utf-8")
+    run = 'plane = "XY"\ndirection = "CCW"\nradius_mm = 100.0\nfeed_mm_min = 2094.0\n'
+    told = "".join(f'[[run]]\nid = "{name}"\nfile = "{name}.csv"\n{run}' for name in ("a", "b"))
+    (tmp_path / "campaign.toml").write_text(f'[campaign]\nname = "c"\nmachine = "m"\n{told}', encoding="utf-8")
+    result = check_source(tmp_path)
+    assert "b is not evaluated: run.copy." in result["sheet"]["notes"]
+    assert all(c["expanded_um"] is None for c in result["sheet"]["parts"][0]["characteristics"])
+    assert [[f["code"] for f in run["findings"]].count("run.copy") for run in result["runs"]] == [0, 1]
+
+
 def test_an_arc_decides_nothing_of_radii() -> None:
     """The least-squares centre of 100 degrees of an oval is off by more than anything that repeats show."""
     rng = np.random.default_rng(4)
