@@ -22,6 +22,7 @@ _GAP_DEG = 6.0
 _GAP_BINS = 3
 _BACK_DEG = 20.0
 _MOST_BLOCKS = 10
+_FEWEST_HALVED, _HALVES = 4, 60
 KEEP = "keep"
 """What the condition of a run states as ``features`` when local features are not to be left out."""
 
@@ -249,8 +250,9 @@ def figures_of(turns: Turns) -> Figures:
     apart = filtered(moved) - filtered(moved.mean(axis=0))
     rms = figure(lambda of: float(np.sqrt(np.mean((moved[of] - moved[of].mean(axis=0)) ** 2) * _unbiased(len(of)))))
     wide = float(np.ptp(apart, axis=0).max()) if turns.n > 1 else float("nan")
-    # A range draws on few turns; its scatter relative to its size is that of the RMS.
+    # A range draws on few turns: its scatter relative to its size is that of the RMS, and more where halves of the turns say so.
     share = rms.block_um / rms.um if rms.um else 0.0
+    scatter = max(wide * share, _range_of_halves(apart) * len(parts) ** 0.5)
     floor = float("nan")
     if turns.n > 1:
         halves = filtered(moved[::2].mean(axis=0)) - filtered(moved[1::2].mean(axis=0))
@@ -264,12 +266,26 @@ def figures_of(turns: Turns) -> Figures:
         covariance,
         figure(lambda of: _range(synchronous_um(turns, moved[of])[0])),
         figure(lambda of: _range(synchronous_um(turns, moved[of])[1])),
-        Value(wide, wide * share, len(parts)),
+        Value(wide, scatter, len(parts)),
         rms,
         float(means.mean()),
         2.0 * float(np.std([means[p].mean() for p in parts], ddof=1)) / len(parts) ** 0.5 if len(parts) > 1 else np.nan,
         floor,
     )
+
+
+def _range_of_halves(apart_um: Floats) -> float:
+    """Return the standard deviation of the largest range over turns (turns, bins), of halves of the turns; 0 of few.
+
+    Leaving out one block moves a range only where it holds an extreme; halves without replacement scatter nearly as much as
+    tests made again.
+    """
+    turns = len(apart_um)
+    if turns < _FEWEST_HALVED:
+        return 0.0
+    rng = np.random.default_rng(0)
+    chosen = (np.sort(rng.permutation(turns)[: turns // 2]) for _ in range(_HALVES))
+    return float(np.std([np.ptp(apart_um[of], axis=0).max() for of in chosen], ddof=1))
 
 
 def _unbiased(n: int) -> float:

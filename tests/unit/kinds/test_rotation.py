@@ -64,6 +64,22 @@ def test_the_figures_are_those_of_the_target(sense: str, once: bool) -> None:
     assert inside >= 36
 
 
+def test_the_uncertainty_of_asynchronous_motion_is_that_of_a_largest_range() -> None:
+    """80 tests of 24 turns whose three lobes differ from turn to turn: the RMS scatters less than the range."""
+    rng = np.random.default_rng(8)
+    angle = np.arange(0.0, 24.1 * 360.0, 4.0)
+    turn, a = (angle // 360.0).astype(int), np.radians(angle)
+    told = []
+    for _ in range(80):
+        lobes = rng.normal(0.0, 0.3, (2, 25))
+        moved = lobes[0, turn] * np.cos(3.0 * a) + lobes[1, turn] * np.sin(3.0 * a) + rng.normal(0.0, 0.05, a.size)
+        turns = turns_of(run_of(angle, moved + 5.0 * np.cos(a)))
+        assert turns is not None
+        told.append(figures_of(turns).asynchronous)
+    value = np.array([one.um for one in told])
+    assert np.mean([one.k2_um for one in told]) > 1.7 * value.std(ddof=1)
+
+
 def test_the_uncertainty_of_what_comes_once_per_turn_is_that_of_turns() -> None:
     # The vector of each turn is drawn: neighbours are alike, as turns of a warm bearing are.
     rng, inside = np.random.default_rng(1), 0
