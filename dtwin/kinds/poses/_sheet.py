@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.poses._check import problem_of
-from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of
+from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of, measured_of
+from dtwin.kinds.poses._scatter import scatter_of
 from dtwin.kinds.poses._series import Series
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
@@ -25,6 +26,8 @@ _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
 _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
+_OTHER_FRAME_MM = 20.0
+_LARGEST = ("AP", "AD", "RP")
 _NAMES = {
     "AP": "pose accuracy, largest",
     "AP mean": "pose accuracy, mean",
@@ -51,17 +54,19 @@ def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
 def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]:
     error_um, place = 1000.0 * series.error_mm, series.poses.place
     point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
-    count = np.bincount(place)
-    dof = float((count - 1).sum())
+    repeated = int(np.bincount(place).max()) > 1
     told = _evaluated(error_um, place, point_um)
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
     longer = [_evaluated(error_um + s * _RULER * (point_um - point_um.mean(axis=0)), place, point_um) for s in (1, -1)]
     metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
     again: list[dict[str, float]] = []
-    if dof:
+    dof = dict.fromkeys(told, 0.0)
+    if repeated:
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
-        one_um = 1000.0 * series.floor_mm / math.sqrt(3.0)
+        found = scatter_of(error_um, place, 1000.0 * series.floor_mm / math.sqrt(3.0))
+        dof = {name: found.dof_of_one if name in _LARGEST else found.dof for name in told}
+        one_um = found.of_reading[:, None]
         mean = means_of(error_um, place)[place]
         again = [
             _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
@@ -73,7 +78,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
             value,
             1,
             float(np.std([a[symbol] for a in again], ddof=1)) if again else math.nan,
-            dof,
+            dof[symbol],
             contributions=_contributions(metres[symbol], under),
         )
         for symbol, value in told.items()
@@ -84,9 +89,11 @@ def _taken_away(run: Run, series: Series) -> str:
     """Return what frame and tool took away before the figures: of few poses it is much of the error."""
     poses = int(series.poses.place.max()) + 1
     said = f"{run.meta.run_id}: AP and AD are of what is left by the best {series.taken_away}"
-    if "error_x_mm" in run.samples:
-        largest_um = 1000.0 * np.linalg.norm(means_of(axes(run, "error"), series.poses.place), axis=1).max()
-        said += f"; as the file has its errors, AP is {largest_um:z.4g} µm"
+    if "target_x_mm" in run.samples:
+        written_mm = np.linalg.norm(means_of(measured_of(run) - axes(run, "target"), series.poses.place), axis=1)
+        # Farther off is the frame of an instrument, not that of the robot.
+        if "error_x_mm" in run.samples or written_mm.max() < _OTHER_FRAME_MM:
+            said += f"; as the file has its errors, AP is {1000.0 * written_mm.max():z.4g} µm"
     if poses < _FEW_POSES:
         numbers = _NUMBERS[series.taken_away]
         said += f"; {poses} poses are few for the {numbers} numbers of {series.taken_away}, and the figures too small"

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
+from dtwin.kinds.poses._scatter import scatter_of
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import variation_of
@@ -121,6 +122,54 @@ def test_a_distance_is_between_the_means_of_two_poses() -> None:
     # Two means of thirty readings differ by 5 um, single readings by 28 um, and five times that at most.
     assert found["AD rms"]["value_um"] == pytest.approx(20.0 * np.sqrt(2.0 / 30.0), rel=0.25)
     assert found["AD"]["value_um"] < 30.0
+
+
+def test_a_pose_that_scatters_more_than_others_has_its_own_uncertainty() -> None:
+    """RP is of the worst pose: with the scatter of all poses for its own, U covered it in 7 of 10 tests."""
+    rng = np.random.default_rng(11)
+    place = np.repeat(np.arange(40), 10)
+    target = rng.uniform(-500.0, 500.0, (40, 3))[place]
+    scatter_mm = rng.uniform(0.008, 0.04, 40)[place, None]
+    told = []
+    for _ in range(50):
+        measured = target + scatter_mm * rng.standard_normal(target.shape)
+        samples = {"t_s": np.arange(400.0)}
+        samples |= {f"target_{a}_mm": target[:, n] for n, a in enumerate("xyz")}
+        samples |= {f"measured_{a}_mm": measured[:, n] for n, a in enumerate("xyz")}
+        instrument = {"uncertainty_um": 0.0, "uncertainty_um_per_m": 0.0, "temperature_uncertainty_k": 0.0}
+        instrument["expansion_uncertainty_um_per_m_k"] = 0.0
+        campaign = Campaign("c", "m", "poses", instrument=instrument)
+        sheet = sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
+        told.append(
+            [(c["value_um"], c["expanded_um"]) for c in sheet["parts"][0]["characteristics"] if c["symbol"] == "RP"]
+        )
+    value, half = np.array(told)[:, 0].T
+    assert np.mean(np.abs(value - value.mean()) <= half) >= 0.9
+
+
+def test_poses_that_scatter_alike_share_their_scatter() -> None:
+    rng = np.random.default_rng(12)
+    place = np.repeat(np.arange(40), 5)
+    alike = scatter_of(rng.normal(0.0, 2.0, (200, 3)), place, 2.0)
+    assert alike.of_reading == pytest.approx(2.0, rel=0.15)
+    assert alike.dof == 160.0
+    assert alike.dof_of_one > 40.0
+    apart = scatter_of(rng.normal(0.0, 2.0, (200, 3)) * np.where(place < 20, 1.0, 5.0)[:, None], place, 2.0)
+    assert np.median(apart.of_reading[place >= 20]) == pytest.approx(10.0, rel=0.3)
+    assert apart.dof_of_one < 20.0
+
+
+@pytest.mark.parametrize(("away_mm", "said"), [(0.3, "as the file has its errors, AP is 300 µm"), (900.0, "")])
+def test_accuracy_in_the_frame_of_the_robot_is_said(away_mm: float, said: str) -> None:
+    """ISO 9283 has AP in the robot's frame; the best frame takes a shift away. An instrument's own frame is none of it."""
+    target = np.random.default_rng(5).uniform(-500.0, 500.0, (30, 3))
+    samples = {"t_s": np.arange(30.0)}
+    samples |= {f"target_{a}_mm": target[:, n] for n, a in enumerate("xyz")}
+    samples |= {f"measured_{a}_mm": target[:, n] + away_mm * (a == "x") for n, a in enumerate("xyz")}
+    sheet = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [Run(RunMeta("p", kind="poses"), samples)], {})
+    (note,) = sheet["notes"]
+    assert said in note
+    assert said or "as the file" not in note
 
 
 def test_few_readings_of_a_pose_are_said() -> None:
