@@ -122,3 +122,23 @@ def holm(p_values: ArrayLike, tests: float | None = None) -> Floats:
     adjusted = np.empty(len(p))
     adjusted[order] = np.maximum.accumulate(np.minimum(p[order] * counted, 1.0))
     return adjusted
+
+
+def shared_variances(variance: Floats, dof: Floats, usual: float) -> tuple[Floats, Floats]:
+    """Return variances of groups as far as they surely differ, and the weight of each group's own beside the usual one.
+
+    By how much more than chance the variances differ tells the weight (empirical Bayes): none where they differ by chance.
+
+    Parameters
+    ----------
+    variance, dof : ndarray, shape (n,)
+        Of each group; of no degrees of freedom where it tells nothing.
+    usual : float
+        Variance of all groups.
+    """
+    told = dof > 0.0
+    ratio = np.where(told, variance / usual, 1.0) if usual > 0.0 else np.ones(len(dof))
+    chance = 2.0 / np.maximum(dof, 1.0)
+    differ = max(0.0, float(np.mean(((ratio - 1.0) ** 2 - chance)[told]))) if told.any() else 0.0
+    weight = np.where(told, differ / (differ + (1.0 + differ) * chance), 0.0)
+    return np.asarray(usual * (1.0 + weight * (ratio - 1.0))), weight

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._again import made_again
 from dtwin.kinds.linear._asked import BOTH, Ways, asked, can_be_told, ways_of
 from dtwin.kinds.linear._cycles import spoilt_finding
 from dtwin.kinds.linear._matrix import LinearTest, linear_test, other_formulas_um
@@ -17,7 +18,7 @@ from dtwin.physics.linear import linear_figures, stacked_figures
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
-from dtwin.schema import Floats, Run
+from dtwin.schema import Run
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -66,7 +67,7 @@ def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             part, said = _evaluated(f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, under)
             parts += [] if part is None else [part]
             notes += said
-    basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
+    basis = "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), tuple(f[0] for f in _FIGURES))
 
 
@@ -103,14 +104,15 @@ def _figures(test: LinearTest, ways: Ways, under: Circumstances) -> tuple[Charac
         # Of single readings means are known, and what runs differ by is not.
         twice = (np.repeat(errors, 2, axis=1) for errors in (test.forward_um, test.reverse_um))
         told = asdict(linear_figures(*twice))
-        scatter = dict.fromkeys(told, math.nan)
+        scatter, whole = dict.fromkeys(told, math.nan), 0.0
     else:
         told = asdict(linear_figures(test.forward_um, test.reverse_um))
-        normal = np.random.default_rng(0).standard_normal((_AGAIN, 2, *test.forward_um.shape))
-        drawn = stacked_figures(_again(test.forward_um, normal[:, 0]), _again(test.reverse_um, normal[:, 1]))
+        forward, reverse, whole = made_again(test, _AGAIN, one_way=ways != BOTH)
+        drawn = stacked_figures(forward, reverse)
         scatter = {key: float(np.std(drawn[key], ddof=1)) for key in told}
-    # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction.
-    dof = (2.0 if ways == BOTH else 1.0) * (n - 1)
+    # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction; of runs that move
+    # as wholes on those of the runs.
+    dof = (2.0 - whole if ways == BOTH else 1.0) * (n - 1)
     return tuple(
         Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=_contributions(symbol, test, under))
         for symbol, name, key in named
@@ -154,12 +156,6 @@ def _other_formulas(test: LinearTest, title: str) -> list[str]:
             f"E from the higher of both minima would be {narrow:z.4g} µm; the standard takes the lowest of all means"
         )
     return [f"{title}: {'; '.join(said)}."] if said else []
-
-
-def _again(errors_um: Floats, normal: Floats) -> Floats:
-    """Return errors (n, targets, runs) of n tests like this one, by its means and deviations."""
-    mean, deviation = errors_um.mean(axis=1, keepdims=True), errors_um.std(axis=1, ddof=1, keepdims=True)
-    return np.asarray(mean + deviation * normal)
 
 
 def positioning_figure(runs: Sequence[Run]) -> go.Figure:

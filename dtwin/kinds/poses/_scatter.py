@@ -8,6 +8,7 @@ import numpy as np
 
 from dtwin.kinds.poses._iso9283 import means_of
 from dtwin.schema import Floats
+from dtwin.statistics import shared_variances
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,8 @@ def scatter_of(error: Floats, place: Floats, usual: float) -> Scatter:
     count = np.bincount(place)
     square = np.bincount(place, ((error - means_of(error, place)[place]) ** 2).sum(axis=1))
     dof = 3.0 * (count - 1.0)
+    own, weight = shared_variances(square / np.maximum(dof, 1.0), dof, usual**2)
     again = dof > 0.0
-    ratio = np.ones(len(count))
-    ratio[again] = square[again] / dof[again] / usual**2
-    chance = 2.0 / np.maximum(dof, 1.0)
-    differ = max(0.0, float(np.mean(((ratio - 1.0) ** 2 - chance)[again])))
-    weight = np.where(again, differ / (differ + (1.0 + differ) * chance), 0.0)
-    own = usual * np.sqrt(1.0 + weight * (ratio - 1.0))
     of_all = float((count - 1).sum())
     share, of_pose = float(weight[again].mean()), float(np.median(dof[again]))
-    return Scatter(own[place], of_all, 1.0 / ((1.0 - share) / of_all + share / of_pose))
+    return Scatter(np.sqrt(own)[place], of_all, 1.0 / ((1.0 - share) / of_all + share / of_pose))

@@ -12,14 +12,16 @@ from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Run, RunMeta
 
 
-def sweeps(n: int, targets: np.ndarray, ways: tuple[str, ...] = ("forward", "reverse")) -> list[Run]:
+def sweeps(
+    n: int, targets: np.ndarray, ways: tuple[str, ...] = ("forward", "reverse"), noise_um: float = 0.5
+) -> list[Run]:
     """Return n runs of an axis with a slope, a wave and 2 um of lost motion."""
     rng = np.random.default_rng(n)
     place = np.concatenate([targets if way == "forward" else targets[::-1] for way in ways])
     way = np.repeat(list(ways), targets.size)
     runs = []
     for number in range(n):
-        error = 0.01 * place + np.sin(place / 30.0) - 2.0 * (way == "reverse") + rng.normal(0.0, 0.5, place.size)
+        error = 0.01 * place + np.sin(place / 30.0) - 2.0 * (way == "reverse") + rng.normal(0.0, noise_um, place.size)
         samples = {"t_s": np.arange(place.size) * 1.0, "position_mm": place, "direction": way, "error_um": error}
         runs.append(Run(RunMeta(f"r{number}", kind="linear", condition={"axis": "X"}, repeat=number + 1), samples))
     return runs
@@ -106,10 +108,50 @@ def test_the_uncertainty_of_one_direction_covers_its_mean_figure() -> None:
     rng = np.random.default_rng(7)
     told = []
     for _ in range(100):
-        runs = sweeps(5, np.arange(0.0, 501.0, 50.0), ("forward",))
+        runs = sweeps(5, np.arange(0.0, 501.0, 50.0), ("forward",), noise_um=0.0)
         for run in runs:
             run.samples["error_um"][:] += rng.normal(0.0, 0.5, run.n_samples)
         sheet = judged(kind_named("linear").sheet(runs, under), {})
         told.append(next((c.value_um, c.expanded_um) for c in sheet.parts[0].characteristics if c.symbol == "A↑"))
     value, half = np.array(told).T
     assert np.mean(np.abs(value - value.mean()) <= half) >= 0.9
+
+
+PERFECT = Circumstances(
+    dict.fromkeys(
+        (
+            "uncertainty_um",
+            "uncertainty_um_per_m",
+            "alignment_mm",
+            "temperature_uncertainty_k",
+            "expansion_uncertainty_um_per_m_k",
+        ),
+        0.0,
+    )
+)
+
+
+@pytest.mark.parametrize("shift_um", [0.0, 1.0])
+def test_the_uncertainty_is_as_wide_as_tests_scatter_also_where_runs_move_as_wholes(shift_um: float) -> None:
+    """Drawn target by target U of R was twice too wide, of E twice too wide where runs shift, and of R then too narrow."""
+    rng = np.random.default_rng(9)
+    told: dict[str, list[tuple[float, float]]] = {}
+    for _ in range(150):
+        runs = sweeps(10, np.arange(0.0, 501.0, 50.0), noise_um=0.0)
+        for run in runs:
+            run.samples["error_um"][:] += rng.normal(0.0, 0.5, run.n_samples) + rng.normal(0.0, shift_um)
+        for c in judged(kind_named("linear").sheet(runs, PERFECT), {}).parts[0].characteristics:
+            told.setdefault(c.symbol, []).append((c.value_um, c.expanded_um))
+    for symbol in ("A", "R", "E", "M"):
+        value, half = np.array(told[symbol]).T
+        assert np.mean(np.abs(value - value.mean()) <= half) >= 0.9, symbol
+        assert half.mean() < 1.45 * 2.0 * value.std(), symbol
+
+
+def test_two_targets_and_one_have_an_uncertainty() -> None:
+    for targets in (np.array([0.0, 100.0]), np.array([50.0])):
+        for ways in (("forward", "reverse"), ("forward",)):
+            (part,) = judged(kind_named("linear").sheet(sweeps(5, targets, ways), PERFECT), {}).parts
+            arrow = part.characteristics[1] if len(ways) == 1 else part.characteristics[3]
+            assert arrow.symbol in ("R", "R↑")
+            assert arrow.expanded_um > 0.0
