@@ -81,7 +81,7 @@ GERMAN = {
     "total run-out": "Gesamtausschlag",
     "run-out": "Rundlaufabweichung",
     "once per turn, of the target": "einmal je Umdrehung, des Messkörpers",
-    "axial once per turn": "axial, einmal je Umdrehung",
+    "axial once per turn, amplitude": "axial, einmal je Umdrehung, Amplitude",
     "synchronous error motion": "synchrone Bewegungsabweichung",
     "residual synchronous error motion": "restliche synchrone Bewegungsabweichung",
     "asynchronous error motion": "asynchrone Bewegungsabweichung",

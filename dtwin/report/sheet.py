@@ -54,9 +54,10 @@ class Characteristic:
         over = -math.inf if self.limits.high_um is None else self.value_um - self.limits.high_um
         under = -math.inf if self.limits.low_um is None else self.limits.low_um - self.value_um
         beyond = max(over, under)
-        if not math.isfinite(self.expanded_um) or abs(beyond) < self.expanded_um:
-            return OPEN
-        return OUTSIDE if beyond > 0 else INSIDE
+        if math.isfinite(self.expanded_um) and beyond <= -self.expanded_um:
+            return INSIDE
+        # Bounds are included: what may lie on a bound is not proved to be outside.
+        return OUTSIDE if math.isfinite(self.expanded_um) and beyond > self.expanded_um else OPEN
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping; ``shown`` is rounded to two digits of the uncertainty."""

@@ -54,7 +54,7 @@ def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
 
 def _figures(turns: Turns, under: Circumstances) -> tuple[Characteristic, ...]:
     f = figures_of(turns)
-    once = "axial once per turn" if turns.axial else "once per turn, of the target"
+    once = "axial once per turn, amplitude" if turns.axial else "once per turn, of the target"
     named: tuple[tuple[str, str, Value], ...] = (
         ("TIR", "total run-out", f.total),
         ("e", once, f.once_amplitude),

@@ -90,6 +90,11 @@ def test_a_decision_needs_its_uncertainty() -> None:
     assert replace(known, value_um=12.0).decision == "outside"
     assert replace(known, expanded_um=float("nan")).decision == "cannot say"
     assert replace(known, limits=None).decision == ""
+    # What the interval touches is allowed.
+    assert replace(known, value_um=8.5).decision == "inside"
+    assert replace(known, value_um=11.5).decision == "cannot say"
+    nothing = replace(known, value_um=0.0, expanded_um=0.0, limits=Limits(high_um=0.0))
+    assert (nothing.decision, replace(nothing, expanded_um=0.5).decision) == ("inside", "cannot say")
     both = replace(known, value_um=-6.0, limits=Limits(-5.0, 5.0), expanded_um=0.5)
     assert both.decision == "outside"
 
