@@ -36,7 +36,7 @@ def scatter_of(error: Floats, place: Floats, usual: float) -> Scatter:
     """
     count = np.bincount(place)
     square = np.bincount(place, ((error - means_of(error, place)[place]) ** 2).sum(axis=1))
-    dof = 3.0 * (count - 1.0)
+    dof = np.asarray(3.0 * (count - 1.0), dtype=np.float64)
     own, weight = shared_variances(square / np.maximum(dof, 1.0), dof, usual**2)
     again = dof > 0.0
     of_all = float((count - 1).sum())
