@@ -48,9 +48,9 @@ class Bundle:
     tick_graph : Graph
         From tick inputs, intermediate values and feature inputs to outputs, every tick.
     corrects : str
-        Kind of campaign that it was made of; empty in bundles from before 2026-11.
+        Kind of campaign that it was made of; empty in older bundles.
     band : Band or None
-        How uncertain the outputs are; None where nobody knows, as in bundles from before 2026-12.
+        How uncertain the outputs are; None where nobody knows, as in older bundles.
     """
 
     name: str
