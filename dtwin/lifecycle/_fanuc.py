@@ -72,7 +72,7 @@ def _write(table: AxisTable, said: Sequence[str], *, marked: bool = False) -> st
         3621: first + 1,
         3622: first + len(steps),
         3623: magnification,
-        3624: f"{interval_um / UM_PER_MM:.3f}" if marked else interval_um,
+        3624: f"{interval_um / UM_PER_MM:z.3f}" if marked else interval_um,
     }
     series = "30i, 31i, 32i, 0i-D, 0i-F; not 16i" if marked else "16i, 18i, 21i, 0i-A to 0i-C; not 30i"
     parameter, datapoint = ("Q1", "Q0") if marked else ("", "")
@@ -96,7 +96,7 @@ def _notes(table: AxisTable) -> list[str]:
     return [
         BY_MEMORY,
         f"values are rounded to {magnification} µm; a control that does not interpolate puts in up to {largest} µm at once",
-        f"points are {apart_mm:g} mm apart: enough for feeds, rapid ones too, up to {_FEED_PER_MM * apart_mm:.0f} mm/min "
+        f"points are {apart_mm:g} mm apart: enough for feeds, rapid ones too, up to {_FEED_PER_MM * apart_mm:z.0f} mm/min "
         f"(over {_FEED_PER_MM:g}, from memory); --points with fewer for more",
         *lost_motion_notes(table, "1851"),
         "the number of the axis, and those of the points, are ours: change them where the machine has others",
