@@ -13,6 +13,7 @@ from typing import Any
 from dtwin.atomic import make_folder, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_names
 from dtwin.locks import locked
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
@@ -107,6 +108,10 @@ def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineR
     facts = {name: _text(stated[name], f"{where}: {name}") for name in FACTS if stated.get(name)}
     axes = {axis: _axis(known, f"{where}: axes.{axis}") for axis, known in _table(stated, "axes", where).items()}
     tolerances = limits_from(_table(stated, "tolerances", where), f"{where}: tolerances")
+    strange = [s for s in tolerances if ":" in s and s.partition(":")[0] not in kind_names()]
+    if strange:
+        allowed = f"SYMBOL, or KIND:SYMBOL with {', '.join(kind_names())}"
+        raise _refused(f"{where}: tolerances", ", ".join(strange)[:60], allowed)
     events = stated.get("events", [])
     if not isinstance(events, list):
         raise _refused(f"{where}: events", str(events)[:60], "a list of tables")

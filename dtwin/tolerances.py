@@ -33,20 +33,6 @@ class Limits:
         return high if high is not None and _bounds(symbol, high) == known else known
 
 
-_OF_KIND = {"A": "linear", "R": "linear"}
-"""Symbols that two standards use: what a machine's record says of them is of the kind here."""
-
-
-def limits_of(limits: Mapping[str, Limits], kind: str) -> dict[str, Limits]:
-    """Return the limits of a machine's record that are of the figures of one kind of test.
-
-    ``rotation:A`` is of tests of that kind only, and goes before ``A``.
-    """
-    plain = {s: one for s, one in limits.items() if ":" not in s and _OF_KIND.get(s, kind) == kind}
-    own = {s.partition(":")[2]: one for s, one in limits.items() if s.partition(":")[0] == kind and ":" in s}
-    return {**plain, **own}
-
-
 def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     """Read limits by symbol: a largest value, or a table with ``low`` and ``high``, in µm.
 

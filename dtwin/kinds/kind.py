@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.tolerances import Limits
     from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
@@ -187,6 +188,9 @@ class Kind:
         Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for all such names.
     sheet_columns : tuple of str
         Columns of samples that a test sheet needs.
+    prefixed : tuple of str
+        Symbols of its figures that another kind has, too: a tolerance of a machine is of these where it is stated as
+        ``NAME:SYMBOL``.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
@@ -205,6 +209,7 @@ class Kind:
     laws: ClassVar[bool] = False
     campaign_columns: ClassVar[tuple[str, ...]] = ()
     sheet_columns: ClassVar[tuple[str, ...]] = ()
+    prefixed: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
     export_forms: ClassVar[tuple[str, ...]] = ()
@@ -315,6 +320,15 @@ class Kind:
     def export_twin(self, home: Home, name: str, form: str) -> Export:
         """Write a twin in one of ``export_forms``."""
         raise self.lacks("export_twin")
+
+    def limits(self, of_machine: Mapping[str, Limits]) -> dict[str, Limits]:
+        """Return the limits of a machine's record that are of the figures of such tests.
+
+        ``rotation:A`` is of tests of that kind only, and goes before ``A``.
+        """
+        plain = {s: one for s, one in of_machine.items() if ":" not in s and s not in self.prefixed}
+        own = {s.partition(":")[2]: one for s, one in of_machine.items() if s.startswith(f"{self.name}:")}
+        return {**plain, **own}
 
     def axis_errors(self, bundle: Bundle) -> AxisErrors:
         """Return what a bundle of such campaigns says along its axis."""

@@ -21,7 +21,6 @@ from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import marked, program_of, require_unmarked
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
-from dtwin.schema import DEFAULT_KIND
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.export import identifier, to_c, to_latex, to_python
@@ -147,7 +146,7 @@ def export(source: Source, request: Request) -> Export:
     kind = kind_of_bundle(source.bundle)
     if kind.offers("axis_errors") and request.form in (*ONE_AXIS, "csv"):
         return positioning_table(source, kind.axis_errors(source.bundle), request)
-    if source.twin is None or kind.name != DEFAULT_KIND:
+    if source.twin is None or not any(source.twin.box.planes):
         raise InputError(
             "this form needs the error of single axes",
             code="export.axes",

@@ -25,7 +25,6 @@ from dtwin.pipeline.machine_series import Point, Series, judged_series, next_tes
 from dtwin.progress import Progress
 from dtwin.report.faults import sizes_of
 from dtwin.serve.pointer import resolve
-from dtwin.tolerances import limits_of
 from dtwin.twins.measured import load
 from dtwin.twins.verbs import Twins
 
@@ -192,7 +191,7 @@ def _with_figures(
     """Add the figures of a test sheet: the one that stands for the whole, and those that have a tolerance."""
     for part in [] if sheet is None else sheet["parts"]:
         symbols = [c["symbol"] for c in part["characteristics"]]
-        wanted = {*limits_of(record.tolerances, kind), (sheet or {})["headline"]}
+        wanted = {*kind_named(kind).limits(record.tolerances), (sheet or {})["headline"]}
         for c in part["characteristics"]:
             if c["symbol"] not in (wanted if wanted & set(symbols) else symbols[:1]):
                 continue

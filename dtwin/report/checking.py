@@ -21,7 +21,7 @@ from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import table
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Floats, Run
-from dtwin.tolerances import Limits, limits_from, limits_of
+from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
 """A file of both directions is told run by run; more runs as a table."""
@@ -58,7 +58,7 @@ def sheet_of(
     # Something that is no table of limits is refused as a limit that is none.
     table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
     own = limits_from(table_of, f"{under.where}.tolerances")
-    of_machine = limits_of(limits, kind.name)
+    of_machine = kind.limits(limits)
     return judged(kind.sheet(runs, under), {**own, **of_machine}, asked=set(of_machine)).as_dict()
 
 

@@ -26,7 +26,7 @@ from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
 
 MACHINE = "virtual-cobot"
-START_S = 600.0
+PATIENCE_S = 600.0
 
 
 class Up:
@@ -39,7 +39,7 @@ class Up:
 
     def await_addresses(self) -> None:
         assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], START_S)
+        ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
         text = ""
         while ready and not text.rstrip().endswith("}"):
             line = self.process.stdout.readline()
@@ -114,9 +114,9 @@ def running_up(home: Home, *options: str) -> Iterator[Up]:
                 stream.close()
 
 
-def wait_for(what: Callable[[], Any], seconds: float, message: str) -> Any:
-    """The first true answer; fails the test when there is none in time."""
-    end = time.monotonic() + seconds
+def wait_for(what: Callable[[], Any], message: str) -> Any:
+    """The first true answer; fails the test when there is none in ten minutes, which only what hangs takes."""
+    end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
         found = what()
         if found:

@@ -55,7 +55,6 @@ def test_a_stopped_job_shows_on_the_page_and_resumes(up: Up, monkeypatch: pytest
     steps = [f"part 1: {step}" for step, _ in STEPS]
     wait_for(
         lambda: [task_names(up, each) for each in (stopped, resumed)] == [sorted(steps[:4]), sorted(steps[4:])],
-        seconds=30,
         message=f"the server has not recorded these tasks: {steps}",
     )
     table = json.loads(up.artifacts_of(resumed)["cell-tested"]["data"])

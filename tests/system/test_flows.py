@@ -68,7 +68,7 @@ def _two_ticks(up: Up) -> None:
             if r["state"]["name"] == "Skipped" and "nothing new" in r["state"]["message"]
         ]
 
-    second = wait_for(skipped, 600, "no tick was skipped for want of new data")[0]
+    second = wait_for(skipped, "no tick was skipped for want of new data")[0]
     runs = up.runs_of("scheduled-training")
     first = runs[0]
     assert first["state"]["name"] == "Completed", first["state"]
@@ -143,7 +143,7 @@ def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_pat
     inbox.mkdir()
 
     def play() -> None:
-        wait_for(lambda: open_question(folder), 600, "nothing is asked")
+        wait_for(lambda: open_question(folder), "nothing is asked")
         runs = [replace(run, window=(0, 360)) for run in circles([""])]
         write_b5r(inbox / "result.b5r", runs, name="result", machine="mill-a")
 
@@ -240,7 +240,7 @@ def test_a_flow_started_on_the_page_keeps_to_its_folders(shared_up: Up, tmp_path
         found = up.ask("/flow_runs/filter", {"flow_runs": {"id": {"any_": [run["id"]]}}})
         return str(found[0]["state"]["message"]) if found[0]["state"]["type"] == "FAILED" else ""
 
-    assert "keeps to its folders" in wait_for(ended, 600, "the flow did not end")
+    assert "keeps to its folders" in wait_for(ended, "the flow did not end")
 
 
 @pytest.mark.long

@@ -79,7 +79,7 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
         # 127.0.0.1 as the kernel writes it.
         assert listening(children) == {"0100007F"}
 
-        served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 14, 600, "not all flows are served")
+        served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 14, "not all flows are served")
         assert served
         times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
         assert times == [[]] * 14, "--no-schedule has a schedule"
@@ -231,10 +231,10 @@ def test_a_child_that_will_not_end_is_ended_with_what_it_started(
     )
     log = tmp_path / "stubborn.log"
     child = Child("stubborn", [sys.executable, "-c", script], os.environ, log)
-    grandchild = int(wait_for(log.read_text, 300, "the child said nothing"))
+    grandchild = int(wait_for(log.read_text, "the child said nothing"))
     child.stop()
     assert child.process.returncode == -signal.SIGKILL
-    wait_for(lambda: _ended(grandchild), 300, "the grandchild lives")
+    wait_for(lambda: _ended(grandchild), "the grandchild lives")
 
 
 def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
@@ -256,7 +256,7 @@ def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
     parent.kill()
     parent.wait(30)
     parent.stdout.close()
-    wait_for(lambda: _ended(child), 300, "the child outlived its killed parent")
+    wait_for(lambda: _ended(child), "the child outlived its killed parent")
 
 
 def _ended(pid: int) -> bool:

@@ -47,7 +47,7 @@ def test_the_servers_keep_everything_at_the_shared_places_and_clients_need_no_ke
                         cursor.execute("SELECT count(*) FROM deployment")
                         return int((cursor.fetchone() or (0,))[0])
 
-                assert wait_for(deployed, 600, "no flow came to the shared database")
+                assert wait_for(deployed, "no flow came to the shared database")
             for name, value in KEYS.items():
                 keys.setenv(name, value)
             [artifact] = [stored for stored in found.list() if stored.name.endswith("said.txt")]

@@ -29,7 +29,7 @@ ROOM_MM = 25.0
 # Below every place that an axis can start from.
 _FAR_MM = 2500.0
 POSITION, _DIRECTION, MEMORY = "position_mm", "direction_1", "slide_mm"
-# What bundles from before 2026-12 ask for.
+# What older bundles ask for.
 _INCHES = "position_in"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
 

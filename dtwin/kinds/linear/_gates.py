@@ -128,7 +128,7 @@ def screw_metrics(pitch_mm: float, reach_mm: tuple[float, float]) -> dict[str, f
 def screw_logged(metrics: Mapping[str, float]) -> tuple[float, float, float]:
     """Return pitch, begin and end of the mapped travel in mm; NaN where training logged none.
 
-    Versions from before 2026-12 logged inches.
+    Older versions logged inches.
     """
     pitch, low, high = (
         metrics.get(f"{name}_mm", MM_PER_IN * metrics.get(f"{name}_in", float("nan"))) for name in _SCREW

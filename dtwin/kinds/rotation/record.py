@@ -25,6 +25,7 @@ class _Rotation(Kind):
     in_one_table = True
     campaign_columns = (*columns, "speed_rpm", "runout_um")
     sheet_columns = campaign_columns
+    prefixed = ("A", "R")
     instead: ClassVar[Mapping[str, str]] = {
         "twins": "dtwin check CAMPAIGN names what the run-out follows over speed",
         "training": "a turning axis is mended by centring, balancing or bearings, and no equation moves those",

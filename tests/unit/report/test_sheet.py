@@ -15,7 +15,7 @@ from dtwin.report.checking import check_source, sheet_of
 from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines
 from dtwin.report.uncertainty import Circumstances, Contribution, Variation, combined
 from dtwin.schema import Campaign, Finding, Run, RunMeta
-from dtwin.tolerances import limits_from, limits_of
+from dtwin.tolerances import limits_from
 
 ROOT = Path(__file__).parents[3]
 PERFECT = Circumstances(
@@ -243,9 +243,9 @@ def test_a_tolerance_that_a_test_does_not_tell_keeps_it_from_being_inside() -> N
 def test_a_symbol_of_two_standards_is_that_of_positioning_unless_its_kind_is_told() -> None:
     """A of ISO 230-2 is the accuracy of an axis, A of a turning one its asynchronous error motion."""
     stated = limits_from({"A": 10.0, "rotation:A": 1.0, "R": 5.0, "S": 2.0, "circular:Fmin(CW)": 4.0}, "here")
-    assert limits_of(stated, "rotation") == {"A": Limits(high_um=1.0), "S": Limits(high_um=2.0)}
-    assert {s: limits_of(stated, "linear")[s].high_um for s in "AR"} == {"A": 10.0, "R": 5.0}
-    assert limits_of(stated, "circular")["Fmin(CW)"] == Limits(low_um=-4.0)
+    assert kind_named("rotation").limits(stated) == {"A": Limits(high_um=1.0), "S": Limits(high_um=2.0)}
+    assert {s: kind_named("linear").limits(stated)[s].high_um for s in "AR"} == {"A": 10.0, "R": 5.0}
+    assert kind_named("circular").limits(stated)["Fmin(CW)"] == Limits(low_um=-4.0)
 
 
 def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
