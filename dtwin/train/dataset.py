@@ -55,8 +55,8 @@ class TickRun:
     alignment_residual: float
     accelerometers: SignalGroup | None = None
 
-    def target_um(self, lag_s: float | None = None) -> Floats:
-        """Return the bar's deviation at the rows, shape (len(arc),)."""
+    def target_um(self, lag_s: float | Floats | None = None) -> Floats:
+        """Return the bar's deviation at the rows, shape (len(arc),), or (lags, len(arc)) of lags of shape (lags, 1)."""
         lag = self.lag_s if lag_s is None else lag_s
         t = self.arc / TICK_HZ - lag
         return np.interp(t, np.arange(self.bar_um.size) / self.bar_rate_hz, self.bar_um)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,25 +87,27 @@ class Library:
         """Readable names of the terms, in order."""
         return [atom.name for atom in self.atoms]
 
-    def columns(self, runs: Sequence[TickRun], only: Sequence[int] | None = None) -> list[NDArray[np.float32]]:
-        """Return terms at the rows of each run, shape (rows, terms) each.
+    def values(self, wanted: Sequence[Expression], runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
+        """Return expressions of this graph at the rows of each run, shape (rows, expressions) each.
 
-        The terms run through every tick of a run, because some remember.
+        Those that remember run through every tick of a run, the others through its rows alone.
 
         ``runs``: runs on the controller's clock.
-        ``only``: numbers of the wanted terms; all by default.
         """
-        terms = list(self.atoms.values())
-        wanted = range(len(terms)) if only is None else only
-        outputs = {f"t{i}": prod(terms[i][1:], start=terms[i][0]) for i in wanted}
+        outputs = {f"t{i}": expression for i, expression in enumerate(wanted)}
         live = self.live_states(outputs)
         graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
         tape = Tape(graph, PATH_INPUTS, {k: self.initial[k] for k in live}, list(outputs))
-        columns_of_terms = []
+        found = []
         for run in runs:
             tape.reset()
-            columns_of_terms.append(tape.run_many(run.inputs.astype(float))[run.arc].astype(np.float32))
-        return columns_of_terms
+            at_rows = (
+                tape.run_many(run.inputs.astype(float))[run.arc]
+                if live
+                else tape.run_many(run.inputs[run.arc].astype(float))
+            )
+            found.append(at_rows.astype(np.float32))
+        return found
 
     def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:
         """Return the states that outputs read, directly or through other states, sorted."""

@@ -37,24 +37,21 @@ def find_gears(
     """
     some = np.arange(0, rows.n, every)
     q, lever, flank = (part[some] for part in _joint_state(rows))
-
-    def best(part: Floats, joint: int, orders: Floats) -> tuple[float, Gear]:
-        j = joint - 1
-        gains = _explained(part, q[:, j], lever[:, j], flank[:, j], orders)
-        return float(gains.max()), Gear(joint, float(orders[int(np.argmax(gains))]))
-
+    coarse = [_Waves(q[:, j], lever[:, j], flank[:, j], _COARSE) for j in range(6)]
     gears: list[Gear] = []
     residual = rows.target_um - explained(gears)
     for step in range(most):
         part = residual[some]
-        coarse = max((best(part, j, _COARSE) for j in range(1, 7)), key=lambda pair: pair[0])[1]
-        gain, gear = best(part, coarse.joint, coarse.order + _FINE)
-        if gain < _SMALLEST_GAIN * float(part @ part):
+        taken = np.array([waves.taken(part) for waves in coarse])
+        j, place = np.unravel_index(int(np.argmax(taken)), taken.shape)
+        fine = _COARSE[place] + _FINE
+        refined = _Waves(q[:, j], lever[:, j], flank[:, j], fine).taken(part)
+        if float(refined.max()) < _SMALLEST_GAIN * float(part @ part):
             break
-        gears.append(gear)
+        gears.append(Gear(int(j) + 1, float(fine[int(np.argmax(refined))])))
         residual = rows.target_um - explained(gears)
         if progress is not None:
-            progress(step + 1, most, f"joint {gear.joint} order {gear.order:g}")
+            progress(step + 1, most, f"joint {gears[-1].joint} order {gears[-1].order:g}")
     return gears
 
 
@@ -75,18 +72,32 @@ def _flank(q: Floats) -> Floats:
     return np.asarray(np.take_along_axis(moved, np.maximum.accumulate(index, axis=0), axis=0))
 
 
-def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, orders: Floats) -> Floats:
-    """Return the sum of squares that the four terms of each order of a joint take, shape (orders,)."""
-    # The orders lie evenly: each wave is the one before, turned further.
-    turns = np.empty((orders.size, q.size), dtype=complex)
-    turns[0], turns[1:] = np.exp(1j * orders[0] * q), np.exp(1j * (orders[1] - orders[0]) * q)
-    spun = np.multiply.accumulate(turns, axis=0)
-    waves = np.stack([spun.real, spun.imag], axis=1) * lever
-    terms = np.concatenate([waves, waves * flank], axis=1)
-    gram = terms @ terms.transpose(0, 2, 1)
-    size = np.trace(gram, axis1=1, axis2=2)
-    still = size <= 1e-12 * len(residual)
-    gram += np.where(still, 1.0, 1e-6 * size)[:, None, None] * np.eye(4)
-    moment = terms @ residual
-    taken = np.linalg.solve(gram, moment[:, :, None])[:, :, 0]
-    return np.where(still, 0.0, np.sum(moment * taken, axis=1))
+class _Waves:
+    """The four terms of each of several orders of a joint: cosine and sine, the same with the sign of the flank.
+
+    ``q_rad``, ``lever``, ``flank``, (n,): of the joint.
+    ``orders``: evenly spaced.
+    """
+
+    def __init__(self, q_rad: Floats, lever: Floats, flank: Floats, orders: Floats) -> None:
+        # The orders lie evenly: each wave is the one before, turned further.
+        turns = np.empty((orders.size, q_rad.size), dtype=complex)
+        turns[0], turns[1:] = np.exp(1j * orders[0] * q_rad), np.exp(1j * (orders[1] - orders[0]) * q_rad)
+        spun = np.multiply.accumulate(turns, axis=0)
+        waves = np.stack([spun.real, spun.imag], axis=1) * lever
+        turned = waves * flank
+        plain, mixed, both = (a @ b.transpose(0, 2, 1) for a, b in ((waves, waves), (waves, turned), (turned, turned)))
+        gram = np.block([[plain, mixed], [mixed, both]])
+        size = np.trace(gram, axis1=1, axis2=2)
+        self._still = size <= 1e-12 * q_rad.size
+        gram += np.where(self._still, 1.0, 1e-6 * size)[:, None, None] * np.eye(4)
+        self._gram, self._flank = gram, flank
+        # Single precision: what is kept is large, and only compared.
+        self._waves = waves.reshape(-1, q_rad.size).astype(np.float32)
+
+    def taken(self, residual: Floats) -> Floats:
+        """Return the sum of squares that the terms of each order take from a residual (n,), shape (orders,)."""
+        seen = self._waves @ np.column_stack([residual, residual * self._flank]).astype(np.float32)
+        moment = seen.reshape(-1, 2, 2).transpose(0, 2, 1).reshape(-1, 4).astype(float)
+        weights = np.linalg.solve(self._gram, moment[:, :, None])[:, :, 0]
+        return np.where(self._still, 0.0, np.sum(moment * weights, axis=1))

@@ -169,14 +169,40 @@ def _coefficients_out_rms(cells: _Cells, axis: int, chosen: Sequence[int]) -> fl
 
 def _search(rows: Rows, columns: TermColumns, progress: Progress | None) -> Library:
     """Return the library with the orders and modes that the rows, thinned ones, show."""
+    equation = _Growing(rows, columns)
+    gears = find_gears(rows, equation.explained, progress=progress)
+    return Library(gears, find_modes(rows, rows.target_um - equation.explained(gears)))
 
-    def explained(gears: Sequence[Gear]) -> Floats:
-        terms = columns.of(Library(gears, ()), rows.runs, every=_SEARCH_EVERY)
-        design = rows.without_setups(terms)
-        return design @ solve(sums_of(design, rows.target_um), _RIDGE)
 
-    gears = find_gears(rows, explained, progress=progress)
-    return Library(gears, find_modes(rows, rows.target_um - explained(gears)))
+class _Growing:
+    """An equation that gears join one after the other: only what a new gear adds to its sums is computed.
+
+    ``rows``: thinned.
+    """
+
+    def __init__(self, rows: Rows, columns: TermColumns) -> None:
+        self._rows, self._columns = rows, columns
+        self._parts: dict[Gear | None, Floats] = {}
+        self._gram, self._moment = np.zeros((0, 0)), np.zeros(0)
+        self._add(None)
+
+    def explained(self, gears: Sequence[Gear]) -> Floats:
+        """Return what the equation explains with all gears so far, these among them, (n,)."""
+        for gear in gears:
+            if gear not in self._parts:
+                self._add(gear)
+        sums = Sums(self._gram, self._moment, 0.0, self._rows.n, np.zeros_like(self._gram))
+        parts = list(self._parts.values())
+        weights = np.split(solve(sums, _RIDGE), np.cumsum([part.shape[1] for part in parts])[:-1])
+        return np.sum([part @ weight for part, weight in zip(parts, weights, strict=True)], axis=0)
+
+    def _add(self, gear: Gear | None) -> None:
+        new = self._rows.without_setups(self._columns.part(gear, self._rows.runs, every=_SEARCH_EVERY))
+        self._parts[gear] = new
+        across = np.concatenate([part.T @ new for part in self._parts.values()])
+        before = len(self._gram)
+        self._gram = np.block([[self._gram, across[:before]], [across.T]])
+        self._moment = np.concatenate([self._moment, new.T @ self._rows.target_um])
 
 
 def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
@@ -191,8 +217,8 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
         expected = rows.measured_um - rows.target_um + predicted
         moved = np.zeros(lags.size)
         for i, run in enumerate(rows.runs):
-            wanted = expected[bounds[i] : bounds[i + 1]]
-            apart = [np.mean((run.target_um(lags[i] + d) - wanted) ** 2) for d in steps]
+            shifted = run.target_um(lags[i] + steps[:, None])
+            apart = np.mean((shifted - expected[bounds[i] : bounds[i + 1]]) ** 2, axis=1)
             moved[i] = steps[int(np.argmin(apart))]
         lags += moved - moved.mean()
         rows = gather([replace(run, lag_s=float(lag)) for run, lag in zip(rows.runs, lags, strict=True)])

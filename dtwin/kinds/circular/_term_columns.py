@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,36 +27,41 @@ class TermColumns:
         self._lock = threading.Lock()
         self._kept: dict[tuple[str, Gear | Mode | None], NDArray[np.float32]] = {}
 
-    def of(
-        self, library: Library, runs: Sequence[TickRun], only: Sequence[int] | None = None, *, every: int = 1
-    ) -> Floats:
+    def of(self, library: Library, runs: Sequence[TickRun], only: Sequence[int] | None = None) -> Floats:
         """Return terms at the rows of runs, one run after the other, shape (rows, terms).
 
         ``library``: with joint angles not taken ahead.
         ``only``: numbers of the wanted terms; all by default.
-        ``every``: only each such row of a run.
         """
-        parts = [None, *library.gears, *library.modes]
-        wanted = slice(None) if only is None else np.asarray(only, dtype=int)
-        found = []
-        for run in runs:
-            columns = np.concatenate([self._part(run.meta.run_id, p) for p in parts])
-            found.append(columns[wanted, ::every].T.astype(float))
-        return np.concatenate(found)
+        terms = np.hstack([self.part(p, runs) for p in (None, *library.gears, *library.modes)])
+        return terms if only is None else terms[:, np.asarray(only, dtype=int)]
 
-    def _part(self, run_id: str, part: Gear | Mode | None) -> NDArray[np.float32]:
-        """Return the terms of a gear or a mode, or those that are always there, (terms, rows)."""
+    def part(self, part: Gear | Mode | None, runs: Sequence[TickRun], *, every: int = 1) -> Floats:
+        """Return the terms of a gear or a mode, or those that are always there, at every so manieth row of runs."""
         with self._lock:
-            if (run_id, part) not in self._kept:
+            if (runs[0].meta.run_id, part) not in self._kept:
                 self._make(part)
-        return self._kept[(run_id, part)]
+        return np.concatenate([self._kept[(run.meta.run_id, part)][:, ::every].T for run in runs]).astype(float)
 
     def _make(self, part: Gear | Mode | None) -> None:
-        gears = [part] if isinstance(part, Gear) else []
-        library = Library(gears, [part] if isinstance(part, Mode) else [])
-        causes = [atom.cause for atom in library.atoms]
-        added = [i for i, cause in enumerate(causes) if cause in (RIPPLE, RINGING)]
-        only = added if part is not None else None
         runs = list(self._runs.values())
-        for run, columns in zip(runs, library.columns(runs, only), strict=True):
+        if isinstance(part, Gear):
+            made = self._of_gear(part, runs)
+        else:
+            library = Library([], [] if part is None else [part])
+            wanted = [f for atom, f in library.atoms.items() if part is None or atom.cause == RINGING]
+            made = library.values([prod(factors[1:], start=factors[0]) for factors in wanted], runs)
+        for run, columns in zip(runs, made, strict=True):
             self._kept[(run.meta.run_id, part)] = columns.T
+
+    def _of_gear(self, gear: Gear, runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
+        """Return the terms of a gear: a wave, which remembers nothing, times a term that is always there."""
+        library = Library([gear], [])
+        number = {factors: i for i, factors in enumerate(library.atoms.values())}
+        ripple = [factors for atom, factors in library.atoms.items() if atom.cause == RIPPLE]
+        always = [number[factors[:-1]] for factors in ripple]
+        waves = library.values([factors[-1] for factors in ripple], runs)
+        if (runs[0].meta.run_id, None) not in self._kept:
+            self._make(None)
+        kept = [self._kept[(run.meta.run_id, None)] for run in runs]
+        return [wave * columns[always].T for wave, columns in zip(waves, kept, strict=True)]
