@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from dtwin.errors import InputError
 from dtwin.features.stops import parabola_peak, stop_envelope
 from dtwin.schema import Floats
 
 __all__ = ["Alignment", "align_envelopes", "align_stops"]
+
+# Product of two sums of squares, as a share of the whole records': below it is rounding.
+_STILL = 1e-20
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def align_envelopes(
             got=f"{len(a) / rate_hz:z.2f} s and {len(b) / rate_hz:z.2f} s",
             hint="lengthen the recordings or widen max_lag_s",
         )
-    values = np.array([_overlap_correlation(a, b, int(lag)) for lag in lags])
+    values = _overlap_correlations(a, b, lags)
     best = int(np.argmax(values))
     peak = float(values[best])
     if peak <= 0:
@@ -144,9 +149,19 @@ def _resampled(signal: Floats, rate_hz: float, wanted_hz: float) -> Floats:
     return np.interp(grid, np.arange(len(signal)) / rate_hz, signal)
 
 
-def _overlap_correlation(a: Floats, b: Floats, lag: int) -> float:
-    first, last = max(0, lag), min(len(b), len(a) + lag)
-    x, y = a[first - lag : last - lag], b[first:last]
-    x, y = x - x.mean(), y - y.mean()
-    size = float(np.sqrt((x @ x) * (y @ y)))
-    return float(x @ y) / size if size > 0 else 0.0
+def _overlap_correlations(a: Floats, b: Floats, lags: NDArray[np.int64]) -> Floats:
+    """Return the correlation of what two records have in common, ``a`` shifted by each lag, shape (lags,)."""
+    # Their own means out first: sums of squares of what is left do not cancel.
+    a, b = a - a.mean(), b - b.mean()
+    first, last = np.maximum(0, lags), np.minimum(len(b), len(a) + lags)
+    n = last - first
+
+    def over(values: Floats, begin: NDArray[np.int64], end: NDArray[np.int64]) -> Floats:
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(sums[end] - sums[begin])
+
+    x, y = over(a, first - lags, last - lags), over(b, first, last)
+    square = (over(a**2, first - lags, last - lags) - x**2 / n) * (over(b**2, first, last) - y**2 / n)
+    across = correlate(b, a, method="fft")[lags + len(a) - 1] - x * y / n
+    moves = square > _STILL * float(a @ a) * float(b @ b)
+    return np.where(moves, across / np.sqrt(np.where(moves, square, 1.0)), 0.0)
