@@ -123,7 +123,7 @@ class VirtualCobot:
         mechanism, memory = self._machine(plan)
         n = round(plan.duration_s * self.parameters.controller.rate_hz)
         states, truths = np.zeros((n, layout.N)), np.zeros((n, m_.TRUTH_N))
-        run_kernel(mechanism, plan.segments, plan.frame, memory, states, truths)
+        run_kernel(mechanism, plan.segments, plan.frame, np.zeros((1, 4)), memory, states, truths)
         return RunTicks(states, truths)
 
     def at_rest(self, plan: MotionPlan) -> tuple[Mechanism, Floats]:

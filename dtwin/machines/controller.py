@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines._recording import CobotRecording, RunTicks
-from dtwin.machines.mechanism import Mechanism, set_speed_factor, tick_kernel
+from dtwin.machines.mechanism import Mechanism, run_kernel, set_speed_factor, tick_kernel
 from dtwin.machines.motion import CircleCondition, MotionPlan
 from dtwin.schema import Floats
 
@@ -68,6 +69,22 @@ class CobotController:
         self._registers[:] = registers
         self._advance()
 
+    @property
+    def ticks_left(self) -> int:
+        """Periods until the program ends, at its programmed speed."""
+        return max(0, math.ceil((self.plan.duration_s - m_.path_time_s(self._memory)) / self._tick_s - 0.5))
+
+    def run(self, registers: Floats) -> None:
+        """Advance by one period per row of correction registers (n, 4), as :meth:`step` would."""
+        first, end = self._n, self._n + len(registers)
+        while end > len(self._states):
+            self._grow()
+        states, truths = self._states[first:end], self._truths[first:end]
+        states[:] = self._constants
+        run_kernel(self._mechanism, self.plan.segments, self.plan.frame, registers, self._memory, states, truths)
+        states[:, layout.TIMESTAMP] = np.arange(first, end) * self._tick_s
+        self._registers[:], self._n = registers[-1], end
+
     def adopt_sequence(self, sequence: int) -> None:
         """Take a sequence number as already seen, as a program that begins beside a client does."""
         m_.adopt_sequence(self._memory, sequence)
@@ -109,8 +126,7 @@ class CobotController:
 
     def _advance(self) -> None:
         if self._n == len(self._states):
-            self._states = np.vstack([self._states, np.zeros((_GROWTH, layout.N))])
-            self._truths = np.vstack([self._truths, np.zeros((_GROWTH, m_.TRUTH_N))])
+            self._grow()
         state = self._states[self._n]
         state[:] = self._constants
         tick_kernel(
@@ -124,6 +140,10 @@ class CobotController:
         )
         state[layout.TIMESTAMP] = self._n * self._tick_s
         self._n += 1
+
+    def _grow(self) -> None:
+        self._states = np.vstack([self._states, np.zeros((_GROWTH, layout.N))])
+        self._truths = np.vstack([self._truths, np.zeros((_GROWTH, m_.TRUTH_N))])
 
 
 class CircleController(CobotController):

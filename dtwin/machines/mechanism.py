@@ -262,12 +262,21 @@ def tick_kernel(
 
 @kernel
 def run_kernel(
-    machine: Mechanism, segments: Floats, frame: Floats, memory: Floats, states: Floats, truths: Floats
+    machine: Mechanism,
+    segments: Floats,
+    frame: Floats,
+    registers: Floats,
+    memory: Floats,
+    states: Floats,
+    truths: Floats,
 ) -> None:
-    """Run a whole program without correction; rows of ``states`` and ``truths`` are ticks."""
-    registers = np.zeros(4)
+    """Run a program tick by tick; rows of ``states`` and ``truths`` are ticks.
+
+    ``registers``, (n, 4): correction as received in each tick; the last one stays.
+    """
     for n in range(states.shape[0]):
-        tick_kernel(machine, segments, frame, registers, memory, states[n], truths[n])
+        received = registers[min(n, registers.shape[0] - 1)]
+        tick_kernel(machine, segments, frame, received, memory, states[n], truths[n])
         states[n, 0] = n * machine.control[_TICK_S]
 
 

@@ -8,7 +8,6 @@ from typing import TypeVar
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines.controller import CobotController
 from dtwin.machines.parameters import ControllerParameters
@@ -84,13 +83,10 @@ def follow(controller: Controller, offsets_um: Floats, safety: SafetyLimits) -> 
     offsets_um : ndarray, shape (n, 3)
         By tick; the last one is held.
     """
-    guard, nothing = Guard(safety, np.empty(0), np.empty(0)), np.empty(0)
-    tick = 0
-    while not controller.done:
-        wanted = offsets_um[min(tick, len(offsets_um) - 1)]
-        safe = guard.step(wanted, nothing, age_s=0.0, elapsed_s=TICK_S, enabled=True)
-        controller.step(layout.correction_registers(tick + 1, safe))
-        tick += 1
+    guard, ticks = Guard(safety, np.empty(0), np.empty(0)), controller.ticks_left
+    wanted = offsets_um[np.minimum(np.arange(ticks), len(offsets_um) - 1)]
+    safe = guard.run(wanted, np.empty((ticks, 0)), elapsed_s=TICK_S)
+    controller.run(np.column_stack([np.arange(1.0, ticks + 1.0), safe]))
     return controller, guard.counted()
 
 
