@@ -14,7 +14,7 @@ from numba import typeof
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.features.compiled import compiled
+from dtwin.features.compiled import compiled, compiled_for_many
 from dtwin.schema import Floats
 from dtwin.serve._operators import FARTHEST
 from dtwin.serve._sine import sine_and_cosine
@@ -173,7 +173,7 @@ def _run_tape(program: _Program, memory: Floats) -> None:
         copy += _B
 
 
-@compiled
+@compiled_for_many
 def _run_tape_many(program: _Program, memory: Floats, inputs: Floats, out: Floats) -> None:
     """Evaluate a tape for successive rows of inputs (n, n_inputs) into rows of ``out``."""
     for n in range(inputs.shape[0]):

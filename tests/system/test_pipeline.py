@@ -22,7 +22,7 @@ from dtwin.cli import main
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.circular._evidence import measured_circles
-from dtwin.kinds.circular._physics_fit import predicted_left_out
+from dtwin.kinds.circular._physics_fit import leave_out, predicted_left_out
 from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.evidence import make_champion, measure, proven
@@ -142,7 +142,8 @@ def test_nothing_that_predicts_a_feed_has_seen_it(demo: tuple[Home, dict[str, An
     hidden = true.label("feed_mm_min") == 6000.0
     columns = TermColumns(runs)
     with ThreadPoolExecutor(2) as pool:
-        found, again = (predicted_left_out(r, ["feed_mm_min"], columns, pool)["feed_mm_min"] for r in (true, nonsense))
+        folds = [leave_out(r, ["feed_mm_min"], columns, pool, lambda *_: None) for r in (true, nonsense)]
+        found, again = (predicted_left_out(of, lambda *_: None)["feed_mm_min"] for of in folds)
     np.testing.assert_array_equal(found[hidden], again[hidden])
     assert not np.allclose(found[~hidden], again[~hidden])
     blind = [r.blind(~hidden).target_um for r in (true, nonsense)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,15 +86,23 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
     return PhysicsFit(rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s)
 
 
-def predicted_left_out(
-    rows: Rows,
-    groups: Sequence[str],
-    columns: TermColumns,
-    pool: Executor,
-    step: Progress | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Floats]:
-    """Predict every row by an equation that saw nothing of the row's group.
+@dataclass(frozen=True)
+class LeftOut:
+    """A fit that sees nothing of one group, and will predict it.
+
+    ``group``, ``value``: field of the condition, and its value that is left out.
+    ``outside``, (n,): its rows.
+    ``predicted``: of these rows, in um, centre and radius of the set-ups not taken out.
+    """
+
+    group: str
+    value: float
+    outside: NDArray[np.bool_]
+    predicted: Future[Floats]
+
+
+def leave_out(rows: Rows, groups: Sequence[str], columns: TermColumns, pool: Executor, step: Progress) -> list[LeftOut]:
+    """Begin to predict every row by equations that saw nothing of the row's group.
 
     Orders, modes, alignment of the runs, number of terms and coefficients are all found again
     without the group. The rows that are predicted keep the alignment by motion.
@@ -102,15 +110,22 @@ def predicted_left_out(
     ``rows``: rows of all runs, aligned by motion.
     ``groups``: fields of the condition, each left out by value.
     ``pool``, ``step``: threads in which the fits run side by side, and what each calls after every order it finds.
-    Returns (n,) of each field: in um, centre and radius of the set-ups not taken out.
     """
-    folds = [(group, inside, outside) for group in groups for inside, outside in rows.folds(group)]
-    jobs = [pool.submit(_predicted, rows, columns, inside, outside, step) for _, inside, outside in folds]
-    predicted = {group: np.zeros(rows.n) for group in groups}
-    for done, (job, (group, _, outside)) in enumerate(zip(jobs, folds, strict=True), start=1):
-        predicted[group][outside] = job.result()
-        if progress is not None:
-            progress(done, len(folds), f"without {group} {rows.label(group)[outside][0]:g}")
+    return [
+        LeftOut(
+            group, rows.label(group)[outside][0], outside, pool.submit(_predicted, rows, columns, inside, outside, step)
+        )
+        for group in groups
+        for inside, outside in rows.folds(group)
+    ]
+
+
+def predicted_left_out(folds: Sequence[LeftOut], progress: Progress) -> dict[str, Floats]:
+    """Return what every row of each group, (n,), is predicted to be by the fits without it."""
+    predicted: dict[str, Floats] = {}
+    for done, fold in enumerate(folds, start=1):
+        predicted.setdefault(fold.group, np.zeros(fold.outside.size))[fold.outside] = fold.predicted.result()
+        progress(done, len(folds), f"without {fold.group} {fold.value:g}")
     return predicted
 
 

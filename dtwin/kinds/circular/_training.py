@@ -9,7 +9,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular._physics_candidate import physics_candidate
-from dtwin.kinds.circular._physics_fit import fit_physics, predicted_fresh, predicted_left_out
+from dtwin.kinds.circular._physics_fit import fit_physics, leave_out, predicted_fresh, predicted_left_out
 from dtwin.kinds.circular._symbolic_candidate import symbolic_candidate
 from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.lake.store import Lake
@@ -58,42 +58,32 @@ def train_campaign(
     horizon_s = float(geometry.get("correction_delay_s", 0.0))
     runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
     rows, columns = gather(runs), TermColumns(runs)
-    with side_by_side() as (pool, step):
-        whole = pool.submit(fit_physics, rows, columns, step)
-        left_out = predicted_left_out(
-            rows,
-            held_out_groups(rows),
-            columns,
-            pool,
-            step,
-            lambda d, n, w: tell("fit the whole, and without what is predicted", d, n, w),
-        )
-        fit = whole.result()
-    scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
-    found = [
-        physics_candidate(
-            fit,
-            scores,
-            score(rows, predicted_fresh(fit), "run_id").rms_um,
-            campaign.machine,
-            horizon_s=horizon_s,
-            table_versions=versions,
-        )
-    ]
     compared = thinned(rows, _COMPARED_EVERY)
-    found += baselines(compared)
-    found.append(
-        symbolic_candidate(compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions)
-    )
     inputs = generic_inputs(compared)
     usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
-    with warnings.catch_warnings(), side_by_side() as (pool, _):
+    with warnings.catch_warnings(), side_by_side() as (pool, step):
         # A comparison model that has not converged is judged as it is.
         warnings.simplefilter("ignore", ConvergenceWarning)
+        whole = pool.submit(fit_physics, rows, columns, step)
+        folds = leave_out(rows, held_out_groups(rows), columns, pool, step)
+        symbolic = pool.submit(
+            symbolic_candidate, compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions
+        )
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
+        left_out = predicted_left_out(
+            folds, lambda d, n, w: tell("fit the whole, and without what is predicted", d, n, w)
+        )
+        found = baselines(compared)
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
+        found.append(symbolic.result())
+        fit = whole.result()
+    scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
+    fresh_um = score(rows, predicted_fresh(fit), "run_id").rms_um
+    found.append(
+        physics_candidate(fit, scores, fresh_um, campaign.machine, horizon_s=horizon_s, table_versions=versions)
+    )
     found.sort(key=lambda c: c.held_out.rms_um)
     floor, freedom = noise_floor_um(rows)
     report = TrainingReport(
