@@ -77,9 +77,9 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
     columns = columns or TermColumns(rows.runs)
     library = _search(thinned(rows, _SEARCH_EVERY), columns, progress)
     terms = columns.of(library, rows.runs)
-    rows, shift_s = _realigned(rows, terms)
     design = rows.without_setups(terms)
     absorbed = terms - design
+    rows, shift_s = _realigned(rows, design)
     cells = _cell_sums(rows, design, absorbed)
     chosen, front = _front(library, cells)
     weights = solve(total(list(cells.values())).take(chosen), _RIDGE)
@@ -220,15 +220,15 @@ class _Growing:
         self._moment = np.concatenate([self._moment, new.T @ self._rows.target_um])
 
 
-def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
+def _realigned(rows: Rows, design: Floats) -> tuple[Rows, float]:
     """Shift each run's clock to where the equation fits best, keeping the mean shift zero."""
     bounds = np.concatenate([[0], np.cumsum([run.arc.size for run in rows.runs])])
     lags = np.array([run.lag_s for run in rows.runs])
     start = lags.copy()
     steps = np.arange(-_LAG_RANGE_S, _LAG_RANGE_S + 1e-9, _LAG_STEP_S)
-    design = rows.without_setups(columns)
+    sums = sums_of(design, rows.target_um)
     for _ in range(_LAG_ROUNDS):
-        predicted = design @ solve(sums_of(design, rows.target_um), _RIDGE)
+        predicted = design @ solve(replace(sums, moment=design.T @ rows.target_um), _RIDGE)
         expected = rows.measured_um - rows.target_um + predicted
         moved = np.zeros(lags.size)
         for i, run in enumerate(rows.runs):
