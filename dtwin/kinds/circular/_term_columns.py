@@ -33,15 +33,24 @@ class TermColumns:
         ``library``: with joint angles not taken ahead.
         ``only``: numbers of the wanted terms; all by default.
         """
-        terms = np.hstack([self.part(p, runs) for p in (None, *library.gears, *library.modes)])
-        return terms if only is None else terms[:, np.asarray(only, dtype=int)]
+        parts = [self._kept_of(part, runs) for part in (None, *library.gears, *library.modes)]
+        wanted = slice(None) if only is None else np.asarray(only, dtype=int)
+        rows = [columns.shape[1] for columns in parts[0]]
+        terms = np.empty((sum(rows), len(library.atoms) if only is None else len(only)))
+        for i, end in enumerate(np.cumsum(rows)):
+            terms[end - rows[i] : end] = np.concatenate([part[i] for part in parts])[wanted].T
+        return terms
 
-    def part(self, part: Gear | Mode | None, runs: Sequence[TickRun], *, every: int = 1) -> Floats:
-        """Return the terms of a gear or a mode, or those that are always there, at every so manieth row of runs."""
+    def part(self, part: Gear | None, runs: Sequence[TickRun], *, every: int) -> Floats:
+        """Return the terms of a gear, or those that are always there, at every so manieth row of runs."""
+        return np.concatenate([columns[:, ::every].T for columns in self._kept_of(part, runs)]).astype(float)
+
+    def _kept_of(self, part: Gear | Mode | None, runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
+        """Return a part's terms of each run, (terms, rows) each."""
         with self._lock:
             if (runs[0].meta.run_id, part) not in self._kept:
                 self._make(part)
-        return np.concatenate([self._kept[(run.meta.run_id, part)][:, ::every].T for run in runs]).astype(float)
+        return [self._kept[(run.meta.run_id, part)] for run in runs]
 
     def _make(self, part: Gear | Mode | None) -> None:
         runs = list(self._runs.values())
