@@ -24,7 +24,7 @@ def export(
         typer.Option(
             "--as",
             help="c, st, python, latex, urscript, comp, siemens, siemens-cec, heidenhain, fanuc, fanuc30i, haas, beckhoff, csv, gcode, klipper, "
-            "reprap; of a twin of an arm: urdf, dh, python, matlab.",
+            "reprap; of a twin of an arm: urdf, dh, python, matlab; of a twin of drift: klipper.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],

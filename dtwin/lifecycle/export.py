@@ -37,7 +37,7 @@ __all__ = ["FORMATS", "Export", "Request", "Source", "export", "export_twin", "s
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
 _TABLES = (*ONE_AXIS, "csv", "gcode", *HELD)
 _OF_TWINS = tuple(dict.fromkeys(form for kind in own_kinds() for form in kind.export_forms))
-FORMATS = (*_EQUATIONS, *_TABLES, *(form for form in _OF_TWINS if form not in _EQUATIONS))
+FORMATS = tuple(dict.fromkeys((*_EQUATIONS, *_TABLES, *_OF_TWINS)))
 
 
 def export_twin(home: Home, name: str, form: str, machine: str | None = None) -> Export | None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.lake.store import Lake
+    from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
@@ -35,6 +36,7 @@ class _Drift(Kind):
     stated = ()
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
+    export_forms = ("klipper",)
     always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects follows --name NAME fits a twin of drift",
@@ -125,6 +127,11 @@ class _Drift(Kind):
 
         # The same verbs, for a twin of a log.
         return cast("Twins", DriftTwins(home))
+
+    def export_twin(self, home: Home, name: str, form: str) -> Export:
+        from dtwin.kinds.drift._export import export_twin
+
+        return export_twin(home, name, form)
 
     @property
     def twin_report(self) -> TwinReport:
