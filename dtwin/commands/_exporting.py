@@ -51,11 +51,7 @@ def export(
 
     if form not in FORMATS:
         raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))
-    _require_new(out, force=force)
-    if program is not None and out.exists() and program.exists() and out.samefile(program):
-        raise InputError(
-            "the program would be lost", code="export.exists", where=str(out), allowed="a file beside it", hint="--out"
-        )
+    _require_new(out, program, force=force)
     low_high = numbers(travel, 2, "--travel") if travel is not None else None
     x, y, z = numbers(origin, 3, "--origin")
     request = Request(
@@ -95,8 +91,19 @@ def export(
     emit(payload, text, as_json=as_json)
 
 
-def _require_new(out: Path, *, force: bool) -> None:
-    if out.exists() and not force:
+def _require_new(out: Path, source: Path | None = None, *, force: bool) -> None:
+    """Refuse a file that is there, and, forced or not, the one that is read."""
+    if not out.exists():
+        return
+    if source is not None and source.exists() and out.samefile(source):
+        raise InputError(
+            "the file that is read would be lost",
+            code="export.exists",
+            where=str(out),
+            allowed="a file beside it",
+            hint="--out",
+        )
+    if not force:
         raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
 
 
@@ -163,7 +170,7 @@ def robot_targets(
 
     frame = TargetFrame(plane, np.array(numbers(centre, 3, "--centre")), np.radians(numbers(joints, 6, "--joints")))
     wanted = read_targets(targets)
-    _require_new(out, force=force)
+    _require_new(out, targets, force=force)
     resolved = resolve(model, machine, home(), harmless=False)
     compiled = load_bundle(resolved.path, resolved.machine)
     correction = TargetCorrection(compiled, read_machine(resolved.machine, home()).tcp, frame)

@@ -11,6 +11,7 @@ from typing import Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
+from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import columns_sha256
@@ -58,6 +59,15 @@ def sheet_of(
     # Something that is no table of limits is refused as a limit that is none.
     table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
     own = limits_from(table_of, f"{under.where}.tolerances")
+    of_kinds = [symbol for symbol in own if ":" in symbol]
+    if of_kinds:
+        raise InputError(
+            "a tolerance in a campaign is of that campaign's own tests",
+            code="sheet.tolerance",
+            where=f"{under.where}.tolerances",
+            got=", ".join(of_kinds)[:60],
+            allowed="SYMBOL; KIND:SYMBOL stands in the machine's record",
+        )
     of_machine = kind.limits(limits)
     return judged(kind.sheet(runs, under), {**own, **of_machine}, asked=set(of_machine)).as_dict()
 

@@ -152,6 +152,10 @@ def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Pa
     refused = run(str(given), *options)
     assert isinstance(refused.exception, DtwinError)  # type: ignore[attr-defined]
     assert out.read_text() == before
+    read = given.read_text()
+    lost = run(str(given), *options[:2], f"--out={given}", "--force")
+    assert isinstance(lost.exception, DtwinError)  # type: ignore[attr-defined]
+    assert given.read_text() == read
 
 
 @pytest.mark.parametrize(

@@ -298,6 +298,6 @@ def test_the_tolerance_of_the_machine_goes_before_that_of_the_file(real_recordin
 
 def test_a_tolerance_of_a_campaign_that_is_none_is_refused() -> None:
     runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2) for way in ("CCW", "CW")]
-    for wrong in (3.0, {"H": "much"}):
+    for wrong in (3.0, {"H": "much"}, {"circular:H": 3.0}):
         with pytest.raises(InputError, match="tolerance"):
             sheet_of(kind_named("circular"), Campaign("c", "m", instrument={"tolerances": wrong}), runs, {})
