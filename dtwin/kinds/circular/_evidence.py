@@ -13,6 +13,7 @@ from dtwin.acquire.virtual import EPOCH, run_of
 from dtwin.kinds.circular._circles import run_circle
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan
+from dtwin.processors import processors
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
@@ -30,7 +31,6 @@ def measured_circles(
     seed: int,
     tcp_mm: Floats,
     plan: EvidencePlan = DEFAULT_EVIDENCE,
-    workers: int = 2,
     progress: Progress | None = None,
 ) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual cobot.
@@ -46,7 +46,7 @@ def measured_circles(
     jobs = [(bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats) for condition in plan.conditions]
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(processors()) as pool:
         for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
             plane, radius, feed = plan.conditions[done - 1]
             condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
