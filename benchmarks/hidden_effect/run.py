@@ -21,6 +21,7 @@ import ast
 import gzip
 import hashlib
 import json
+import math
 import re
 import sys
 import time
@@ -43,6 +44,7 @@ SHORT_ROWS = ("null_plain", "single_one", "one_repeat")
 SHORT_CASES = 1
 SHORT_CONTROLS = 1
 WITH_CONTROLS = 20
+_ROUNDING = 1e-6
 Key = tuple[str, int]
 
 
@@ -161,7 +163,10 @@ def _run(wanted: list[Key], given: argparse.Namespace) -> None:
 
 
 def _again(records: list[dict[str, Any]], given: argparse.Namespace) -> int:
-    """Put some cases of each row again; return 1 when an answer is another one now."""
+    """Put some cases of each row again; return 1 when an answer is another one now.
+
+    Processors round differently: numbers that differ by less than a millionth are the same.
+    """
     before = {(r["row"], r["case"]): r for r in records}
     of_row: dict[str, list[Key]] = {}
     for key in sorted(before):
@@ -172,20 +177,32 @@ def _again(records: list[dict[str, Any]], given: argparse.Namespace) -> int:
         for i in sorted({int(i) for i in np.linspace(0, len(keys) - 1, given.again)})
     ]
     put = partial(_marked, wanted, given, float("inf"), with_controls=0)
-    others = 0
+    others, seconds = 0, []
     for n, record in enumerate(put(), start=1):
         old = before[record["row"], record["case"]]
-        changed = {k: (old.get(k), v) for k, v in record.items() if _differs(k, old.get(k), v)}
+        changed = {
+            k: (old.get(k), v)
+            for k, v in record.items()
+            if k not in ("code", "seconds") and not _same(json.loads(json.dumps(v)), old.get(k))
+        }
         others += bool(changed)
+        seconds.append((old["seconds"], record.get("seconds", float("nan"))))
         print(f"{n}/{len(wanted)} {record['row']} {record['case']}", changed or "as before")
     then, now = ({r["code"] for r in records}, {CODE[ROWS[r["row"]].kind] for r in records})
     sums = " are the same with ".join(", ".join(sorted(codes)) for codes in (then, now))
     print(f"{len(wanted) - others} of {len(wanted)} answers of check sum {sums}")
+    print("median time of these cases: {:.2f} s then, {:.2f} s now".format(*np.median(seconds, axis=0)))
     return int(others > 0)
 
 
-def _differs(name: str, old: Any, new: Any) -> bool:
-    return name not in ("code", "seconds") and json.dumps(old) != json.dumps(new)
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=_ROUNDING) or (one != one and other != other)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
+    return bool(one == other)
 
 
 def _marked(
