@@ -11,7 +11,8 @@ from shown_commands import blocks, follow, here, page
 
 pytestmark = pytest.mark.system
 
-STEP_UM, TAU_S, FRAME_UM_K, BED_UM_K = 2.5, 900.0, -30.0, 2.0
+STEP_UM, TAU_S, FRAME_UM_K, BED_UM_K = 2.5, 900.0, 30.0, -2.0
+"""Of the tool: where it has risen, the motor touches lower."""
 
 
 def write_night(folder: Path) -> None:
@@ -28,7 +29,7 @@ def write_night(folder: Path) -> None:
     rows = ["time,sample,mcu_pos_z,frame_t,bed_t"]
     for n, t in enumerate(t_s):
         for again in range(2):
-            steps = round((moved[n] + 1.5 * rng.standard_normal()) / STEP_UM)
+            steps = round((-moved[n] + 1.5 * rng.standard_normal()) / STEP_UM)
             rows.append(f"{t + again},{n},{steps},{frame[n]:.3f},{bed[n]:.3f}")
     folder.mkdir()
     (folder / "night.csv").write_text("\n".join(rows), encoding="utf-8")
@@ -37,6 +38,12 @@ def write_night(folder: Path) -> None:
 def test_the_page_is_followed(tmp_path: Path) -> None:
     write_night(tmp_path / "warm-up")
     said = follow(blocks(page("docs/how-to/drift.md")), tmp_path, here)
+    (klipper,) = [
+        block for block in blocks(page("docs/how-to/export.md")) if "z_thermal_adjust" in "".join(block.lines)
+    ]
+    follow([klipper], tmp_path, here)
+    (coefficient,) = re.findall(r"^temp_coeff: (\S+)$", (tmp_path / "z_thermal_adjust.cfg").read_text("utf-8"), re.M)
+    assert float(coefficient) == pytest.approx(FRAME_UM_K / 1e3, rel=0.01)
     printed = {" ".join(command.split()[1:3]): text for command, text in said}
     assert float(re.findall(r"frame late by ([\d.]+) min", printed["check warm-up"])[-1]) == pytest.approx(
         TAU_S / 60.0, abs=2.0

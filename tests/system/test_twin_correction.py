@@ -150,7 +150,7 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.nc").write_text(PROGRAM, encoding="utf-8")
     text = (ROOT / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
-    block, _of_an_arm = re.findall(r"^```sh\n(.*?)^```", text, re.S | re.M)
+    block, _of_drift, _of_an_arm = re.findall(r"^```sh\n(.*?)^```", text, re.S | re.M)
     forms = set()
     for line in block.strip().splitlines():
         code, output = run([*line.split()[1:], "--json"])

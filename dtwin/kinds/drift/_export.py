@@ -58,7 +58,7 @@ def export_twin(home: Home, name: str, form: str) -> Export:
     left_out = {
         written(
             way.term
-        ): f"Klipper follows one sensor; it moved Z by {way.span_um:.0f} µm, so let it be steady from homing on"
+        ): f"Klipper follows one sensor; it moved Z by {way.span_um:z.0f} µm, so let it be steady from homing on"
         for way in ways[1:]
     }
     return Export(_settings(twin, ways, loaded), {}, left_out, (_NOT_LOADED,), twin.version, twin.machine)
@@ -105,7 +105,7 @@ def _settings(twin: DriftTwin, ways: Sequence[_Way], loaded: Loaded) -> str:
     if kept.term.tau_s:
         minutes = _SETTLED * kept.term.tau_s / 60.0
         said.append(
-            f"Home Z no sooner than {minutes:.0f} min after the firmware started: its smoothing begins at 0 degC."
+            f"Home Z no sooner than {minutes:z.0f} min after the firmware started: its smoothing begins at 0 degC."
         )
-        lines.append(f"smooth_time: {kept.term.tau_s:.1f}")
-    return "\n".join([*(f"# {line}" for line in said), *lines, f"max_z_adjustment: {largest_mm:.4f}"]) + "\n"
+        lines.append(f"smooth_time: {kept.term.tau_s:z.1f}")
+    return "\n".join([*(f"# {line}" for line in said), *lines, f"max_z_adjustment: {largest_mm:z.4f}"]) + "\n"
