@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._model import series_of
+from dtwin.kinds.drift._model import moved_um, series_of
 from dtwin.kinds.drift._training import HELD_OUT
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
@@ -52,6 +52,6 @@ def _left(bundle: Bundle, run: Run) -> tuple[Floats, Floats, Any]:
     asked = CompiledBundle(bundle).run(np.column_stack([told[name] for name in bundle.tick_inputs]))[:, 0]
     sent, outside = as_served(bundle, told, asked)
     first = run.samples["t_s"] == run.samples["t_s"][0]
-    moved = run.samples["displacement_um"]
+    moved = moved_um(run)
     left = moved - sent
     return moved - moved[first].mean(), left - left[first].mean(), outside

@@ -8,6 +8,7 @@ from datetime import timedelta
 import numpy as np
 
 from dtwin.acquire.virtual import EPOCH
+from dtwin.kinds.drift._model import moved_um
 from dtwin.kinds.drift._simulate import AGAIN, AXIS, PROBED_S, column_of, probed
 from dtwin.machines.warm_column import STEP_S, Day, WarmColumn
 from dtwin.progress import Progress
@@ -34,7 +35,7 @@ def drift_errors(runs: Sequence[Run]) -> list[RunError]:
     """
     out = []
     for number, run in enumerate(runs):
-        t_s, moved = run.samples["t_s"], run.samples["displacement_um"]
+        t_s, moved = run.samples["t_s"], moved_um(run)
         since = moved - float(moved[t_s <= t_s[0] + PROBED_S / 2.0].mean())
         middle = t_s[0] + float(np.ptp(t_s)) * (np.arange(_STRETCHES) + 0.5) / _STRETCHES
         order = np.argsort(t_s, kind="stable")

@@ -38,9 +38,8 @@ def export_twin(home: Home, name: str, form: str) -> Export:
 
     Raises ``InputError`` when it does not follow as Klipper does, or is not of Z.
     """
-    twins = DriftTwins(home)
-    twin = twins.newest(name)
-    loaded = twins.loaded(twin.campaign)
+    compared = DriftTwins(home).compare(name)
+    twin, loaded = compared.twin, compared.loaded
     _require_z(home, twin, loaded)
     ways = [
         _Way(t, v, v * loaded.series.column(t)) for t, v in zip(twin.terms, twin.document["per_kelvin"], strict=True)

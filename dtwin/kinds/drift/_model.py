@@ -5,12 +5,14 @@ Unit of replication is the block: a stretch of time, for readings near in time e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from dtwin.errors import InputError
 from dtwin.schema import Floats, Run
 from dtwin.statistics import t_quantile, t_tail
 
@@ -142,12 +144,34 @@ class Shift:
     size_um: float
 
 
+def sense(condition: Mapping[str, Any], where: str) -> float:
+    """Return 1 for displacements of the tool, -1 for positions at which a probe triggers: the tool has moved the other way.
+
+    Raises ``InputError`` when ``reads`` of the condition is neither.
+    """
+    reads = condition.get("reads", "displacement")
+    if reads not in ("displacement", "position"):
+        raise InputError(
+            "what the log reads is not known",
+            code="drift.reads",
+            where=where,
+            got=f"reads = {reads!r}"[:60],
+            allowed='condition = { reads = "displacement" }: of the tool along its axis; "position": of the machine when a probe triggers',
+        )
+    return -1.0 if reads == "position" else 1.0
+
+
+def moved_um(run: Run) -> Floats:
+    """Return the tool's displacement of each reading, (n,)."""
+    return sense(run.meta.condition, run.meta.run_id) * run.samples["displacement_um"]
+
+
 def series_of(run: Run, *, as_read: bool = False) -> Series:
     """Return a run as a series, without the steps of a touched probe unless ``as_read``."""
     temperatures = {n: v for n, v in run.samples.items() if n.startswith("temperature_")}
     sample = run.samples.get("sample_1")
     whole = None if sample is None else np.round(sample).astype(int)
-    series = Series(run.samples["t_s"], run.samples["displacement_um"], temperatures, whole)
+    series = Series(run.samples["t_s"], moved_um(run), temperatures, whole)
     steps = [] if as_read else shifts(series)
     if not steps:
         return series

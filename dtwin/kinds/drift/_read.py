@@ -23,6 +23,7 @@ from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
+from dtwin.kinds.drift._model import sense
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 
@@ -115,14 +116,14 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
             shared[name] = np.where(lost, np.nan, shared[name])
     runs, rejects = [], []
-    sense = _sense(path, stated)
+    sense(stated.get("condition", {}), str(path))
     for name in moved:
         scale, findings = scales[name], list(cold)
         if name == _STEPS:
             step, contradiction = _step_mm(path, text, campaign, stated)
             scale = 1e3 * step
             findings = [*contradiction, *cold]
-        samples = shared | {"displacement_um": _numbers(column[name]) * sense * scale}
+        samples = shared | {"displacement_um": _numbers(column[name]) * scale}
         good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
         if not good.any():
             raise InputError("no row holds finite numbers", code="table.no_rows", where=f"{path} {name}")
@@ -270,20 +271,6 @@ def _lost(temperature_c: Floats) -> NDArray[np.bool_]:
         off = np.abs(read - ndimage.median_filter(read, size=_AROUND, mode="nearest"))
         lost[there] = off > max(_OFF_C, _TIMES_USUAL * usual)
     return lost if lost.mean() < _MOST_LOST else np.zeros_like(lost)
-
-
-def _sense(path: Path, stated: Mapping[str, Any]) -> float:
-    """Return -1 for positions of the machine at which a probe triggers: the tool has moved the other way."""
-    reads = stated.get("condition", {}).get("reads", "displacement")
-    if reads not in ("displacement", "position"):
-        raise InputError(
-            "what the log reads is not known",
-            code="drift.reads",
-            where=str(path),
-            got=f"reads = {reads!r}"[:60],
-            allowed='condition = { reads = "displacement" }: of the tool along its axis; "position": of the machine when a probe triggers',
-        )
-    return -1.0 if reads == "position" else 1.0
 
 
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Series, series_of
+from dtwin.kinds.drift._model import Series, moved_um, series_of
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Variation
@@ -64,7 +64,7 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
 
 def drift_figure(runs: Sequence[Run]) -> go.Figure:
     """Draw the displacement over the time."""
-    curves = {run.meta.run_id: (run.samples["t_s"] / _HOUR_S, run.samples["displacement_um"]) for run in runs}
+    curves = {run.meta.run_id: (run.samples["t_s"] / _HOUR_S, moved_um(run)) for run in runs}
     return error_figure(curves, title="Displacement", x_title="time, h")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dtwin.acquire.amending import amend
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.errors import InputError
@@ -93,6 +94,17 @@ def test_the_tool_stays_where_it_was_whether_the_log_is_of_the_tool_or_of_trigge
     left = np.array([rise[i] + 1e3 * firmware.at(60.0 * int(wait) + 1.0 + i, skin[i]) for i in range(len(seconds))])
     assert np.abs(rise).max() > 200.0
     assert np.abs(left).max() < 3.0
+
+
+def test_what_a_log_reads_is_stated_anew_and_the_sign_follows(tmp_path: Path) -> None:
+    home = twin_of(tmp_path, ["lag@frame"], 'condition = { axis = "Z" }', -1.0)
+    with pytest.raises(InputError, match="what the log reads"):
+        amend(Lake(home.lake), "night", ["condition.reads=trigger"], "a mistake")
+    amend(Lake(home.lake), "night", ["condition.reads=position"], "it was of triggers")
+    DriftTwins(home).fit("night", ["lag@frame"], name="column")
+    made = export_twin(home, "column", "klipper")
+    assert made is not None
+    assert Klipper(made.text).coefficient == pytest.approx(GROWTH_UM_PER_K / 1e3, rel=0.02)
 
 
 def test_of_several_sensors_that_which_moves_most_is_kept_and_the_others_are_named(tmp_path: Path) -> None:
