@@ -15,6 +15,7 @@ from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
+from dtwin.train.side_by_side import side_by_side
 
 TICK_HZ = 500.0
 _ROW_EVERY = 10
@@ -70,7 +71,7 @@ class TickRun:
 def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
-    """Read runs one by one and bring them to the controller's clock.
+    """Read runs, several at a time, and bring them to the controller's clock.
 
     Parameters
     ----------
@@ -78,10 +79,11 @@ def load_ticks(
         Called with (done, total, run id).
     """
     runs = []
-    for done, row in enumerate(rows, start=1):
-        runs.append(_tick_run(lake.load(row), campaign))
-        if progress is not None:
-            progress(done, len(rows), str(row["run_id"]))
+    with side_by_side() as (pool, _):
+        for done, run in enumerate(pool.map(lambda row: _tick_run(lake.load(row), campaign), rows), start=1):
+            runs.append(run)
+            if progress is not None:
+                progress(done, len(rows), run.meta.run_id)
     return runs
 
 

@@ -66,7 +66,7 @@ class Rows:
         setups, of_run = np.unique([run.meta.setup for run in self.runs], return_inverse=True)
         of_row = of_run[self.of_run]
         for setup in range(len(setups)):
-            inside = np.flatnonzero(of_row == setup)
+            inside = _stretch(np.flatnonzero(of_row == setup))
             angle = self.angle_rad[inside]
             basis = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))[0]
             result[inside] -= basis @ (basis.T @ result[inside])
@@ -94,6 +94,13 @@ class Rows:
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
         return float(np.sqrt(np.mean(values[self.scored] ** 2)))
+
+
+def _stretch(numbers: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return ascending numbers of rows as a slice if none is missing between them: it is read without a copy."""
+    if numbers.size and numbers[-1] - numbers[0] + 1 == numbers.size:
+        return slice(int(numbers[0]), int(numbers[-1]) + 1)
+    return numbers
 
 
 def gather(runs: Sequence[TickRun]) -> Rows:
