@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +69,7 @@ class TermColumns:
             return [columns.T for columns in self._of_gear(part, runs)]
         library = Library([], [] if part is None else [part])
         wanted = [f for atom, f in library.atoms.items() if part is None or atom.cause == RINGING]
-        made = library.values([prod(factors[1:], start=factors[0]) for factors in wanted], runs)
+        made = library.values(wanted, runs)
         return [columns.T for columns in made]
 
     def _of_gear(self, gear: Gear, runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
@@ -79,5 +78,5 @@ class TermColumns:
         number = {factors: i for i, factors in enumerate(library.atoms.values())}
         ripple = [factors for atom, factors in library.atoms.items() if atom.cause == RIPPLE]
         always = [number[factors[:-1]] for factors in ripple]
-        waves = library.values([factors[-1] for factors in ripple], runs)
+        waves = library.values([factors[-1:] for factors in ripple], runs)
         return [wave * columns[always].T for wave, columns in zip(waves, self._kept_of(None, runs), strict=True)]
