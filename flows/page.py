@@ -55,7 +55,10 @@ def _flow_steps(home: Home, progress: ProgressOf, say: Say) -> Iterator[Steps]:
         if api is None:
             started = held.enter_context(prefect_alone(home))
             import flows.demo  # noqa: F401
+            from dtwin.train.registry import Registry
 
+            # Makes the tables of an empty home: seconds of another processor than the server's.
+            Registry(home)
             await_healthy(home, started)
             api = started.addresses["prefect_api"]
             until = " until the end, afterwards with: dtwin up"

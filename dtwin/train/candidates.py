@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import GradientBoostingRegressor, RandomForestRegressor
+from sklearn.ensemble import ExtraTreesRegressor, GradientBoostingRegressor
 from sklearn.linear_model import HuberRegressor, RidgeCV
 from sklearn.model_selection import GroupKFold
 from sklearn.neighbors import KNeighborsRegressor
@@ -58,16 +58,17 @@ RECIPES: tuple[Recipe, ...] = (
     Recipe("accelerometers-only", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits), "sensor"),
     Recipe("k-nearest", "neighbours", lambda s, splits: KNeighborsRegressor(5)),
     Recipe("tree", "tree", lambda s, splits: DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=s)),
+    # As good as a random forest here, at a third of its time: thresholds are drawn, not searched for.
     Recipe(
-        "forest",
+        "extra-trees",
         "tree",
-        lambda s, splits: RandomForestRegressor(20, max_depth=14, max_features=0.4, min_samples_leaf=3, random_state=s),
+        lambda s, splits: ExtraTreesRegressor(20, max_depth=14, max_features=0.7, min_samples_leaf=3, random_state=s),
     ),
     Recipe(
         "boosting",
         "tree",
         lambda s, splits: GradientBoostingRegressor(
-            n_estimators=50, max_depth=4, subsample=0.5, max_features=0.4, random_state=s
+            n_estimators=50, max_depth=4, subsample=0.5, max_features=0.2, random_state=s
         ),
     ),
     Recipe(

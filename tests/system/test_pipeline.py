@@ -83,7 +83,7 @@ def test_all_five_steps_have_figures(demo: tuple[Home, dict[str, Any]]) -> None:
         "robust",
         "k-nearest",
         "tree",
-        "forest",
+        "extra-trees",
         "boosting",
         "neural-net",
         "physics-library",
