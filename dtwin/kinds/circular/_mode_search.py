@@ -13,6 +13,8 @@ _FREQUENCIES_HZ = np.arange(4.0, 40.01, 0.25)
 _DAMPING = (0.02, 0.035, 0.06)
 _AFTER_S = 1.5
 _SMALLEST_GAIN = 0.03
+# Fewer rows after starts cannot tell modes; closer frequencies would be one mode found twice.
+_FEWEST_ROWS, _APART_HZ = 200, 1.5
 
 
 def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
@@ -23,23 +25,19 @@ def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
     """
     since_s, directions = _after_start(rows)
     inside = np.flatnonzero((since_s < _AFTER_S) & (since_s > 0.0))
-    since_s, directions, left = since_s[inside], directions[inside], residual_um[inside].copy()
+    left = residual_um[inside].copy()
+    if left.size <= _FEWEST_ROWS:
+        return []
+    ringing = [_Ringing(since_s[inside], directions[inside], damping) for damping in _DAMPING]
     modes: list[Mode] = []
-    while len(modes) < most and left.size > 200:
-        scored = [
-            (_explained(left, since_s, directions, mode)[0], mode)
-            for mode in (
-                Mode(float(f), z)
-                for f in _FREQUENCIES_HZ
-                for z in _DAMPING
-                if all(abs(f - m.frequency_hz) > 1.5 for m in modes)
-            )
-        ]
-        gain, mode = max(scored, key=lambda pair: pair[0])
-        if gain < _SMALLEST_GAIN * float(left @ left):
+    while len(modes) < most:
+        near = [np.abs(_FREQUENCIES_HZ - mode.frequency_hz) <= _APART_HZ for mode in modes]
+        gains = np.where(np.any(near, axis=0), 0.0, [one.taken(left) for one in ringing])
+        which, place = np.unravel_index(int(np.argmax(gains)), gains.shape)
+        if gains[which, place] < _SMALLEST_GAIN * float(left @ left):
             break
-        modes.append(mode)
-        left -= _explained(left, since_s, directions, mode)[1]
+        modes.append(Mode(float(_FREQUENCIES_HZ[place]), _DAMPING[which]))
+        left -= ringing[which].explained(int(place), left)
     return modes
 
 
@@ -71,14 +69,32 @@ def _turned(vector: Floats, q1: Floats) -> Floats:
     return np.column_stack([x * cos + y * sin, y * cos - x * sin, z])
 
 
-def _explained(left: Floats, since_s: Floats, directions: Floats, mode: Mode) -> tuple[float, Floats]:
-    """Return the sum of squares that a mode takes from a residual, and its prediction."""
-    w = 2.0 * np.pi * mode.frequency_hz
-    decay = np.exp(-mode.damping_ratio * w * since_s)
-    waves = [decay * np.cos(w * since_s), decay * np.sin(w * since_s)]
-    terms = np.column_stack([directions * wave[:, None] for wave in waves])
-    gram = terms.T @ terms
-    moment = terms.T @ left
-    ridge = 1e-4 * np.trace(gram) / len(gram) * np.eye(len(gram))
-    weights = np.linalg.solve(gram + ridge, moment)
-    return float(moment @ weights), np.asarray(terms @ weights)
+class _Ringing:
+    """The terms of every frequency at one damping: each pair of directions times a decaying cosine, and a sine.
+
+    ``since_s``, (n,): time since the start.
+    ``directions``, (n, 9): pairs of directions.
+    """
+
+    def __init__(self, since_s: Floats, directions: Floats, damping_ratio: float) -> None:
+        w = 2.0 * np.pi * _FREQUENCIES_HZ[:, None]
+        decay = np.exp(-damping_ratio * w * since_s)
+        waves = np.stack([decay * np.cos(w * since_s), decay * np.sin(w * since_s)], axis=1)
+        pairs = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
+        squares = np.stack([waves[:, i] * waves[:, j] for i, j in ((0, 0), (0, 1), (1, 1))]) @ pairs
+        plain, mixed, both = squares.reshape(3, w.size, 9, 9)
+        gram = np.block([[plain, mixed], [mixed, both]])
+        ridge = 1e-4 * np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
+        self._gram = gram + ridge[:, None, None] * np.eye(gram.shape[1])
+        # Single precision: what is kept is large, and only compared.
+        self._waves, self._directions = waves.astype(np.float32), directions
+
+    def taken(self, left: Floats) -> Floats:
+        """Return the sum of squares that each frequency takes from a residual (n,), shape (frequencies,)."""
+        moment = (self._waves @ (self._directions * left[:, None]).astype(np.float32)).reshape(len(self._gram), -1)
+        return np.einsum("fi,fi->f", moment, np.linalg.solve(self._gram, moment[:, :, None])[:, :, 0])
+
+    def explained(self, place: int, left: Floats) -> Floats:
+        """Return what the terms of one frequency explain of a residual, (n,)."""
+        terms = np.concatenate([self._directions * wave[:, None] for wave in self._waves[place]], axis=1)
+        return np.asarray(terms @ np.linalg.solve(self._gram[place], terms.T @ left))
