@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
 
+_BLOCK = 2048
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -66,10 +68,14 @@ class Rows:
         setups, of_run = np.unique([run.meta.setup for run in self.runs], return_inverse=True)
         of_row = of_run[self.of_run]
         for setup in range(len(setups)):
-            inside = _stretch(np.flatnonzero(of_row == setup))
+            inside = np.flatnonzero(of_row == setup)
             angle = self.angle_rad[inside]
             basis = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))[0]
-            result[inside] -= basis @ (basis.T @ result[inside])
+            shares = basis.T @ result[_stretch(inside)]
+            # By blocks: a product as large as the columns would be new memory for every set-up.
+            for at in range(0, inside.size, _BLOCK):
+                block = slice(at, at + _BLOCK)
+                result[_stretch(inside[block])] -= basis[block] @ shares
         return result
 
     def folds(self, group: str) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:

@@ -78,7 +78,7 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
     library = _search(thinned(rows, _SEARCH_EVERY), columns, progress)
     terms = columns.of(library, rows.runs)
     design = rows.without_setups(terms)
-    absorbed = terms - design
+    absorbed = np.subtract(terms, design, out=terms)
     rows, shift_s = _realigned(rows, design)
     cells = _cell_sums(rows, design, absorbed)
     chosen, front = _front(library, cells)
