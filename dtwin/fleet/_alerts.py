@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime, timedelta
@@ -15,6 +16,8 @@ from dtwin.fleet._channels import Channel
 from dtwin.locks import locked
 
 SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
+# What happens on one night and is not found again on the next.
+_PASSING = ("failed", "withdrawn")
 _MOST_DAYS = 3653
 
 
@@ -30,20 +33,34 @@ class Alert:
         The machine, campaign or file.
     text : str
         What it is, one line.
+    since : str
+        Day on which it began, where it may begin anew before it is over.
     """
 
     sort: str
     about: str
     text: str
+    since: str = ""
+
+    def __post_init__(self) -> None:
+        # A line end, or bytes of a file's name that are no text, would stop the whole message.
+        for name in ("about", "text"):
+            shown = "".join(c if c.isprintable() else "\ufffd" for c in getattr(self, name))
+            object.__setattr__(self, name, shown)
 
     @property
     def key(self) -> str:
-        """What it is silenced by, and told once by."""
+        """What it is silenced by."""
         return f"{self.sort}:{self.about}"
+
+    @property
+    def once(self) -> str:
+        """What it is told once by."""
+        return f"{self.key} {self.since}".rstrip()
 
     def as_dict(self) -> dict[str, str]:
         """Return a JSON-ready mapping."""
-        return asdict(self) | {"key": self.key}
+        return {"sort": self.sort, "about": self.about, "text": self.text, "key": self.key}
 
 
 @dataclass(frozen=True)
@@ -73,24 +90,28 @@ def tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], today
 def _tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], day: date) -> Told:
     state = _state(home)
     silent = {key for key, until in state["silent"].items() if until > day.isoformat()}
-    open_now = {alert.key: alert for alert in alerts}
+    open_now = {alert.once for alert in alerts}
     told: dict[str, list[str]] = {}
+    unsent: dict[str, list[dict[str, str]]] = {}
     sent, failed = {}, {}
     for channel in channels:
-        known = [key for key in state["told"].get(channel.name, []) if key in open_now]
-        new = [alert for key, alert in open_now.items() if key not in known and key not in silent]
+        known = {once for once in state["told"].get(channel.name, []) if once in open_now}
+        owed = [Alert(**said) for said in state["unsent"].get(channel.name, [])]
+        every = [*alerts, *(alert for alert in owed if alert.once not in open_now)]
+        new = [alert for alert in every if alert.once not in known and alert.key not in silent]
         if new:
             try:
                 channel.send(_title(new), _lines(new), [alert.as_dict() for alert in sorted_alerts(new)])
                 sent[channel.name] = len(new)
-                known += [alert.key for alert in new]
+                known |= {alert.once for alert in new}
             except Exception as error:  # Whatever a library of a channel raises: the others are told.
                 failed[channel.name] = f"{type(error).__name__}: {error}"[:300]
-        told[channel.name] = known
-    state["told"] = told
+                unsent[channel.name] = [asdict(alert) for alert in new if alert.sort in _PASSING]
+        told[channel.name] = sorted(known)
+    state |= {"told": told, "unsent": unsent}
     state["silent"] = {key: until for key, until in state["silent"].items() if until > day.isoformat()}
     write_document(_path(home), state, "the state of alerts")
-    return Told(sent, failed, tuple(sorted(silent & set(open_now))))
+    return Told(sent, failed, tuple(sorted(silent & {alert.key for alert in alerts})))
 
 
 def silence(home: Home, key: str, days: float, today: date | None = None) -> str:
@@ -112,7 +133,7 @@ def silence(home: Home, key: str, days: float, today: date | None = None) -> str
         )
     if not 0 <= days <= _MOST_DAYS:
         raise InputError("not a number of days", code="alert.days", got=f"{days:g}", allowed=f"0 to {_MOST_DAYS}")
-    until = ((today or datetime.now(UTC).date()) + timedelta(days=days)).isoformat()
+    until = ((today or datetime.now(UTC).date()) + timedelta(days=math.ceil(days))).isoformat()
     with locked(_path(home).with_suffix(".lock"), wait=True):
         _silence(home, key, until if days else "")
     return until
@@ -147,4 +168,4 @@ def _path(home: Home) -> Path:
 def _state(home: Home) -> dict[str, Any]:
     path = _path(home)
     alerts = read_document(path, "remove the file: every open alert is told once more") if path.exists() else {}
-    return {"told": dict(alerts.get("told", {})), "silent": dict(alerts.get("silent", {}))}
+    return {name: dict(alerts.get(name, {})) for name in ("told", "unsent", "silent")}

@@ -93,7 +93,7 @@ def nightly(
     night = Night(done(DIAGNOSE), done(recheck_job(_DAYS)), arrived)
     looked_at = None if progress is None else partial(progress, "history")
     day = today or datetime.now(UTC).date()
-    night.alerts = sorted_alerts([*_of_work(night), *_of_machines(home, machines, day, looked_at)])
+    night.alerts = sorted_alerts([*_of_work(night, folder), *_of_machines(home, machines, day, looked_at)])
     night.told = tell(home, night.alerts, channels, today)
     return night
 
@@ -111,11 +111,13 @@ def _taken_in(home: Home, folder: Path, settle_s: float) -> list[WatchEvent]:
     return arrived
 
 
-def _of_work(night: Night) -> Iterator[Alert]:
+def _of_work(night: Night, folder: Path | None) -> Iterator[Alert]:
     """Yield what failed tonight."""
     for event in night.arrived:
         if event.outcome not in ("ingested", "unchanged"):
-            yield Alert("failed", Path(event.path).name, f"{event.outcome}: {event.message.splitlines()[0]}")
+            # Folders of several machines may hold files of one name.
+            name = Path(event.path).relative_to(folder) if folder and event.path != str(folder) else event.path
+            yield Alert("failed", str(name), f"{event.outcome}: {event.message.splitlines()[0]}")
     for run in (night.diagnosed, night.rechecked):
         for name, error in run.failed.items():
             yield Alert("failed", name, f"{run.job}: {error['message']}")
@@ -141,13 +143,14 @@ def _of_machines(home: Home, machines: Collection[str], today: date, progress: P
         if due and due["on"] < today.isoformat():
             yield Alert("overdue", name, f"a test was due on {due['on']}: {due['why']}")
         for one in history["series"]:
-            if one["state"] == "changed":
-                yield Alert("changed", f"{name} {one['name']}", one["changes"][-1]["text"])
-            elif one["crossing"] is not None:
+            if one["crossing"] is not None:
                 limit = one["crossing"]["limit"]
                 yield Alert(
                     "limit", f"{name} {one['name']}", f"reaches {limit:g} from {one['crossing']['earliest']} on"
                 )
+            elif one["state"] in ("changed", "trend"):
+                newest = one["changes"][0]
+                yield Alert("changed", f"{name} {one['name']}", newest["text"], newest["seen"])
         champion = registry.champion(name) if name in modelled else None
         for tag, said in ({} if champion is None else champion.tags).items():
             if tag.startswith(_DRIFT) and said.startswith("DRIFT: "):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -133,6 +134,64 @@ def test_a_channel_that_cannot_be_reached_is_told_the_next_time(
     assert got[-1]["title"] == "dtwin: 1 to look at: mill-1"
 
 
+def test_what_happened_once_is_owed_to_a_channel_that_could_not_be_reached(
+    hook: tuple[list[dict[str, Any]], int],
+) -> None:
+    got, port = hook
+    url = f'[webhook]\nurl = "http://127.0.0.1:{port}/%s"\n'
+    where = state(url % "broken")
+    gone = Alert("withdrawn", "mill-2", "the champion was withdrawn")
+    assert tell(where, [LATE, gone], channels_of(where), DAY).failed
+    # The next night nothing is withdrawn, and the test was made.
+    state(url % "alerts")
+    assert tell(where, [], channels_of(where), DAY).sent == {"webhook": 1}
+    assert [alert["key"] for alert in got[-1]["alerts"]] == ["withdrawn:mill-2"]
+    assert tell(where, [], channels_of(where), DAY).sent == {}
+
+
+def test_alerts_of_one_name_are_all_told_and_a_second_change_anew(hook: tuple[list[dict[str, Any]], int]) -> None:
+    got, port = hook
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{port}/alerts"\n')
+    twice = [Alert("failed", "c07", "diagnose: damaged"), Alert("failed", "c07", "recheck: no machine")]
+    assert tell(where, twice, channels_of(where), DAY).sent == {"webhook": 2}
+    assert [alert["text"] for alert in got[-1]["alerts"]] == ["diagnose: damaged", "recheck: no machine"]
+    march, june = (Alert("changed", "mill-1 G(b)", "it changed", day) for day in ("2026-03-01", "2026-06-01"))
+    for one, sent in ((march, 1), (march, 0), (june, 1)):
+        assert sum(tell(where, [one], channels_of(where), DAY).sent.values()) == sent
+
+
+def test_a_file_whose_name_is_no_text_holds_no_message_up(inbox: tuple[Inbox, int]) -> None:
+    kept, port = inbox
+    where = state(f'[email]\nsmtp = "127.0.0.1:{port}"\nsender = "a@b.example"\nto = ["c@d.example"]\n')
+    bad = [Alert("failed", os.fsdecode(b"pr\xfcfung.b5r"), "no"), Alert("failed", "a\nBcc: x@y.example", "no")]
+    assert tell(where, [*bad, LATE], channels_of(where), DAY).sent == {"email": 3}
+    assert kept.mails[0].rcpt_tos == ["c@d.example"]
+    assert b"\nBcc" not in kept.mails[0].content
+
+
+def test_half_a_day_of_silence_is_a_day() -> None:
+    assert silence(home(), LATE.key, 0.5, DAY) == "2026-11-25"
+    assert tell(home(), [LATE], [], DAY).silenced == (LATE.key,)
+
+
+def test_a_night_tells_the_newest_change_of_a_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(home(), 1)
+    june = {"text": "G(b) changed by +2 µm in June", "seen": "2026-06-01"}
+    march = {"text": "G(b) changed by +1 µm in March", "seen": "2026-03-01"}
+    series = [
+        {"name": "G(b)", "state": "changed", "crossing": None, "changes": [june, march]},
+        {"name": "H", "state": "trend", "crossing": None, "changes": [march]},
+    ]
+    monkeypatch.setattr(
+        "dtwin.fleet._nightly.machine_history", lambda *_: {"next_test": None, "series": series, "champion": None}
+    )
+    night = nightly(home(), workers=1, today=DAY)
+    assert [(alert.about, alert.text) for alert in night.alerts] == [
+        ("mill-0 G(b)", june["text"]),
+        ("mill-0 H", march["text"]),
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "got"),
     [
@@ -190,14 +249,17 @@ def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
     keep_record(where, "mill-0", {"test_every_days": 30.0})
     keep_record(where, "mill-1", {"test_every_days": 3000.0})
     arriving = tmp_path / "arriving"
-    arriving.mkdir()
-    (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")
+    (arriving / "mill-0").mkdir(parents=True)
+    (arriving / "mill-0" / "spoilt.b5r").write_text("<no>", encoding="utf-8")
     night = nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
     assert sorted(night.diagnosed.done) == ["c00", "c01", "c02", "c03"]
-    assert [(alert.sort, alert.about) for alert in night.alerts] == [("failed", "spoilt.b5r"), ("overdue", "mill-0")]
+    assert [(alert.sort, alert.about) for alert in night.alerts] == [
+        ("failed", "mill-0/spoilt.b5r"),
+        ("overdue", "mill-0"),
+    ]
     assert "due on 2026-04-02" in night.alerts[1].text
     (told,) = hook[0]
-    assert [alert["key"] for alert in told["alerts"]] == ["failed:spoilt.b5r", "overdue:mill-0"]
+    assert [alert["key"] for alert in told["alerts"]] == ["failed:mill-0/spoilt.b5r", "overdue:mill-0"]
     # The next night: nothing new, nothing told again; the spoilt file is looked at again when it changes.
     again = nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
     assert not again.diagnosed.done
