@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import getpass
 import hashlib
 import hmac
 import json
+import os
+import pwd
 import secrets
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -66,9 +68,10 @@ def acting() -> str:
     if name := _acting.get():
         return name
     try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
+        # Not of the environment: whoever set it could be the second person of his own promotion.
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return f"user {os.getuid()}"
 
 
 def act_as(name: str) -> None:
@@ -121,9 +124,9 @@ def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
             "the roles are not usable", code="people.role", got=", ".join(unknown) or "none", allowed=", ".join(ROLES)
         )
     token = secrets.token_urlsafe(24)
-    known = read_people(home)
     person = Person(name, tuple(r for r in ROLES if r in roles), hashlib.sha256(token.encode()).hexdigest())
-    _write(home, People((*(p for p in known.people if p.name != name), person), known.second_person))
+    with _changing(home) as known:
+        _write(home, People((*(p for p in known.people if p.name != name), person), known.second_person))
     note(home, f"a token for {name}: {', '.join(person.roles)}", "", "done")
     return token
 
@@ -136,17 +139,19 @@ def remove_person(home: Home, name: str) -> None:
     InputError
         When nobody has the name.
     """
-    known = read_people(home)
-    if name not in [p.name for p in known.people]:
-        names = ", ".join(p.name for p in known.people)
-        raise InputError("nobody has this name", code="people.unknown", got=name[:80], allowed=names or "nobody yet")
-    _write(home, People(tuple(p for p in known.people if p.name != name), known.second_person))
+    with _changing(home) as known:
+        others = tuple(p for p in known.people if p.name != name)
+        if others == known.people:
+            names = ", ".join(p.name for p in others) or "nobody yet"
+            raise InputError("nobody has this name", code="people.unknown", got=name[:80], allowed=names)
+        _write(home, People(others, known.second_person))
     note(home, f"no token for {name} any more", "", "done")
 
 
 def require_second_person(home: Home, wanted: bool) -> None:
     """State whether a champion needs two people."""
-    _write(home, People(read_people(home).people, wanted))
+    with _changing(home) as known:
+        _write(home, People(known.people, wanted))
     note(home, f"a champion needs {'two people' if wanted else 'one person'}", "", "done")
 
 
@@ -227,6 +232,13 @@ def _person(name: str, about: Mapping[str, Any]) -> Person:
     if set(about) != {"roles", "token_sha256"} or not set(roles) <= set(ROLES) or len(bytes.fromhex(digest)) != 32:
         raise ValueError(f"people.{name}: roles and token_sha256")
     return Person(require_name(name, "the person"), tuple(roles), str(digest))
+
+
+@contextmanager
+def _changing(home: Home) -> Iterator[People]:
+    """Hold the list, so that what two state at one moment is kept of both."""
+    with locked(home.made().root / "locks" / "people.lock", wait=True):
+        yield read_people(home)
 
 
 def _write(home: Home, people: People) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -132,6 +133,25 @@ def test_a_champion_may_need_two_people(monkeypatch: pytest.MonkeyPatch) -> None
     stated, *promoted = audit(state)
     assert stated["what"] == "a champion needs two people"
     assert [line["who"] for line in promoted] == ["lena", "max"]
+
+
+def test_people_who_are_stated_at_one_moment_are_all_kept() -> None:
+    state = home()
+    names = [f"p{number}" for number in range(8)]
+    with ThreadPoolExecutor(9) as pool:
+        made = [pool.submit(add_person, state, name, ["look"]) for name in names]
+        made.append(pool.submit(require_second_person, state, True))
+    assert all(one.exception() is None for one in made)
+    known = read_people(state)
+    assert sorted(person.name for person in known.people) == names
+    assert known.second_person
+
+
+def test_the_environment_does_not_say_who_acts(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = acting()
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.setenv(name, "somebody-else")
+    assert acting() == before != "somebody-else"
 
 
 def test_the_commands_make_list_and_take_away() -> None:
