@@ -16,6 +16,8 @@ _TELEMETRY_OFF = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
 }
+# Of what commands keep in a home, one is always among the first.
+_OURS = ("lake", "locks", "machines", "twins", "mlflow", "fleet", "home.toml")
 # Matrices are small: threads of BLAS cost more than they give, and ten times that beside other work.
 _THREADS = {"OMP_WAIT_POLICY": "passive", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -80,10 +82,14 @@ class Home:
             When it can neither be made nor is there.
         """
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        return self.tightened()
+        return self._closed()
 
     def tightened(self) -> Home:
-        """Take the folder from other users when it is there, and return the home."""
+        """Take the folder from other users when state of dtwin lies in it, and return the home."""
+        # Another folder that was named by mistake, or a file, is none of ours.
+        return self._closed() if any((self.root / name).exists() for name in _OURS) else self
+
+    def _closed(self) -> Home:
         with contextlib.suppress(OSError):
             if self.root.stat().st_mode & 0o077:
                 self.root.chmod(0o700)

@@ -66,10 +66,11 @@ _RUN_COLUMNS = (
 class OpenHome:
     """A home and the verbs on what it holds; :func:`open_home` makes one."""
 
-    def __init__(self, home: Home, effects: Iterable[str | Path] = ()) -> None:
+    def __init__(self, home: Home, effects: str | Path | Iterable[str | Path] = ()) -> None:
         self.home = home
         self._lake = Lake(home.lake)
-        self._library = Library([Path(path) for path in effects])
+        paths = [effects] if isinstance(effects, str | Path) else effects
+        self._library = Library([Path(path) for path in paths])
 
     def __repr__(self) -> str:
         campaigns = self._lake.campaigns()
@@ -101,6 +102,7 @@ class OpenHome:
             When there is no such machine, or it has no such option.
         """
         virtual = machine_named(machine)
+        _require_seed(seed)
         options = virtual.chosen({"hidden": hidden, "truth": truth, "schedule": schedule})
         virtual.simulate(Request(Path(out), seed, quick, None, options), _silent)
         return Path(out)
@@ -141,6 +143,9 @@ class OpenHome:
     def runs(self, campaign: str | None = None) -> pd.DataFrame:
         """Return one row for each run, with its conditions and covariates as columns.
 
+        A covariate that has the name of another column, such as a measured ``feed_mm_min``, is
+        ``covariate_feed_mm_min``.
+
         Parameters
         ----------
         campaign : str, optional
@@ -154,12 +159,11 @@ class OpenHome:
         rows = self._lake.runs(campaign, left_out=True)
         if campaign is not None and not rows:
             self._lake.campaign(campaign)
-        kept = [
-            {name: row[name] for name in _RUN_COLUMNS}
-            | json.loads(row["condition_json"])
-            | json.loads(row["covariates_json"])
-            for row in rows
-        ]
+        kept = []
+        for row in rows:
+            told = {name: row[name] for name in _RUN_COLUMNS} | json.loads(row["condition_json"])
+            measured = json.loads(row["covariates_json"])
+            kept.append(told | {f"covariate_{n}" if n in told else n: value for n, value in measured.items()})
         return pd.DataFrame(kept) if kept else pd.DataFrame(columns=list(_RUN_COLUMNS))
 
     def samples(self, campaign: str, run: str) -> pd.DataFrame:
@@ -241,6 +245,7 @@ class OpenHome:
 
     def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Name the effect that a twin lacks, or say why it cannot be named."""
+        _require_seed(seed)
         return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
 
     def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
@@ -255,6 +260,7 @@ class OpenHome:
 
     def discover(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Add all that these runs can tell, one version each; return the last diagnosis."""
+        _require_seed(seed)
         twins = self._twins(name)
         _, _, said = twins.discover(name, seed=seed)
         return of_diagnosis(twins.newest(name), said)
@@ -318,20 +324,25 @@ class OpenHome:
         return pure_rms_um(obs, localise.residual_um(obs, []))
 
 
-def open_home(folder: str | Path | None = None, effects: Iterable[str | Path] = ()) -> OpenHome:
+def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[str | Path] = ()) -> OpenHome:
     """Open the folder that holds all state; it is made with the first thing that is kept.
 
     Parameters
     ----------
     folder : path, optional
         ``DTWIN_HOME``, by default ``.dtwin`` in the current folder, without.
-    effects : sequence of paths
+    effects : path or sequence of paths
         Your own effect files, or folders of them. Their code is run.
     """
     quiet_environment()
     root = home() if folder is None else Home(Path(folder).expanduser().absolute())
     follow_shared(root)
     return OpenHome(root.tightened(), effects)
+
+
+def _require_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError("not a seed", code="notebook.seed", got=str(seed), allowed="a whole number from 0")
 
 
 def _silent(done: int, total: int, what: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -52,9 +53,10 @@ class Result:
             )
         return drawn[number]
 
-    def _frame(self, name: str) -> pd.DataFrame:
-        """Return rows of the document; columns that hold records are left out."""
-        frame = pd.DataFrame(list(self.document[name]))
+    def _frame(self, name: str, *columns: str) -> pd.DataFrame:
+        """Return rows of the document, with ``columns`` even without any; columns that hold records are left out."""
+        rows = list(self.document.get(name, ()))
+        frame = pd.DataFrame(rows, columns=None if rows else list(columns))
         return frame[[column for column in frame if not frame[column].map(_holds_records).any()]]
 
 
@@ -84,12 +86,12 @@ class TwinResult(Result):
     @property
     def noise_floor_um(self) -> float:
         """What repeats of one condition disagree by; NaN without repeats."""
-        return float(self.document["figures"]["noise_floor_um"])
+        return _number(self.document["figures"]["noise_floor_um"])
 
     @property
     def parameters(self) -> pd.DataFrame:
         """One row for each: effect, axis, name, value, uncertainty (k = 2), unit."""
-        return self._frame("parameters")
+        return self._frame("parameters", "effect", "axis", "name", "value", "uncertainty", "unit")
 
 
 class ComparisonResult(Result):
@@ -103,17 +105,17 @@ class ComparisonResult(Result):
     @property
     def noise_floor_um(self) -> float:
         """What repeats of one condition disagree by; NaN without repeats."""
-        return float(self.document["noise_floor_um"])
+        return _number(self.document["noise_floor_um"])
 
     @property
     def conditions(self) -> pd.DataFrame:
-        """RMS of every condition before and after."""
-        return self._frame("conditions")
+        """RMS of every condition before and after; no row for a log of drift."""
+        return self._frame("conditions", "rms_before_um", "rms_after_um")
 
     @property
     def where(self) -> pd.DataFrame:
         """Where the residual is largest."""
-        return self._frame("where")
+        return self._frame("where", "residual_rms_um")
 
 
 class DiagnosisResult(Result):
@@ -132,7 +134,7 @@ class DiagnosisResult(Result):
     @property
     def candidates(self) -> pd.DataFrame:
         """Effects that were considered, best first; ``in_group`` marks those that are reported."""
-        return self._frame("candidates")
+        return self._frame("candidates", "effect", "axis", "rms_after_um", "cv_gain", "p_value", "grade", "in_group")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -194,6 +196,10 @@ def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
 
 def _figures(sections: Sequence[Any]) -> Sequence[go.Figure]:
     return [figure for section in sections for figure in section.figures]
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _holds_records(value: object) -> bool:

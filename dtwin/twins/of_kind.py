@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
+from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
@@ -39,6 +40,10 @@ def twins_for(
     InputError
         When there is no such campaign, or several cannot have one twin.
     """
+    if not campaigns:
+        raise InputError(
+            "a twin needs a campaign", code="twin.campaigns", got="none", allowed="one, or several of one machine"
+        )
     names = [in_lake(home, campaign) for campaign in campaigns]
     known = [Lake(home.lake).campaign(name) for name in names]
     if len(known) > 1:

@@ -127,17 +127,24 @@ class TwinShelf:
             )
         return folder
 
-    def next_version(self, name: str) -> int:
+    def next_version(self, name: str, machine: str) -> int:
         """Return the number of the version to come.
 
         Raises
         ------
         InputError
-            When the twin is of another kind.
+            When the twin is of another kind or machine.
         """
         numbers = self._numbers(name)
-        if numbers:
-            self.newest_document(name)
+        its = self.newest_document(name)[0]["machine"] if numbers else machine
+        if its != machine:
+            raise InputError(
+                "a twin of this name is of another machine",
+                code="twin.machine",
+                where=f"twin {name}, machine {its}",
+                got=f"measurements of machine {machine}",
+                hint="another name",
+            )
         return max(numbers, default=0) + 1
 
     def store(self, document: Mapping[str, Any]) -> None:

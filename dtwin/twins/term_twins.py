@@ -156,8 +156,13 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         return diagnosis
 
     def _store(self, name: str, loaded: L, terms: Sequence[T], action: str) -> W:
-        head = {"format": self.form, "kind": self.named, "twin": name, "version": self.next_version(name)}
         of = {key: getattr(loaded, key) for key in ("machine", "campaign", "data")}
+        head = {
+            "format": self.form,
+            "kind": self.named,
+            "twin": name,
+            "version": self.next_version(name, of["machine"]),
+        }
         document = {**head, **of, "action": action, **self.fitted(loaded, terms)}
         self.store(document)
         return self.stored(document)

@@ -275,7 +275,7 @@ class Twins(TwinShelf):
     def _store(
         self, name: str, loaded: Sequence[Loaded], terms: Sequence[Term], action: str, *, robust: bool = False
     ) -> Twin:
-        version = self.next_version(name)
+        version = self.next_version(name, loaded[0].obs.campaign.machine)
         if len(loaded) > 1:
             twin: Twin = fitted_together(
                 loaded, terms, self.library, name=name, version=version, action=action, robust=robust

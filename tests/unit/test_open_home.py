@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +99,8 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
         "notebook.figure": (lambda: home.plot("rounds", "a", "histogram"), "polar, angle, time, spectrum"),
         "simulate.option": (lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--plan, --hidden"),
         "twin.unknown": (lambda: home.compare("nobody"), "none yet"),
+        "twin.campaigns": (lambda: home.fit([], ["backlash"], "t"), "one, or several of one machine"),
+        "notebook.seed": (lambda: home.simulate("mill", tmp_path / "m", seed=-1), "a whole number from 0"),
     }
     for code, (verb, allowed) in refusals.items():
         with pytest.raises(dtwin.InputError) as refused:
@@ -112,3 +116,49 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
         home.plot("parts", "p1")
     with pytest.raises(NotOffered):
         home.fit("parts", ["backlash"], name="p")
+
+
+def test_a_home_that_is_another_folder_or_a_file_is_left_as_it_is(tmp_path: Path) -> None:
+    folder, file = tmp_path / "share", tmp_path / "file"
+    folder.mkdir(mode=0o755)
+    (folder / "theirs.txt").write_text("")
+    file.write_text("")
+    file.chmod(0o644)
+    for path, mode in ((folder, 0o755), (file, 0o644)):
+        assert dtwin.open_home(path).runs().empty
+        assert path.stat().st_mode & 0o777 == mode
+    (folder / "lake").mkdir()
+    dtwin.open_home(folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_covariate_named_like_a_condition_does_not_take_its_place(tmp_path: Path) -> None:
+    opened = dtwin.open_home(tmp_path / "new")
+    run = circle("a")
+    run = dataclasses.replace(run, meta=dataclasses.replace(run.meta, covariates={"feed_mm_min": 1.0}))
+    Lake(opened.home.lake).commit(Campaign("rounds", "cell-3"), [run])
+    runs = opened.runs()
+    assert (runs.feed_mm_min[0], runs.covariate_feed_mm_min[0]) == (18850.0, 1.0)
+
+
+def test_results_without_rows_or_figures_have_their_columns(tmp_path: Path) -> None:
+    opened = dtwin.open_home(tmp_path / "new")
+    lake = Lake(opened.home.lake)
+    lake.commit(Campaign("rounds", "cell-3"), [circle("a")])
+    bare = opened.fit("rounds", [], "bare")
+    assert {"effect", "axis", "name", "value", "uncertainty", "unit"} <= set(bare.parameters)
+    assert math.isnan(bare.noise_floor_um)
+    nothing = dtwin.DiagnosisResult({"candidates": []}, "", list).candidates
+    assert nothing.query("in_group").effect.tolist() == []
+    # A log has no conditions.
+    t_s = np.arange(0.0, 14400.0, 60.0)
+    air = 20.0 + np.sin(t_s / 3000.0)
+    log = Run(
+        RunMeta("log", kind="drift", condition={"axis": "Z"}), {"t_s": t_s, "air_c": air, "displacement_um": 3 * air}
+    )
+    lake.commit(Campaign("drifts", "cell-3", kind="drift"), [log])
+    opened.fit("drifts", [], "log")
+    assert opened.compare("log").conditions.empty
+    lake.commit(Campaign("others", "cell-4"), [circle("a")])
+    with pytest.raises(dtwin.InputError, match="another machine"):
+        opened.fit("others", [], "bare")

@@ -129,11 +129,11 @@ def test_versions_of_several_twins_arrive_in_order_and_once(shelf: TwinShelf) ->
 def test_the_thousandth_version_is_the_newest_and_comes_last(shelf: TwinShelf) -> None:
     for number in (998, 999):
         shelf.store(version("a", number))
-    assert shelf.next_version("a") == 1000
+    assert shelf.next_version("a", "m") == 1000
     shelf.store(version("a", 1000))
     assert shelf.newest_document("a")[0]["version"] == 1000
     assert shelf.newest_document("a", 1000)[0]["action"] == "step 1000"
-    assert shelf.next_version("a") == 1001
+    assert shelf.next_version("a", "m") == 1001
     assert [rung["version"] for rung in shelf.history("a")] == [998, 999, 1000]
     assert labels(shelf.home) == ["a v998", "a v999", "a v1000"]
     log_waiting(shelf.home)

@@ -235,7 +235,7 @@ class HeatTwins(TwinShelf):
         return diagnosis
 
     def _store(self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str) -> HeatTwin:
-        version = self.next_version(name)
+        version = self.next_version(name, loaded.series.machine)
         fitted = fit_heat(loaded.series, terms)
         twin = heat_twin_of(fitted, loaded.series, terms, name=name, version=version, action=action, data=loaded.data)
         self.store(twin.as_dict())
