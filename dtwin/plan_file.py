@@ -40,7 +40,7 @@ def read_plan_file(path: Path) -> dict[str, Any]:
         if not path.is_file() or path.stat().st_size > _MAX_BYTES:
             said = "more than a plan holds" if path.is_file() else "no such file"
             raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=said)
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=error.strerror) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_from, entry_from
 from dtwin.errors import InputError
@@ -51,7 +53,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
     if kind_named(kind).goes_round and "direction" not in run and kind_named(kind).reader_of(path) is None:
         angle = read_columns(path, kind)[0]["angle_deg"]
-        run["direction"] = "CCW" if angle[-1] > angle[0] else "CW"
+        # Of most steps, not of the ends: an angle that wraps ends where it began.
+        run["direction"] = "CW" if angle.size > 1 and np.median(np.diff(angle)) < 0.0 else "CCW"
     if told.get("axis") is not None:
         run["condition"] = {"axis": told["axis"]}
     name = told.get("campaign") or safe_name(path.stem)

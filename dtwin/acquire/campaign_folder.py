@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -133,7 +133,7 @@ def open_campaign(folder: Path) -> CampaignFolder:
             "your own: docs/how-to/ingest-your-own.md",
         )
     try:
-        document = tomllib.loads(read_bounded(path, MAX_TOML_BYTES).decode("utf-8"))
+        document = tomllib.loads(read_bounded(path, MAX_TOML_BYTES).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             "campaign.toml is not readable", code="campaign.toml", where=str(path), got=str(error)
@@ -157,6 +157,16 @@ def open_campaign(folder: Path) -> CampaignFolder:
 
 def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
     """Return the campaign that a table ``[campaign]`` states."""
+    known = {field.name for field in fields(Campaign)}
+    unknown = sorted(set(head) - known)
+    if unknown:
+        raise InputError(
+            "unknown setting of a campaign",
+            code="campaign.setting",
+            where=str(path),
+            got=", ".join(unknown)[:120],
+            allowed=", ".join(sorted(known)),
+        )
     kind = head.get("kind", DEFAULT_KIND)
     if kind not in kind_names():
         raise InputError(

@@ -36,7 +36,7 @@ def read_streams_file(path: Path) -> list[Instrument]:
     from dtwin.acquire.instruments import instrument
 
     try:
-        document = tomllib.loads(read_bounded(path, _MAX_BYTES).decode("utf-8"))
+        document = tomllib.loads(read_bounded(path, _MAX_BYTES).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             "the stream file is not readable", code="stream.file", where=str(path), got=str(error)[:200]

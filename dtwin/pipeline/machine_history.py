@@ -113,7 +113,11 @@ def _history(
     for done, (name, mine) in enumerate(ordered, start=1):
         kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
         offered = kind_named(kind).offers("sheet")
-        sheet = sheet_of_campaign(home, name, machine, stamp, variation) if offered else None
+        try:
+            sheet = sheet_of_campaign(home, name, machine, stamp, variation) if offered else None
+        except InputError:
+            # One test that states what cannot be used must not hide the others; its own page tells why.
+            sheet = None
         tests.append({"campaign": name, "kind": kind, "started": started, **_headline(sheet)})
         if started:
             point = Point(name, started, 0.0, 0.0, _instrument(mine))
@@ -146,7 +150,10 @@ def with_sheets(home: Home, history: Mapping[str, Any]) -> dict[str, Any]:
         if not kind_named(test["kind"]).offers("sheet"):
             return None
         stamp = stamp_of(of_campaign[test["campaign"]])
-        return sheet_of_campaign(home, test["campaign"], history["machine"], stamp, variation)
+        try:
+            return sheet_of_campaign(home, test["campaign"], history["machine"], stamp, variation)
+        except InputError:
+            return None
 
     return {**history, "tests": [{**test, "sheet": sheet(test)} for test in history["tests"]]}
 

@@ -59,17 +59,19 @@ def sheet_of(
     # Something that is no table of limits is refused as a limit that is none.
     table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
     own = limits_from(table_of, f"{under.where}.tolerances")
-    of_kinds = [symbol for symbol in own if ":" in symbol]
-    if of_kinds:
+    made = kind.sheet(runs, under)
+    strange = [symbol for symbol in own if ":" in symbol or (made.symbols and symbol not in made.symbols)]
+    if strange:
         raise InputError(
-            "a tolerance in a campaign is of that campaign's own tests",
+            "a tolerance in a campaign is of a figure of that campaign's own tests",
             code="sheet.tolerance",
             where=f"{under.where}.tolerances",
-            got=", ".join(of_kinds)[:60],
-            allowed="SYMBOL; KIND:SYMBOL stands in the machine's record",
+            got=", ".join(strange)[:60],
+            allowed=", ".join(made.symbols) or "SYMBOL",
+            hint="KIND:SYMBOL stands in the machine's record",
         )
     of_machine = kind.limits(limits)
-    return judged(kind.sheet(runs, under), {**own, **of_machine}, asked=set(of_machine)).as_dict()
+    return judged(made, {**own, **of_machine}, asked={*own, *of_machine}).as_dict()
 
 
 def check_source(

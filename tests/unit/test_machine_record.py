@@ -130,6 +130,24 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     assert said("machine", "show", "mill-7") == shown
 
 
+def test_a_test_that_states_what_cannot_be_used_does_not_hide_the_others(home: Home) -> None:
+    good, bad = write_tests(home.root / "made", 2, steady(2.0), steady(3.0))
+    stated = bad / "campaign.toml"
+    text = stated.read_text(encoding="utf-8")
+    for setting in ('uncertainty_um = "small"', "tolerances = { Gb = 4.0 }"):
+        with_it = text.replace("[campaign]", f"[campaign]\ninstrument = {{ {setting} }}", 1)
+        stated.write_text(with_it.replace("[campaign.instrument]\n", "[elsewhere]\n"), encoding="utf-8")
+        refused = CliRunner().invoke(app, ["check", str(bad)]).exception
+        assert isinstance(refused, InputError)
+        assert refused.code in ("sheet.uncertainty", "sheet.tolerance")
+    for folder in (good, bad):
+        ingest(folder, Lake(home.lake))
+    tests = machine_history(home, "mill-7")["tests"]
+    assert [test["figure"] for test in tests] == ["G(b)", ""]
+    shown = said("machine", "show", "mill-7")["tests"]
+    assert [test["sheet"] is None for test in cast(list[dict[str, Any]], shown)] == [False, True]
+
+
 def test_a_kept_history_follows_runs_record_twins_and_amendments(home: Home) -> None:
     for folder in write_tests(home.root / "made", 3, steady(2.0), steady(3.0)):
         ingest(folder, Lake(home.lake))

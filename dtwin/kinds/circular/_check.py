@@ -127,12 +127,14 @@ def _angles(run: Run) -> list[Finding]:
     typical = float(np.median(np.abs(steps)))
     jumps = np.flatnonzero(np.abs(steps) > max(20.0 * typical, 5.0))
     if jumps.size:
+        first = steps[jumps[0]]
+        wraps = ": it wraps, and has to run on beyond the turn" if abs(abs(first) - 360.0) < 20.0 * typical else ""
         findings.append(
             Finding(
                 "angle.jump",
                 "error",
-                f"the angle jumps by {steps[jumps[0]]:z.1f} deg at sample {jumps[0] + 1}",
-                {"jump_deg": float(steps[jumps[0]]), "jumps_1": float(jumps.size)},
+                f"the angle jumps by {first:z.1f} deg at sample {jumps[0] + 1}{wraps}",
+                {"jump_deg": float(first), "jumps_1": float(jumps.size)},
             )
         )
     return findings

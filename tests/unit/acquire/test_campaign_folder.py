@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dtwin.acquire._lone_table import open_table
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest, open_source
+from dtwin.acquire.quality import judge_run
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
 from dtwin.lake.parquet import table_of, write_parquet
@@ -152,3 +154,28 @@ def test_comments_before_the_header_and_the_dialect_of_spreadsheets_are_read(tmp
     ((run,),) = [runs for runs, _ in open_source(tmp_path / "a.csv", told)[1]]
     assert run.samples["deviation_um"][:3].tolist() == [-3.0, -2.0, -1.0]
     assert run.meta.direction == "CCW"
+
+
+def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tmp_path: Path) -> None:
+    where = folder(tmp_path, RUN)
+    text = HEAD + RUN
+    (where / "campaign.toml").write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
+    assert [entry.run_id for entry in open_campaign(where).entries] == ["r1"]
+    (where / "campaign.toml").write_text(text.replace("[campaign]\n", '[campaign]\nstartet = "2026-03-02"\n'))
+    with pytest.raises(InputError) as refused:
+        open_campaign(where)
+    assert (refused.value.code, refused.value.got) == ("campaign.setting", "startet")
+
+
+@pytest.mark.parametrize(("turn", "direction"), [(1.0, "CCW"), (-1.0, "CW")])
+def test_the_direction_of_an_angle_that_wraps_is_that_of_its_steps(tmp_path: Path, turn: float, direction: str) -> None:
+    angle = (turn * np.linspace(0.0, 360.0, 721) + 180.0) % 360.0 - 180.0
+    rows = "\n".join(f"{0.01 * n:.2f},{a:.4f},1.0" for n, a in enumerate(angle))
+    path = tmp_path / "wraps.csv"
+    path.write_text(f"t_s,angle_deg,deviation_um\n{rows}\n")
+    source = open_table(path, {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 2000.0})
+    (run,) = source.read(source.entries[0])[0]
+    assert run.meta.direction == direction
+    said = {finding.code: finding.message for finding in judge_run(run)}
+    assert "angle.direction" not in said
+    assert said["angle.jump"].endswith("it wraps, and has to run on beyond the turn")
