@@ -297,7 +297,9 @@ def _address(broker: str) -> tuple[str, int]:
 
 
 def _require_topics(keys: list[str]) -> None:
-    bad = [key for key in keys if not key.partition("#")[0] or any(c in key.partition("#")[0] for c in "+\0")]
+    # What ends in # is no topic and a member, but all topics below one.
+    parts = {key: key.partition("#")[0] for key in keys}
+    bad = [key for key, topic in parts.items() if not topic or key.endswith("#") or any(c in topic for c in "+\0")]
     if bad:
         raise InputError(
             "not a topic",

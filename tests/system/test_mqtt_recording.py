@@ -217,6 +217,7 @@ def test_the_command_records_a_run_of_both(tmp_path: Path) -> None:
         ("[mqtt]\nbroker = 'h'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.broker"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a' = 'x'\n", "units.unknown"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a/+' = 'x_mm'\n", "mqtt.topic"),
+        ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a/#' = 'x_mm'\n", "mqtt.topic"),
         ("[mqtt]\nbroker = 'h:1'\nclock = 'sender'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.settings"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a' = 'x_mm'\n'b' = 'x_mm'\n", "mqtt.settings"),
         ("[mqtt\n", "stream.file"),
