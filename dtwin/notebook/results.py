@@ -109,7 +109,7 @@ class ComparisonResult(Result):
 
     @property
     def conditions(self) -> pd.DataFrame:
-        """RMS of every condition before and after; no row for a log of drift."""
+        """RMS of every condition before and after; no row where the kind has no conditions, as for drift and poses."""
         return self._frame("conditions", "rms_before_um", "rms_after_um")
 
     @property
