@@ -86,8 +86,9 @@ class Webhook:
         if self.token_from:
             head["Authorization"] = f"Bearer {_secret(self.token_from, 'webhook.token_from')}"
         request = urllib.request.Request(self.url, body, head)
-        # A redirection would take the token elsewhere.
-        with urllib.request.build_opener(_NoRedirection).open(request, timeout=_WAIT_S):
+        # A redirection would take the token elsewhere, and a proxy what is not encrypted.
+        beside = [urllib.request.ProxyHandler({})] if request.type == "http" else []
+        with urllib.request.build_opener(_NoRedirection, *beside).open(request, timeout=_WAIT_S):
             pass
 
 

@@ -222,6 +222,16 @@ def test_a_secret_that_is_not_there_is_a_failure_of_its_channel(hook: tuple[list
     assert hook[0] == []
 
 
+def test_what_is_not_encrypted_takes_no_proxy(
+    hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
+    assert try_channels(where) == {"webhook": ""}
+
+
 def test_the_command_tries_every_channel(hook: tuple[list[dict[str, Any]], int]) -> None:
     shell = CliRunner()
     assert shell.invoke(app, ["alert", "test"]).exit_code == 1
