@@ -75,7 +75,9 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
     for n, row in enumerate(rows[:MOST_PREAMBLE]):
         after = next((r for r in rows[n + 1 : n + _MOST_GAPS] if not all_units(r) and not _has_gaps(r)), [])
         named = sum(bool(cell.strip()) and not is_number(cell) for cell in row)
-        if 2 <= len(row) <= MOST_COLUMNS and 2 * named > len(row) and len(after) == len(row):
+        # Spreadsheets leave blank columns at the end.
+        width = max((i for i, cell in enumerate(row, start=1) if cell.strip()), default=0)
+        if 2 <= len(row) <= MOST_COLUMNS and 2 * named > width and named >= 2 and len(after) == len(row):
             numbers = sum(is_number(cell) for cell in after)
             if numbers >= 2 and not all_units(row):
                 return n

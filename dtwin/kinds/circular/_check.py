@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 # Of run-in and run-out beside the turn that is evaluated.
 _LONG_DEG = 380.0
+_TURN_DEG = 360.0
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
 _MOST_LOST = 0.05
 
@@ -31,6 +33,19 @@ def judge_circular_run(run: Run) -> list[Finding]:
     if not any(finding.severity == "error" for finding in findings):
         findings += judge_motion(run)
     return findings
+
+
+def with_whole_angle(run: Run) -> Run:
+    """Return a run whose angle runs on where the file's begins anew after a turn."""
+    steps = np.diff(run.samples.get("angle_deg", np.empty(0)))
+    typical = float(np.median(np.abs(steps))) if steps.size else 0.0
+    begins = np.abs(np.abs(steps) - _TURN_DEG) < max(20.0 * typical, 5.0)
+    if not begins.any():
+        return run
+    turns = np.concatenate([[0.0], np.cumsum(np.where(begins, -np.sign(steps), 0.0))])
+    text = f"the angle of the file begins anew at {np.count_nonzero(begins)} places: it was made to run on"
+    samples = dict(run.samples) | {"angle_deg": run.samples["angle_deg"] + _TURN_DEG * turns}
+    return replace(run, samples=samples, findings=(*run.findings, Finding("angle.unwrapped", "info", text)))
 
 
 def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
@@ -127,14 +142,12 @@ def _angles(run: Run) -> list[Finding]:
     typical = float(np.median(np.abs(steps)))
     jumps = np.flatnonzero(np.abs(steps) > max(20.0 * typical, 5.0))
     if jumps.size:
-        first = steps[jumps[0]]
-        wraps = ": it wraps, and has to run on beyond the turn" if abs(abs(first) - 360.0) < 20.0 * typical else ""
         findings.append(
             Finding(
                 "angle.jump",
                 "error",
-                f"the angle jumps by {first:z.1f} deg at sample {jumps[0] + 1}{wraps}",
-                {"jump_deg": float(first), "jumps_1": float(jumps.size)},
+                f"the angle jumps by {steps[jumps[0]]:z.1f} deg at sample {jumps[0] + 1}",
+                {"jump_deg": float(steps[jumps[0]]), "jumps_1": float(jumps.size)},
             )
         )
     return findings

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Finding, Run
+    from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
@@ -89,6 +89,11 @@ class _Circular(Kind):
         from dtwin.kinds.circular._planned import proposals
 
         return proposals(machine, axes)
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.kinds.circular._check import with_whole_angle
+
+        return with_whole_angle(run)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.circular._check import judge_circular_run

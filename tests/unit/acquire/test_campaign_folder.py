@@ -176,6 +176,15 @@ def test_the_direction_of_an_angle_that_wraps_is_that_of_its_steps(tmp_path: Pat
     source = open_table(path, {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 2000.0})
     (run,) = source.read(source.entries[0])[0]
     assert run.meta.direction == direction
-    said = {finding.code: finding.message for finding in judge_run(run)}
-    assert "angle.direction" not in said
-    assert said["angle.jump"].endswith("it wraps, and has to run on beyond the turn")
+    assert not {"angle.direction", "angle.jump"} & {finding.code for finding in judge_run(run)}
+    assert [finding.code for finding in run.findings] == ["angle.unwrapped"]
+    assert np.diff(run.samples["angle_deg"]) == pytest.approx(0.5 * turn, abs=1e-3)
+
+
+def test_an_angle_that_jumps_by_less_than_a_turn_stays_as_it_is(tmp_path: Path) -> None:
+    angle = np.linspace(0.0, 360.0, 721) - 200.0 * (np.arange(721) > 400)
+    rows = "\n".join(f"{0.01 * n:.2f},{a:.4f},1.0" for n, a in enumerate(angle))
+    source = open_campaign(folder(tmp_path, RUN, {"r1.csv": f"t_s,angle_deg,deviation_um\n{rows}\n"}))
+    (run,) = source.read(source.entries[0])[0]
+    assert "angle.jump" in {finding.code for finding in judge_run(run)}
+    assert not run.findings

@@ -90,6 +90,18 @@ def test_a_file_with_rules_of_its_own_needs_no_import(tmp_path: Path) -> None:
     assert refused.value.code == "import.needless"
 
 
+def test_blank_columns_that_a_spreadsheet_leaves_hide_no_table(tmp_path: Path) -> None:
+    rows = [
+        "Titel,,,,,,",
+        "t_s,angle_deg,deviation_um,,,,",
+        *(f"{n / 10},{7.2 * n:.1f},{n % 3}.5,,,," for n in range(50)),
+    ]
+    path = tmp_path / "blank.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    found = understand(path, Home(tmp_path / "home"), CIRCLE, {})
+    assert found.runs == (("blank", 50),)
+
+
 def test_a_number_without_a_unit_is_left_out_until_it_is_told(tmp_path: Path) -> None:
     path, home = tmp_path / "t.csv", Home(tmp_path / "home")
     path.write_text("t_s,Phi,Delta\n" + "".join(f"{n},{n * 0.01},{n % 3}e-3\n" for n in range(50)), encoding="utf-8")
