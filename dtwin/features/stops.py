@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from dtwin.errors import InputError
 from dtwin.features._spectrum import above, moving_rms
 from dtwin.schema import Floats
+
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,7 @@ def true_period(
             allowed=f"at least {nominal_s * (1 + tolerance) + min_overlap_s:z.2f} s",
         )
     lags = np.arange(low, high + 1)
-    values = np.array([_correlation(part[:-lag], part[lag:]) for lag in lags])
+    values = _self_correlation(part, lags)
     best = int(np.argmax(values))
     lag = int(lags[best])
     difference = part[:-lag] - part[lag:]
@@ -178,7 +182,14 @@ def parabola_peak(values: Floats, best: int) -> float:
     return 0.5 * (left - right) / bend if bend < 0 else 0.0
 
 
-def _correlation(first: Floats, second: Floats) -> float:
-    a, b = first - first.mean(), second - second.mean()
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0 else 0.0
+def _self_correlation(signal: Floats, lags: NDArray[np.int64]) -> Floats:
+    """Return the correlation of a record with itself some samples later, over what they share, of each lag."""
+    x = signal - signal.mean()
+    shared = x.size - lags
+    sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (x, x * x))
+    first, second = sums[shared], sums[-1] - sums[lags]
+    products = correlate(x, x, method="fft")[x.size - 1 + lags] - first * second / shared
+    spreads = (squares[shared] - first**2 / shared) * (squares[-1] - squares[lags] - second**2 / shared)
+    size = np.sqrt(np.maximum(spreads, 0.0))
+    # Less than rounding is a record that stands still.
+    return np.divide(products, size, out=np.zeros(lags.size), where=size > _ROUNDING * squares[-1])
