@@ -12,5 +12,6 @@ if [ ! -e "$stamp" ]; then
     .venv/bin/uv pip install -q -p .venv --no-deps -e .
     touch "$stamp"
 fi
-# Where Python may not write bytecode, every command of a test would compile dtwin again.
+# Where Python may not write bytecode, every command of a test would compile dtwin again, and every worker the tests.
 .venv/bin/python -m compileall -q dtwin flows studies
+.venv/bin/python tests/rewritten.py
