@@ -103,19 +103,19 @@ def one_way(angle_deg: Floats) -> slice:
 
 def longest_rise(angle_deg: Floats) -> slice:
     """Return the longest stretch in which an angle rises, but for less than 20 degrees."""
-    best, start, top = slice(0, 1), 0, float(angle_deg[0])
-    peak = 0
+    best, longest = slice(0, 1), 0.0
+    start, peak = 0, 0
+    lowest = top = float(angle_deg[0])
     # Each tenth degree is enough, and spares a loop over every reading.
-    for n in _steps(angle_deg):
-        if angle_deg[n] > top:
-            top, peak = float(angle_deg[n]), n
-        elif top - angle_deg[n] > _BACK_DEG or angle_deg[n] < angle_deg[start]:
-            if top - angle_deg[start] > angle_deg[best.stop - 1] - angle_deg[best.start]:
-                best = slice(start, peak + 1)
-            start, top, peak = n, float(angle_deg[n]), n
-    if top - angle_deg[start] > angle_deg[best.stop - 1] - angle_deg[best.start]:
-        best = slice(start, peak + 1)
-    return best
+    steps = _steps(angle_deg)
+    for n, angle in zip(steps, angle_deg[steps].tolist(), strict=True):
+        if angle > top:
+            top, peak = angle, n
+        elif top - angle > _BACK_DEG or angle < lowest:
+            if top - lowest > longest:
+                best, longest = slice(start, peak + 1), top - lowest
+            start, lowest, top, peak = n, angle, angle, n
+    return slice(start, peak + 1) if top - lowest > longest else best
 
 
 def _steps(angle_deg: Floats) -> list[int]:
