@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from command_here import command_here
 from virtual_robot import VirtualRobot
 
 from dtwin.config import Home
@@ -99,6 +100,13 @@ def served(*options: str) -> tuple[int, dict[str, Any], str]:
     code, out, err = server.end()
     assert "Traceback" not in err
     return code, json.loads(out), err
+
+
+def refused(*options: str) -> tuple[int, dict[str, Any]]:
+    """Exit code and answer of a command that ends before it serves, in this process."""
+    code, out, err = command_here("serve", "--priority=0", "--json", *options)
+    assert code != 0, err
+    return code, json.loads(out)
 
 
 def applied_um(robot: VirtualRobot) -> float:

@@ -19,6 +19,7 @@ from served_robot import (
     end_what_is_left,
     logged,
     promote,
+    refused,
     served,
     wait_until_corrected,
     wait_until_released,
@@ -210,20 +211,20 @@ def test_tampered_bundle(robot: VirtualRobot, home: Home, how: str) -> None:
     path.write_text(plain)
     if how == "pointer":
         write_pointer(MACHINE, home, path, 3, "champion")
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == ((3, "pointer.checksum") if how == "bundle" else (1, "bundle.checksum"))
 
 
 def test_a_champion_whose_evidence_has_expired(robot: VirtualRobot, home: Home) -> None:
     promote(home, provenance=Provenance(evidence="virtual", valid_days=30.0))
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == (3, "serve.expired")
     code, _, err = served(f"--host={robot.host}", "--duration=0.5", "--expired=warn")
     assert code == 0
     assert "WARNING: the evidence has expired" in err
     code, _, err = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
     assert (code, "expired" in err) == (0, False)
-    code, answer, _ = served(f"--host={robot.host}", "--expired=ignore")
+    code, answer = refused(f"--host={robot.host}", "--expired=ignore")
     assert (code, answer["error"]["code"]) == (1, "serve.expired_option")
 
 
@@ -253,7 +254,7 @@ def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:
 @pytest.mark.parametrize("state", ["barred", "candidate"])
 def test_version_that_did_not_pass(robot: VirtualRobot, home: Home, state: str) -> None:
     promote(home, state)
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"], answer["error"]["got"]) == (3, "serve.not_passed", state)
     code, status, _ = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
     assert (code, status["last_sequence"], status["model"]["state"]) == (0, 0, state)
@@ -263,7 +264,7 @@ def test_file_is_served_harmlessly_only(robot: VirtualRobot, home: Home, tmp_pat
     promote(home)
     path = save_bundle(bundle(model_version=8), tmp_path / "draft.json")
     options = (f"--model={path}", f"--host={robot.host}", "--duration=1")
-    code, answer, _ = served(*options)
+    code, answer = refused(*options)
     assert (code, answer["error"]["got"]) == (3, "unpromoted")
     code, status, _ = served(*options, "--dry-run")
     assert (code, status["mode"], status["model"]["state"]) == (0, "dry-run", "unpromoted")
@@ -287,7 +288,7 @@ def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     first = Server("--json", f"--host={robot.host}")
     wait_until_corrected(robot)
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == (4, "serve.lease")
     assert str(first.process.pid) in answer["error"]["got"]
     code, status, _ = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
@@ -310,16 +311,16 @@ def test_log_that_cannot_be_written_does_not_stop_the_serving(robot: VirtualRobo
 def test_lease_that_cannot_be_taken_stops_it(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     (home.root / "locks").write_text("a file where the folder should be")
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == (1, "serve.lease_file")
 
 
 def test_unknown_machine_and_unknown_tool(robot: VirtualRobot, home: Home) -> None:
-    code, answer, _ = served(f"--host={robot.host}")
+    code, answer = refused(f"--host={robot.host}")
     assert (code, answer["error"]["code"]) == (1, "serve.machine")
     promote(home)
     (machine_folder(MACHINE, home) / "machine.json").unlink()
-    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == (1, "serve.geometry")
 
 
