@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_here import command_here
 from running_servers import running_up
 
 from dtwin.cli import main
@@ -281,14 +282,16 @@ def test_the_evidence_of_the_demo_is_computed_again_from_its_runs(demo: tuple[Ho
 
 
 def test_commands_speak_json_and_nothing_else(demo: tuple[Home, dict[str, Any]]) -> None:
-    root = demo[0].root
-    for arguments in (["models"], ["runs"], ["plan"], ["features", "training-quick"]):
-        done = dtwin(root, *arguments, "--json")
-        assert done.returncode == 0, done.stderr
-        json.loads(done.stdout)
-    refused = dtwin(root, "promote", "2", "--json")
-    assert refused.returncode == 3
-    assert json.loads(refused.stdout)["champion"] is False
+    done = dtwin(demo[0].root, "models", "--json")
+    assert done.returncode == 0, done.stderr
+    json.loads(done.stdout)
+    for arguments in (["runs"], ["plan"], ["features", "training-quick"]):
+        code, out, err = command_here(*arguments, "--json")
+        assert code == 0, err
+        json.loads(out)
+    code, out, err = command_here("promote", "2", "--json")
+    assert code == 3, err
+    assert json.loads(out)["champion"] is False
 
 
 def test_a_mistake_ends_in_a_message_and_its_exit_code(
