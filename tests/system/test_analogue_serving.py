@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_feed import RATE_HZ, ControlFeed, SpoilingLine
-from served_robot import Server, end_what_is_left, events, promote
+from served_robot import Server, end_what_is_left, events, promote, refused
 from simulated_analogue_board import AnalogueBoard
 
 from dtwin.config import Home
@@ -239,5 +239,5 @@ def test_beyond_the_travel_and_outside_the_box(
 )
 def test_what_cannot_be_served_is_said(options: tuple[str, ...], error: str, code: int, home: Home) -> None:
     promote(home)
-    found, out, err = Server("--json", *options).end()
-    assert (found, json.loads(out)["error"]["code"]) == (code, error), err
+    found, answer = refused(*options)
+    assert (found, answer["error"]["code"]) == (code, error), answer
