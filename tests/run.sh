@@ -5,10 +5,11 @@ set -euo pipefail
 
 .venv/bin/ruff check .
 .venv/bin/ruff format --check --quiet . || { echo "run: .venv/bin/ruff format ."; exit 1; }
-# Types, contracts and documentation take what the tests leave of the processors, and say what they found meanwhile.
+# Types, contracts and documentation take little from the tests, and say what they found meanwhile. Less than this
+# would leave a minute of them to one processor when the tests have ended.
 said=$(mktemp)
 trap 'rm -f "$said"' EXIT
-quiet() { nice -n 19 "$@"; }
+quiet() { nice -n 10 "$@"; }
 (
     export NO_MKDOCS_2_WARNING=1
     { quiet .venv/bin/mypy && quiet .venv/bin/lint-imports && quiet .venv/bin/mkdocs build --strict --site-dir .dtwin/site; } >"$said" 2>&1 || failed=1
