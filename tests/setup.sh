@@ -12,6 +12,5 @@ if [ ! -e "$stamp" ]; then
     .venv/bin/uv pip install -q -p .venv --no-deps -e .
     touch "$stamp"
 fi
-# Where Python may not write bytecode, every command of a test would compile dtwin again, and every worker the tests.
+# Where Python may not write bytecode, every command of a test would compile dtwin again.
 .venv/bin/python -m compileall -q dtwin flows studies
-.venv/bin/python tests/rewritten.py
