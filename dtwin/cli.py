@@ -15,7 +15,7 @@ from dtwin import __version__
 from dtwin.commands import register
 from dtwin.commands.tasks import ByTask
 from dtwin.config import home, quiet_environment
-from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, MissingPart, StoreError
+from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError
 
 _BEGIN = """\b
 New here?
@@ -72,6 +72,8 @@ def _options(
     if context.invoked_subcommand in _FOLLOW_THEMSELVES or {"--help", "-h"} & set(sys.argv):
         return
     state = home()
+    if state.root.exists() and not state.root.is_dir():
+        raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
     if state.file.store:
         from dtwin.shared_documents import followed_beside, following
 

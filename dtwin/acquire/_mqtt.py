@@ -291,8 +291,10 @@ def _time_of(content: Any, path: str, where: str) -> float:
 
 def _address(broker: str) -> tuple[str, int]:
     host, _, port = broker.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError("not the address of a broker", code="mqtt.broker", got=broker[:80], allowed="HOST:PORT")
+    if not host or "@" in host or not port.isdigit() or not 0 < int(port) < 65536:
+        # Without the name and the password that may stand in it.
+        got = broker.rpartition("@")[2][:80]
+        raise InputError("not the address of a broker", code="mqtt.broker", got=got, allowed="HOST:PORT")
     return host.strip("[]"), int(port)
 
 

@@ -210,7 +210,8 @@ def _checked(url: str) -> str:
         raise InputError(
             "not the address of an agent",
             code="mtconnect.url",
-            got=url[:80],
+            # Without the name, the password or the token that may stand in it.
+            got=url.rpartition("@")[2].partition("?")[0][:80],
             allowed="http://HOST:PORT or https://HOST:PORT",
         )
     return url.rstrip("/")

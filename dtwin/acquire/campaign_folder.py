@@ -214,13 +214,13 @@ def entry_from(told: Any, number: int, path: Path) -> FolderEntry:
 
 def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list[RejectedRows]]:
     suffix = entry.file.suffix.lower()
+    rate = entry.stated.get("sample_rate_hz", campaign.instrument.get("sample_rate_hz"))
+    if rate is not None:
+        rate = stated.positive(rate, "sample_rate_hz", str(entry.file))
     if suffix == ".b5r":
         runs = [_completed(run, entry, f"{entry.run_id}-{run.meta.run_id}") for run in read_b5r(entry.file).runs]
         return runs, []
     if suffix == ".json":
-        rate = entry.stated.get("sample_rate_hz", campaign.instrument.get("sample_rate_hz"))
-        if rate is not None:
-            rate = stated.positive(rate, "sample_rate_hz", str(entry.file))
         traces = read_trace_json(entry.file, sample_rate_hz=rate)
         alone = len(traces) == 1
         runs = [_completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}") for t in traces]

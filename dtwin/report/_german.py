@@ -21,6 +21,7 @@ GERMAN = {
     "temperature": "Temperatur",
     "measured": "gemessen am",
     "test": "Messung",
+    "run": "Lauf",
     "runs": "Läufe",
     "evaluated by": "ausgewertet mit",
     "figure": "Kenngröße",

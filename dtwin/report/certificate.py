@@ -43,7 +43,7 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <h1>{{ say("Test certificate") }}: {{ facts.machine }}</h1>
 <p class="decision">{{ say("Decision") }}{% if sheet.verdict %} {{ say("after ISO 14253-1") }}{% endif %}: <strong>{{ say(sheet.verdict or "no tolerance is stated") }}</strong><br>
 <small>{{ tell(sheet.standard) }}</small></p>
-<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ value or say("not stated") }}{% if name == "test" and runs %}, {{ runs }} {{ say("runs") }}{% endif %}</dd>{% endfor %}</dl>
+<dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ value or say("not stated") }}{% if name == "test" and runs %}, {{ runs }} {{ say("run" if runs == "1" else "runs") }}{% endif %}</dd>{% endfor %}</dl>
 {% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}

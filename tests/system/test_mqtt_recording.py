@@ -215,6 +215,7 @@ def test_the_command_records_a_run_of_both(tmp_path: Path) -> None:
         ("[mtconnect]\nurl = 'http://h:1'\ncount = true\n", "stream.value"),
         ("[mqtt]\nbroker = 'h:1883'\n", "stream.setting"),
         ("[mqtt]\nbroker = 'h'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.broker"),
+        ("[mqtt]\nbroker = 'me:secret@h:1'\n[mqtt.columns]\n'a' = 'x_mm'\n", "mqtt.broker"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a' = 'x'\n", "units.unknown"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a/+' = 'x_mm'\n", "mqtt.topic"),
         ("[mqtt]\nbroker = 'h:1'\n[mqtt.columns]\n'a/#' = 'x_mm'\n", "mqtt.topic"),
@@ -229,3 +230,4 @@ def test_a_stream_file_that_is_wrong_is_said(text: str, code: str, tmp_path: Pat
     with pytest.raises(InputError) as caught:
         read_streams_file(path)
     assert caught.value.code == code
+    assert "secret" not in str(caught.value)

@@ -221,6 +221,19 @@ def test_what_makes_no_sense_is_refused_and_nothing_hangs(
     assert f"error[{code}]" in capsys.readouterr().err
 
 
+def test_a_home_that_is_a_file_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "home"
+    file.write_text("")
+    monkeypatch.setenv("DTWIN_HOME", str(file))
+    monkeypatch.setattr(sys, "argv", ["dtwin", "runs"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code not in (0, None)
+    assert "error[home.folder]" in capsys.readouterr().err
+
+
 def _leaves(command: Any) -> Iterator[Any]:
     for inner in getattr(command, "commands", {}).values():
         yield from _leaves(inner)

@@ -167,6 +167,13 @@ def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tm
     assert (refused.value.code, refused.value.got) == ("campaign.setting", "startet")
 
 
+@pytest.mark.parametrize("rate", ["0.0", "-1.0", '"fast"'])
+def test_a_sample_rate_that_is_none_is_refused_beside_a_clock(rate: str, tmp_path: Path) -> None:
+    source = open_campaign(folder(tmp_path, f"{RUN}sample_rate_hz = {rate}\n"))
+    with pytest.raises(InputError, match="sample_rate_hz"):
+        source.read(source.entries[0])
+
+
 @pytest.mark.parametrize(("turn", "direction"), [(1.0, "CCW"), (-1.0, "CW")])
 def test_the_direction_of_an_angle_that_wraps_is_that_of_its_steps(tmp_path: Path, turn: float, direction: str) -> None:
     angle = (turn * np.linspace(0.0, 360.0, 721) + 180.0) % 360.0 - 180.0

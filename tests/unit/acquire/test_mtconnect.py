@@ -239,6 +239,7 @@ def test_an_address_that_is_none(address: str) -> None:
     with pytest.raises(InputError) as caught:
         MTConnectRecorder(address)
     assert caught.value.code == "mtconnect.url"
+    assert "u:p" not in str(caught.value)
 
 
 def test_a_redirection_is_not_followed(agent: Agent) -> None:
