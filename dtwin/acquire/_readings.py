@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
+# Squares of larger ones are no longer numbers.
+_LARGEST = 1e100
 _SIGNED = re.compile(r"[+-]\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 
 
@@ -44,12 +47,17 @@ def parse_readings(text: str, where: str) -> Floats:
         raise InputError(
             "a reading is not a number", code="readings.number", where=where, got=str(error)[-80:]
         ) from error
-    bad = np.flatnonzero(~np.isfinite(values))
+    bad = np.flatnonzero(~usable(values))
     if bad.size:
         raise InputError(
-            f"{bad.size} of {values.size} readings are not finite",
+            f"{bad.size} of {values.size} readings are not finite, or of no size that is measured",
             code="readings.not_finite",
             where=f"{where}, reading {bad[0] + 1}",
-            allowed="finite numbers",
+            allowed=f"numbers below {_LARGEST:g}",
         )
     return values
+
+
+def usable(values: Floats) -> NDArray[np.bool_]:
+    """Return which numbers can be computed with: finite ones, whose squares are finite, too."""
+    return np.abs(values) < _LARGEST

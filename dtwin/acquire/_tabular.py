@@ -14,6 +14,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dtwin.acquire._readings import usable
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
@@ -188,7 +189,7 @@ def _drop_bad_rows(
 ) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
     finite = np.ones(len(columns[floats[0]]), dtype=bool)
     for name in floats:
-        finite &= np.isfinite(columns[name])
+        finite &= usable(columns[name])
     if not finite.any():
         raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
     if finite.all():
@@ -196,7 +197,7 @@ def _drop_bad_rows(
     rejects = [
         {
             "row": int(row),
-            "reason": "not finite: " + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
+            "reason": "not finite: " + ", ".join(n for n in floats if not usable(columns[n][row])),
             "values": {name: repr(columns[name][row].item()) for name in floats},
         }
         for row in np.flatnonzero(~finite)

@@ -210,7 +210,7 @@ def _run_result(run: Run) -> dict[str, Any]:
         "vendor": dict(run.meta.vendor),
         "findings": [finding.as_dict() for finding in findings],
     }
-    broken = any(f.severity == "error" and f.code.startswith(("clock", "angle.j")) for f in findings)
+    broken = any(f.severity == "error" and f.code.startswith(("clock", "angle.jump", "angle.short")) for f in findings)
     return result if broken else {**result, **kind_named(run.meta.kind).run_figures(run)}
 
 

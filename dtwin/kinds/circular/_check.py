@@ -20,6 +20,8 @@ _STUCK_S = 0.1
 # Of run-in and run-out beside the turn that is evaluated.
 _LONG_DEG = 380.0
 _TURN_DEG = 360.0
+# Less tells no centre.
+_FEWEST, _SHORTEST_DEG = 3, 30.0
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
 _MOST_LOST = 0.05
 
@@ -126,16 +128,20 @@ def _reading(run: Run) -> list[Finding]:
 
 
 def _angles(run: Run) -> list[Finding]:
-    steps = np.diff(run.samples["angle_deg"])
-    if not steps.size:
-        return []
+    angle_deg = run.samples["angle_deg"]
+    marked_deg = angle_deg[slice(*run.window)] if run.window else angle_deg
+    turned_deg = float(np.ptp(marked_deg)) if marked_deg.size else 0.0
+    if marked_deg.size < _FEWEST or turned_deg < _SHORTEST_DEG:
+        text = f"{marked_deg.size} samples over {turned_deg:z.1f} deg: no circle can be fitted to less than {_FEWEST} samples and {_SHORTEST_DEG:g} deg"
+        return [Finding("angle.short", "error", text, {"arc_deg": turned_deg})]
+    steps = np.diff(angle_deg)
     sign = 1.0 if run.meta.direction == "CCW" else -1.0
     findings = []
     if float(np.median(steps)) * sign < 0:
         findings.append(
             Finding("angle.direction", "error", f"the angle runs against the stated direction {run.meta.direction}")
         )
-    arc_deg = float(np.ptp(run.samples["angle_deg"]))
+    arc_deg = float(np.ptp(angle_deg))
     if run.window is None and arc_deg > _LONG_DEG:
         text = f"the angle runs over {arc_deg:z.0f} deg, and all of it is evaluated: leave rows of run-in and run-out out of the table"
         findings.append(Finding("arc.long", "warning", text, {"arc_deg": arc_deg}))

@@ -41,6 +41,8 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         m = run.meta
         if m.radius_mm is None or m.direction is None:
             notes.append(f"{m.run_id} is not evaluated: it has no radius or direction.")
+        elif any(finding.code == "angle.short" for finding in run.findings):
+            notes.append(f"{m.run_id} is not evaluated: angle.short.")
         else:
             conditions.setdefault((m.plane or "", m.radius_mm, m.feed_mm_min or 0.0), []).append(run)
     parts = []

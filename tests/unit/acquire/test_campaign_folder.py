@@ -15,6 +15,7 @@ from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
 from dtwin.lake.parquet import table_of, write_parquet
 from dtwin.lake.store import Lake
+from dtwin.report.checking import check_source
 from dtwin.schema import SignalGroup
 
 HEAD = '[campaign]\nname = "c"\nmachine = "m"\nkind = "circular"\n'
@@ -165,6 +166,23 @@ def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tm
     with pytest.raises(InputError) as refused:
         open_campaign(where)
     assert (refused.value.code, refused.value.got) == ("campaign.setting", "startet")
+
+
+def test_a_broken_off_circle_hides_nothing_of_the_others_and_absurd_numbers_are_left_out(tmp_path: Path) -> None:
+    angle = np.linspace(0.0, 360.0, 721)
+    whole = [f"{0.01 * n:.2f},{a:.4f},{np.sin(n):.3f}" for n, a in enumerate(angle)]
+    head = "t_s,angle_deg,deviation_um\n"
+    (tmp_path / "off.csv").write_text(head + "\n".join(whole[:2]))
+    entry = RUN.replace('"r1"', '"off"').replace("r1.csv", "off.csv")
+    whole[3] = f"0.03,{angle[3]},1e300"
+    where = folder(tmp_path, RUN + entry, {"r1.csv": head + "\n".join(whole)})
+    checked = check_source(where)
+    first, second = checked["runs"]
+    assert first["by_file_indices"]["circular_deviation_um"] < 10.0
+    assert "by_file_indices" not in second
+    assert [f["code"] for f in second["findings"]] == ["angle.short"]
+    assert "off is not evaluated: angle.short." in checked["sheet"]["notes"]
+    assert checked["sheet"]["parts"]
 
 
 @pytest.mark.parametrize("rate", ["0.0", "-1.0", '"fast"'])

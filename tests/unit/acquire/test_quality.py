@@ -92,6 +92,8 @@ def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
         ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
         ({"angle_deg": -np.linspace(0, 360, 400)}, "angle.direction"),
         ({"angle_deg": np.linspace(0, 360, 400) + (np.arange(400) > 200) * 90.0}, "angle.jump"),
+        ({"angle_deg": np.linspace(0, 29, 400)}, "angle.short"),
+        ({"t_s": np.arange(2) / 200.0, "angle_deg": np.array([0.0, 90.0]), "deviation_um": np.ones(2)}, "angle.short"),
     ],
 )
 def test_each_fault_of_a_run_is_named(columns: dict[str, np.ndarray], code: str) -> None:
