@@ -15,7 +15,6 @@ from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
-from dtwin.train.side_by_side import side_by_side
 
 TICK_HZ = 500.0
 _ROW_EVERY = 10
@@ -71,7 +70,7 @@ class TickRun:
 def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
-    """Read runs, several at a time, and bring them to the controller's clock.
+    """Read runs one by one and bring them to the controller's clock.
 
     Parameters
     ----------
@@ -79,11 +78,10 @@ def load_ticks(
         Called with (done, total, run id).
     """
     runs = []
-    with side_by_side() as (pool, _):
-        for done, run in enumerate(pool.map(lambda row: _tick_run(lake.load(row), campaign), rows), start=1):
-            runs.append(run)
-            if progress is not None:
-                progress(done, len(rows), run.meta.run_id)
+    for done, row in enumerate(rows, start=1):
+        runs.append(_tick_run(lake.load(row), campaign))
+        if progress is not None:
+            progress(done, len(rows), str(row["run_id"]))
     return runs
 
 

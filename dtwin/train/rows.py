@@ -71,11 +71,11 @@ class Rows:
             inside = np.flatnonzero(of_row == setup)
             angle = self.angle_rad[inside]
             basis = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))[0]
-            shares = basis.T @ result[_stretch(inside)]
+            shares = basis.T @ result[inside]
             # By blocks: a product as large as the columns would be new memory for every set-up.
             for at in range(0, inside.size, _BLOCK):
                 block = slice(at, at + _BLOCK)
-                result[_stretch(inside[block])] -= basis[block] @ shares
+                result[inside[block]] -= basis[block] @ shares
         return result
 
     def folds(self, group: str) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
@@ -100,13 +100,6 @@ class Rows:
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
         return float(np.sqrt(np.mean(values[self.scored] ** 2)))
-
-
-def _stretch(numbers: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return ascending numbers of rows as a slice if none is missing between them: it is read without a copy."""
-    if numbers.size and numbers[-1] - numbers[0] + 1 == numbers.size:
-        return slice(int(numbers[0]), int(numbers[-1]) + 1)
-    return numbers
 
 
 def gather(runs: Sequence[TickRun]) -> Rows:

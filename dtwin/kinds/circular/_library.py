@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.features.motion import PATH_INPUTS
-from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.tape import Tape
 from dtwin.train.dataset import TICK_HZ, TickRun
@@ -89,50 +87,27 @@ class Library:
         """Readable names of the terms, in order."""
         return [atom.name for atom in self.atoms]
 
-    def values(self, products: Sequence[tuple[Expression, ...]], runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
-        """Return products of expressions of this graph at the rows of each run, shape (rows, products) each.
+    def values(self, wanted: Sequence[Expression], runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
+        """Return expressions of this graph at the rows of each run, shape (rows, expressions) each.
 
-        Factors that remember run through every tick of a run, the others through its rows alone.
+        Those that remember run through every tick of a run, the others through its rows alone.
 
         ``runs``: runs on the controller's clock.
         """
-        remember, stateless = self._factors(products)
-        at_ticks, at_rows = self._tape(remember), self._tape(stateless)
-        found = []
-        for run in runs:
-            at = dict(zip(remember, at_ticks(run.inputs)[run.arc].T, strict=True))
-            at |= zip(stateless, at_rows(run.inputs[run.arc]).T, strict=True)
-            columns = [prod((at[factor] for factor in product[1:]), start=at[product[0]]) for product in products]
-            found.append(np.column_stack(columns).astype(np.float32))
-        return found
-
-    def _factors(self, products: Sequence[tuple[Expression, ...]]) -> tuple[list[Expression], list[Expression]]:
-        """Return the factors that read a state, and those that do not."""
-        factors = list(dict.fromkeys(factor for product in products for factor in product))
-        graph = self.builder.graph({str(i): factor for i, factor in enumerate(factors)})
-        reads: list[bool] = []
-        for node in graph.nodes:
-            reads.append(node.op == "state" or any(reads[i] for i in node.args))
-        found: tuple[list[Expression], list[Expression]] = [], []
-        for i, factor in enumerate(factors):
-            found[0 if reads[graph.outputs[str(i)]] else 1].append(factor)
-        return found
-
-    def _tape(self, wanted: Sequence[Expression]) -> Callable[[NDArray[np.float32]], Floats]:
-        """Return what gives expressions at successive ticks, shape (ticks, expressions), from path inputs there."""
-        if not wanted:
-            return lambda inputs: np.empty((len(inputs), 0))
         outputs = {f"t{i}": expression for i, expression in enumerate(wanted)}
         live = self.live_states(outputs)
         graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
-        tape = Tape(graph, graph.inputs, {k: self.initial[k] for k in live}, list(outputs))
-        places = [PATH_INPUTS.index(name) for name in graph.inputs]
-
-        def evaluated(inputs: NDArray[np.float32]) -> Floats:
+        tape = Tape(graph, PATH_INPUTS, {k: self.initial[k] for k in live}, list(outputs))
+        found = []
+        for run in runs:
             tape.reset()
-            return tape.run_many(inputs[:, places].astype(float))
-
-        return evaluated
+            at_rows = (
+                tape.run_many(run.inputs.astype(float))[run.arc]
+                if live
+                else tape.run_many(run.inputs[run.arc].astype(float))
+            )
+            found.append(at_rows.astype(np.float32))
+        return found
 
     def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:
         """Return the states that outputs read, directly or through other states, sorted."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,6 @@ from numpy.typing import NDArray
 from dtwin.kinds.circular._library import RINGING, RIPPLE, Gear, Library, Mode
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Terms of a gear or a mode, by run, (terms, rows) each; empty until one fold has made them."""
-
-    columns: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class TermColumns:
@@ -33,7 +25,7 @@ class TermColumns:
     def __init__(self, runs: Sequence[TickRun]) -> None:
         self._runs = {run.meta.run_id: run for run in runs}
         self._lock = threading.Lock()
-        self._kept: dict[Gear | Mode | None, _Part] = {}
+        self._kept: dict[tuple[str, Gear | Mode | None], NDArray[np.float32]] = {}
 
     def of(self, library: Library, runs: Sequence[TickRun], only: Sequence[int] | None = None) -> Floats:
         """Return terms at the rows of runs, one run after the other, shape (rows, terms).
@@ -56,21 +48,20 @@ class TermColumns:
     def _kept_of(self, part: Gear | Mode | None, runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
         """Return a part's terms of each run, (terms, rows) each."""
         with self._lock:
-            mine = self._kept.setdefault(part, _Part())
-        # Each part has a lock of its own: a fold that needs another part does not wait for this one.
-        with mine.lock:
-            if not mine.columns:
-                mine.columns.update(zip(self._runs, self._made(part), strict=True))
-        return [mine.columns[run.meta.run_id] for run in runs]
+            if (runs[0].meta.run_id, part) not in self._kept:
+                self._make(part)
+        return [self._kept[(run.meta.run_id, part)] for run in runs]
 
-    def _made(self, part: Gear | Mode | None) -> list[NDArray[np.float32]]:
+    def _make(self, part: Gear | Mode | None) -> None:
         runs = list(self._runs.values())
         if isinstance(part, Gear):
-            return [columns.T for columns in self._of_gear(part, runs)]
-        library = Library([], [] if part is None else [part])
-        wanted = [f for atom, f in library.atoms.items() if part is None or atom.cause == RINGING]
-        made = library.values(wanted, runs)
-        return [columns.T for columns in made]
+            made = self._of_gear(part, runs)
+        else:
+            library = Library([], [] if part is None else [part])
+            wanted = [f for atom, f in library.atoms.items() if part is None or atom.cause == RINGING]
+            made = library.values([prod(factors[1:], start=factors[0]) for factors in wanted], runs)
+        for run, columns in zip(runs, made, strict=True):
+            self._kept[(run.meta.run_id, part)] = columns.T
 
     def _of_gear(self, gear: Gear, runs: Sequence[TickRun]) -> list[NDArray[np.float32]]:
         """Return the terms of a gear: a wave, which remembers nothing, times a term that is always there."""
@@ -78,5 +69,8 @@ class TermColumns:
         number = {factors: i for i, factors in enumerate(library.atoms.values())}
         ripple = [factors for atom, factors in library.atoms.items() if atom.cause == RIPPLE]
         always = [number[factors[:-1]] for factors in ripple]
-        waves = library.values([factors[-1:] for factors in ripple], runs)
-        return [wave * columns[always].T for wave, columns in zip(waves, self._kept_of(None, runs), strict=True)]
+        waves = library.values([factors[-1] for factors in ripple], runs)
+        if (runs[0].meta.run_id, None) not in self._kept:
+            self._make(None)
+        kept = [self._kept[(run.meta.run_id, None)] for run in runs]
+        return [wave * columns[always].T for wave, columns in zip(waves, kept, strict=True)]
