@@ -197,7 +197,7 @@ def _drop_bad_rows(
     rejects = [
         {
             "row": int(row),
-            "reason": "not finite: " + ", ".join(n for n in floats if not usable(columns[n][row])),
+            "reason": "no usable number: " + ", ".join(n for n in floats if not usable(columns[n][row])),
             "values": {name: repr(columns[name][row].item()) for name in floats},
         }
         for row in np.flatnonzero(~finite)

@@ -23,7 +23,7 @@ from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
-from dtwin.kinds.drift._model import sense
+from dtwin.kinds.drift._sense import sense
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 

@@ -78,7 +78,7 @@ def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
     report = ingest(folder(tmp_path, RUN, {"r1.csv": "\n".join(lines)}), lake)
     assert report.rejected_rows == 2
     reasons = [row["reason"] for row in lake.tables["rejects"].read().to_pylist()]
-    assert reasons == ["not finite: deviation_um", "not finite: angle_deg"]
+    assert reasons == ["no usable number: deviation_um", "no usable number: angle_deg"]
     assert lake.load(lake.runs()[0]).n_samples == 198
 
 
