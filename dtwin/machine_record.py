@@ -13,7 +13,7 @@ from typing import Any
 from dtwin.atomic import make_folder, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.registry import kind_names
+from dtwin.kinds.registry import kinds
 from dtwin.locks import locked
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
@@ -108,9 +108,10 @@ def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineR
     facts = {name: _text(stated[name], f"{where}: {name}") for name in FACTS if stated.get(name)}
     axes = {axis: _axis(known, f"{where}: axes.{axis}") for axis, known in _table(stated, "axes", where).items()}
     tolerances = limits_from(_table(stated, "tolerances", where), f"{where}: tolerances")
-    strange = [s for s in tolerances if ":" in s and s.partition(":")[0] not in kind_names()]
+    strange = [symbol for symbol in tolerances if not _is_figure(symbol)]
     if strange:
-        allowed = f"SYMBOL, or KIND:SYMBOL with {', '.join(kind_names())}"
+        of_kind = "; ".join(f"{kind.name}: {', '.join(kind.figures)}" for kind in kinds() if kind.figures)
+        allowed = f"SYMBOL, or KIND:SYMBOL where kinds share one. {of_kind}"
         raise _refused(f"{where}: tolerances", ", ".join(strange)[:60], allowed)
     events = stated.get("events", [])
     if not isinstance(events, list):
@@ -188,6 +189,13 @@ def recorded(home: Home) -> list[str]:
 def record_file(home: Home, machine: str) -> Path:
     """Return the file of a machine's record."""
     return home.machines / f"{require_name(machine, 'the machine')}.toml"
+
+
+def _is_figure(symbol: str) -> bool:
+    """Return whether some kind of test, or the one before the colon, tells such a figure, or may."""
+    named, _, own = symbol.rpartition(":")
+    asked = [kind for kind in kinds() if named in ("", kind.name)]
+    return any(own in kind.figures or (not kind.figures and kind.offers("sheet")) for kind in asked)
 
 
 def _table(stated: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:

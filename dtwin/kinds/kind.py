@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.kinds.volumetric import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
-    from dtwin.report.html import Section
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Campaign, Finding, Run
@@ -142,31 +142,6 @@ class Drawing:
     note: str = ""
 
 
-class TwinReport(Protocol):
-    """How twins of a kind are told; results are what their ``as_dict`` gives."""
-
-    def twin_text(self, twin: Any, /) -> str:
-        """Return a twin for the terminal."""
-
-    def comparison_text(self, result: Mapping[str, Any], /) -> str:
-        """Return a comparison for the terminal."""
-
-    def diagnosis_text(self, name: str, result: Mapping[str, Any], /) -> str:
-        """Return a diagnosis for the terminal."""
-
-    def diagnosis_section(self, name: str, result: Mapping[str, Any], /) -> Section:
-        """Return a diagnosis for a report."""
-
-    def twin_section(self, twin: Any, /) -> Section:
-        """Return a twin for a report."""
-
-    def history_section(self, rungs: Sequence[Mapping[str, Any]], /) -> Section:
-        """Return the versions of a twin for a report."""
-
-    def comparison_sections(self, found: Any, result: Mapping[str, Any], /) -> list[Section]:
-        """Return a comparison for a report."""
-
-
 class Kind:
     """A kind of campaign; a verb that it lacks raises :class:`NotOffered`.
 
@@ -188,9 +163,10 @@ class Kind:
         Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for all such names.
     sheet_columns : tuple of str
         Columns of samples that a test sheet needs.
+    figures : tuple of str
+        Symbols of every figure that its test sheet may have.
     prefixed : tuple of str
-        Symbols of its figures that another kind has, too: a tolerance of a machine is of these where it is stated as
-        ``NAME:SYMBOL``.
+        Those that another kind has, too: a tolerance of a machine is of these where it is stated as ``NAME:SYMBOL``.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
@@ -209,6 +185,7 @@ class Kind:
     laws: ClassVar[bool] = False
     campaign_columns: ClassVar[tuple[str, ...]] = ()
     sheet_columns: ClassVar[tuple[str, ...]] = ()
+    figures: ClassVar[tuple[str, ...]] = ()
     prefixed: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()

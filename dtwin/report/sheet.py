@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -109,10 +109,8 @@ class Sheet:
         Where the uncertainty comes from, and what is not in it.
     notes : tuple of str
         What was left out, and why.
-    symbols : tuple of str
-        Of every figure that tests of this kind may have.
     untold : tuple of str
-        Those that have a limit, and that no condition of this test tells: nothing is inside without them.
+        Symbols of figures that have a limit, and that no condition of this test tells: nothing is inside without them.
     """
 
     standard: str
@@ -120,7 +118,6 @@ class Sheet:
     parts: tuple[Part, ...]
     basis: str = ""
     notes: tuple[str, ...] = ()
-    symbols: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -193,7 +190,7 @@ def pooled(parts: Iterable[Part]) -> tuple[Part, ...]:
     return tuple(replace(part, characteristics=tuple(map(with_pool, part.characteristics))) for part in kept)
 
 
-def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Collection[str] = ()) -> Sheet:
+def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()) -> Sheet:
     """Return the sheet with budgets, uncertainties, limits and decisions.
 
     ``sheet``: as a kind of campaign evaluated it.
@@ -221,7 +218,7 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Collection[str] = 
         else "U is not known, for no sound run was repeated: no limit can be decided."
     )
     told = {c.symbol for p in parts for c in p.characteristics}
-    untold = tuple(symbol for symbol in sheet.symbols if symbol in asked and symbol not in told)
+    untold = tuple(symbol for symbol in asked if symbol not in told)
     notes = [f"{symbol} has a tolerance, and this test does not tell it." for symbol in untold]
     return replace(sheet, parts=parts, basis=basis, notes=(*sheet.notes, *notes), untold=untold)
 

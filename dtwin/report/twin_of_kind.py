@@ -11,7 +11,7 @@ from dtwin.report.twins import history_text
 from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
-    from dtwin.kinds.kind import TwinReport
+    from dtwin.kinds.twin_report import TwinReport
 
 
 def discovery_text(payload: Mapping[str, Any], least_share: float) -> str:

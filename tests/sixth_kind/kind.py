@@ -14,8 +14,8 @@ from sixth_kind.machine import REPEATS, RIM_MM, SPEEDS_DEG_S, Table
 
 if TYPE_CHECKING:
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.serve.bundle import Bundle

@@ -64,6 +64,8 @@ def test_what_is_told_stays_until_it_is_told_anew(home: Home) -> None:
         "[axes.X]\nlead = 1.0",
         '[tolerances]\n"G(b)" = "x"',
         '[tolerances]\n"rotatoin:A" = 1.0',
+        '[tolerances]\n"Gx" = 1.0',
+        '[tolerances]\n"rotation:G(b)" = 1.0',
         '[[events]]\non = "yesterday"\nwhat = "crash"',
         '[[events]]\non = 2026-01-01\nwhat = "dance"',
         "events = [1]",

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _WAYS = ("CCW", "CW")
-_SYMBOLS = (*(f"{s}({way})" for way in _WAYS for s in ("G", "Fmax", "Fmin")), "G(b)", "H", "D")
 _Arc = tuple[Floats, Floats]
 _READING_UM = 0.7
 _LENGTH_UM = 1.0
@@ -71,7 +70,7 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         parts.append(Part(title, tuple(r.meta.run_id for r in kept), told, sound))
     basis = "what runs of one condition differ by (unit of replication: the run, pooled over conditions)"
     told_parts = tuple(_of_an_arc(part) if part.title in arcs else part for part in pooled(parts))
-    return Sheet("ISO 230-4, circular test", "G(b)", told_parts, basis, tuple(notes), _SYMBOLS)
+    return Sheet("ISO 230-4, circular test", "G(b)", told_parts, basis, tuple(notes))
 
 
 def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:

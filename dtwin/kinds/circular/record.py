@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from dtwin.config import Home
-    from dtwin.kinds.kind import FileReader, TwinReport
+    from dtwin.kinds.kind import FileReader
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
@@ -39,6 +40,7 @@ class _Circular(Kind):
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
     sheet_columns = ("angle_deg", "deviation_um")
+    figures = ("G(CCW)", "Fmax(CCW)", "Fmin(CCW)", "G(CW)", "Fmax(CW)", "Fmin(CW)", "G(b)", "H", "D")
     laws = True
     always_fitted = "Centre and radius of every set-up are always fitted."
 
@@ -118,7 +120,8 @@ class _Circular(Kind):
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         from dtwin.kinds.circular._report import circular_result
 
-        return circular_result(run) if run.meta.radius_mm else {}
+        lost = any(f.severity == "error" and f.code in ("angle.jump", "angle.short") for f in run.findings)
+        return circular_result(run) if run.meta.radius_mm and not lost else {}
 
     @property
     def drawings(self) -> Sequence[Drawing]:

@@ -48,7 +48,7 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         title = f"{run.meta.run_id}, {(t_s[-1] - t_s[0]) / _HOUR_S:z.1f} h"
         parts.append(Part(title, (run.meta.run_id,), figures, sound))
     basis = "what readings of one sample differ by (unit of replication: the reading)"
-    return Sheet("ISO 230-3, thermal drift", "d", tuple(parts), basis, tuple(notes), ("d", "d(1 h)"))
+    return Sheet("ISO 230-3, thermal drift", "d", tuple(parts), basis, tuple(notes))
 
 
 def variation(runs: Sequence[Run], campaign: str) -> Variation | None:

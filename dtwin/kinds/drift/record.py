@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
@@ -36,6 +36,7 @@ class _Drift(Kind):
     stated = ()
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
+    figures = ("d", "d(1 h)")
     export_forms = ("klipper",)
     always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {

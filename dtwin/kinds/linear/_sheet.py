@@ -68,7 +68,7 @@ def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             parts += [] if part is None else [part]
             notes += said
     basis = "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)"
-    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), tuple(f[0] for f in _FIGURES))
+    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
 
 
 def _evaluated(title: str, every: Sequence[Run], ways: Ways, under: Circumstances) -> tuple[Part | None, list[str]]:

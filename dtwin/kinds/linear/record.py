@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
@@ -39,6 +39,7 @@ class _Linear(Kind):
     stated = ("axis",)
     campaign_columns = columns
     sheet_columns = columns
+    figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
     always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {

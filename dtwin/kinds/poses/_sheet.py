@@ -48,7 +48,7 @@ def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         title = f"{run.meta.run_id}, {int(series.poses.place.max()) + 1} poses"
         parts.append(Part(title, (run.meta.run_id,), _figures(series, under), sound))
     basis = "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)"
-    return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes), tuple(_NAMES))
+    return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes))
 
 
 def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
     from dtwin.report.sheet import Sheet
@@ -33,6 +33,7 @@ class _Poses(Kind):
         "ambient_c",
     )
     sheet_columns = campaign_columns
+    figures = ("AP", "AP mean", "AD", "AD rms", "RP")
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 _READING_UM = 0.5
 _MOST_DRAWN = 40
 _RADIUS_MM = 100.0
-_SYMBOLS = ("TIR", "e", "S", "R", "A")
 _BASIS = {
     "turns": "what blocks of neighbouring turns differ by (unit of replication: the block, of ten or fewer turns the turn)",
     "table": "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)",
@@ -47,9 +46,7 @@ def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             continue
         parts.append(Part(_title(run), (run.meta.run_id,), _figures(turns, under), sound))
     basis = "; ".join(_BASIS[form] for form, there in (("turns", parts), ("table", tables)) if there)
-    return Sheet(
-        "ISO 230-7, axes of rotation", "S" if parts else "TIR", (*parts, *tables), basis, tuple(notes), _SYMBOLS
-    )
+    return Sheet("ISO 230-7, axes of rotation", "S" if parts else "TIR", (*parts, *tables), basis, tuple(notes))
 
 
 def _figures(turns: Turns, under: Circumstances) -> tuple[Characteristic, ...]:

@@ -25,6 +25,7 @@ class _Rotation(Kind):
     in_one_table = True
     campaign_columns = (*columns, "speed_rpm", "runout_um")
     sheet_columns = campaign_columns
+    figures = ("TIR", "e", "S", "R", "A")
     prefixed = ("A", "R")
     instead: ClassVar[Mapping[str, str]] = {
         "twins": "dtwin check CAMPAIGN names what the run-out follows over speed",

@@ -9,8 +9,8 @@ from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row

@@ -9,8 +9,8 @@ from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
     from dtwin.config import Home
-    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.twin_report import TwinReport
     from dtwin.kinds.volumetric._twins import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect

@@ -178,6 +178,9 @@ def test_it_is_checked_and_told_after_its_standard(measured: Measured) -> None:
     checked = measured.said("check", measured.folder)
     assert not [f for f in checked.get("findings", []) if f["severity"] == "error"]
     assert ("sheet" in checked) == measured.kind.offers("sheet")
+    if "sheet" in checked:
+        told = {c["symbol"] for part in checked["sheet"]["parts"] for c in part["characteristics"]}
+        assert told and told <= set(measured.kind.figures)
 
 
 def test_a_twin_is_fitted_diagnosed_compared_and_told(measured: Measured, twin: str) -> None:
