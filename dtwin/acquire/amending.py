@@ -12,6 +12,7 @@ from typing import Any
 from dtwin.acquire import _stated as stated
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import findings_fields
 from dtwin.lake.store import Lake
 from dtwin.people import acting
@@ -70,6 +71,7 @@ def amend(
         where = f"campaign {campaign}, run {row['run_id']}"
         now = dict(row)
         for name, value in told:
+            _require_not_read_with(name, row, where)
             now |= _changed(now, name, value, where)
         different = {name: value for name, value in now.items() if row[name] != value}
         if different:
@@ -208,6 +210,17 @@ def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) ->
     kept = [finding for finding in was.findings if finding not in before]
     fields = findings_fields([*kept, *judge_run(replace(run, findings=()))])
     return {name: value for name, value in fields.items() if row[name] != value}
+
+
+def _require_not_read_with(name: str, row: Mapping[str, Any], where: str) -> None:
+    if name in kind_named(row["kind"]).read_with:
+        raise InputError(
+            "the file was read with this: stated anew, it changes nothing of what was read",
+            code="amend.read_with",
+            where=where,
+            got=name,
+            hint="state it in campaign.toml under another name of the campaign, and ingest that",
+        )
 
 
 def _rows(lake: Lake, campaign: str, runs: Sequence[str]) -> list[dict[str, Any]]:

@@ -167,6 +167,8 @@ class Kind:
         Symbols of every figure that its test sheet may have.
     prefixed : tuple of str
         Those that another kind has, too: a tolerance of a machine is of these where it is stated as ``NAME:SYMBOL``.
+    read_with : tuple of str
+        What a file is read with, as ``dtwin amend`` names it: stated anew, it would change nothing.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
@@ -187,6 +189,7 @@ class Kind:
     sheet_columns: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()
     prefixed: ClassVar[tuple[str, ...]] = ()
+    read_with: ClassVar[tuple[str, ...]] = ("instrument.sample_rate_hz",)
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
     export_forms: ClassVar[tuple[str, ...]] = ()

@@ -37,6 +37,7 @@ class _Drift(Kind):
     campaign_columns = ("t_s", "displacement_um", "sample_1", "temperature_*")
     sheet_columns = campaign_columns
     figures = ("d", "d(1 h)")
+    read_with = (*Kind.read_with, "instrument.columns", "instrument.step_mm", "condition.step_mm")
     export_forms = ("klipper",)
     always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {

@@ -34,6 +34,7 @@ class _Poses(Kind):
     )
     sheet_columns = campaign_columns
     figures = ("AP", "AP mean", "AD", "AD rms", "RP")
+    read_with = (*Kind.read_with, "instrument.columns", "condition.joints_log", "condition.leave_out")
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {

@@ -73,6 +73,7 @@ def test_a_single_run_is_amended_and_judged_again(lake: Lake) -> None:
     [
         ("content_sha256=0", "amend.setting"),
         ("run_id=x", "amend.setting"),
+        ("instrument.sample_rate_hz=100", "amend.read_with"),
         ("samples_file=../x", "amend.setting"),
         ("machine=../x", "name.invalid"),
         ("radius_mm=-3", "campaign.value"),
