@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # README's second command: set up, then run every check.
 set -euo pipefail
-. "$(dirname "$0")/setup.sh"
+. "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 .venv/bin/ruff check .
 .venv/bin/ruff format --check --quiet . || { echo "run: .venv/bin/ruff format ."; exit 1; }
@@ -19,6 +19,8 @@ quiet() { nice -n 10 "$@"; }
     exit "${failed:-0}"
 ) &
 beside=$!
+# Of .ci/run: what only the tests need.
+[ -z "${installing:-}" ] || wait "$installing"
 tests=0
 OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 4 --no-loadscope-reorder -m "not long" "$@" || tests=$?
 wait "$beside" || { cat "$said"; echo "types, contracts or documentation: see above"; exit 1; }
