@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import shlex
+from functools import cache
 from typing import Any
 
 import typer
@@ -23,8 +24,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     return markdown.replace(PLACE, _reference()) if PLACE in markdown else markdown
 
 
-def _commands() -> Any:
-    return typer.main.get_command(app)
+@cache
+def _known() -> dict[str, Any]:
+    """Return every command by its words, made once for all pages."""
+    return _leaves(typer.main.get_command(app), "dtwin")
 
 
 def _leaves(group: Any, path: str) -> dict[str, Any]:
@@ -38,14 +41,14 @@ def _leaves(group: Any, path: str) -> dict[str, Any]:
 
 def _reference() -> str:
     parts = []
-    for words, command in _leaves(_commands(), "dtwin").items():
+    for words, command in _known().items():
         context = command.make_context(words, [], resilient_parsing=True, terminal_width=88)
         parts.append(f"## {words}\n\n```text\n{command.get_help(context)}\n```\n")
     return "\n".join(parts)
 
 
 def _wrong_commands(markdown: str) -> list[str]:
-    known = _leaves(_commands(), "dtwin")
+    known = _known()
     wrong = []
     for block in _BLOCK.findall(markdown):
         for line in block.replace("\\\n", " ").splitlines():
