@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,30 @@ def _own_home(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("PREFECT_API_URL", raising=False)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _tables_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Copy the tables that MLflow made in the first home into those that follow: it takes a second to make them."""
+    clients = sys.modules.get("dtwin.train._registry_client")
+    if clients is None:
+        yield
+        return
+    made, kept = clients.MlflowClient, tmp_path_factory.mktemp("tables") / "mlflow.db"
+
+    def client(tracking_uri: str, registry_uri: str) -> Any:
+        file = Path(tracking_uri.removeprefix("sqlite:///"))
+        empty = file.is_file() and not file.stat().st_size
+        if empty and kept.exists():
+            shutil.copyfile(kept, file)
+        found = made(tracking_uri=tracking_uri, registry_uri=registry_uri)
+        if empty and not kept.exists():
+            shutil.copyfile(file, kept)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clients, "MlflowClient", client)
+        yield
 
 
 @pytest.fixture(scope="session")
