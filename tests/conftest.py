@@ -132,7 +132,7 @@ def _tables_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
             shutil.copyfile(kept, file)
         found = made(tracking_uri=tracking_uri, registry_uri=registry_uri)
         if empty and not kept.exists():
-            shutil.copyfile(file, kept)
+            shutil.copyfile(file, kept.with_name("new.db")).replace(kept)
         return found
 
     with pytest.MonkeyPatch.context() as patch:
