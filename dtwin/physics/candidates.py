@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from dtwin.physics._condensed import Condensed, condensed
 from dtwin.physics.effect import Effect, Instance
@@ -23,6 +24,8 @@ from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
 _PITCH_SHAPE = "pitch_mm"
+# Runs of fewer numbers; how often noise is simulated for them, and the share of it that is called something.
+_FEW_BINS, _DRAWS, _AT = 100, 2000, 0.05
 _Complexes = NDArray[np.complex128]
 _Key = tuple[str, tuple[tuple[str, float], ...]]
 
@@ -97,7 +100,7 @@ class Candidates:
         visible, share = few.expanded(tried[best][0]), float(tried[best][1].max())
         within = instance.effect.within_condition
         score = score_test(problem, visible, residual, level, within=within)
-        n_tried = independent([v for v, _ in tried if v.size])
+        n_tried = independent([v for v, _ in tried if v.size], self.obs)
         if any(shape.name == _PITCH_SHAPE for shape in instance.effect.shapes):
             n_tried = max(n_tried, _independent_pitches(self.obs))
         p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
@@ -282,18 +285,28 @@ def _independent_pitches(obs: Observations) -> float:
     return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
 
 
-def independent(visible: Sequence[Floats]) -> float:
-    """Return how many independent tests a family of columns stands for, by their overlap.
+def independent(visible: Sequence[Floats], obs: Observations) -> float:
+    """Return how many independent tests a family of columns stands for.
+
+    By their overlap, which counts too few where what overlaps in one direction differs in another: down to a third for the
+    shapes of a tone's effect. Where runs have few numbers, by the smallest p-value of simulated noise.
 
     ``visible``, (n, k_i): orthonormal columns of each.
     """
     if len(visible) < 2:
         return 1.0
-    gram = np.concatenate(visible, axis=1)
-    squares = (gram.T @ gram) ** 2
+    columns = np.concatenate(visible, axis=1)
+    gram = columns.T @ columns
     sizes = np.array([v.shape[1] for v in visible])
-    first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    overlap = np.add.reduceat(np.add.reduceat(squares, first, axis=0), first, axis=1)
+    first = np.cumsum(sizes) - sizes
+    if obs.n_bins < _FEW_BINS:
+        values, vectors = np.linalg.eigh(gram)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(values))) @ root.T
+        gains = np.add.reduceat(drawn**2, first, axis=1)
+        p_values = [chdtrc(float(k), gains[:, sizes == k].max(axis=1)) for k in np.unique(sizes)]
+        return float(max(1.0, np.log1p(-_AT) / np.log1p(-np.quantile(np.min(p_values, axis=0), _AT))))
+    overlap = np.add.reduceat(np.add.reduceat(gram**2, first, axis=0), first, axis=1)
     overlap /= np.minimum(sizes[:, None], sizes[None, :])
     return float(max(1.0, len(visible) ** 2 / (overlap**2).sum()))
 

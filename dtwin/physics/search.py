@@ -14,6 +14,7 @@ from dtwin.physics._rivals import Found, described, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
 from dtwin.statistics import holm
@@ -158,24 +159,24 @@ def _described(
     return tuple(sorted([*found, *at], key=lambda f: -f.size_um))
 
 
-def adjusted(tested: Sequence[Candidate]) -> dict[str, float]:
+def adjusted(tested: Sequence[Candidate], obs: Observations) -> dict[str, float]:
     """Return Holm's adjusted p-values by label.
 
     Effects that these runs cannot tell apart are one test, not several: the number of tests is
     that of the independent ones.
     """
     ordered = sorted(tested, key=lambda c: c.score.p_value)
-    p_values = holm([c.score.p_value for c in ordered], independent([c.visible for c in ordered]))
+    p_values = holm([c.score.p_value for c in ordered], independent([c.visible for c in ordered], obs))
     return dict(zip((c.term.label for c in ordered), p_values.tolist(), strict=True))
 
 
 def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> Test:
     level = noise_level(problem, probes(problem))
     tested, invisible = candidates.tested(problem, level)
-    p_values = adjusted(tested)
+    p_values = adjusted(tested, problem.obs)
     if shown_by_channel:
         within = [c for c in tested if c.term.instance.effect.within_condition]
-        p_values |= adjusted(within)
+        p_values |= adjusted(within, problem.obs)
     return Test(problem, level, tuple(tested), p_values, tuple(invisible))
 
 
@@ -228,7 +229,7 @@ def _told(
 def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test) -> list[Term]:
     """Return the effects without those that are not significant beside all the others."""
     terms = list(terms)
-    many = independent([c.visible for c in first.candidates])
+    many = independent([c.visible for c in first.candidates], problem.obs)
     while terms:
         p_values = []
         beyond = misfit(candidates.given(problem, terms))
