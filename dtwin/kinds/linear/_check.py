@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dtwin.kinds.linear._asked import BOTH, Ways, ways_of
 from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding
 from dtwin.kinds.linear._matrix import TARGET_MM, LinearTest, linear_test
 from dtwin.schema import Finding, Floats, Run
@@ -84,25 +85,31 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
                 {"conditions_1": 1.0},
             )
         )
-    tests = [linear_test(axis) for axis in _by_axis(runs)]
+    tests = [linear_test(alike, ways) for ways, alike in _by_axis(runs)]
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
+    datum = [finding for test in tests if test.ways == BOTH and (finding := shifted_zero(test)) is not None]
     return findings + (told or _drift(runs)) + datum
 
 
-def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:
-    """Return the runs of both directions, axis by axis."""
-    by_axis: dict[str, list[Run]] = {}
+def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
+    """Return the runs axis by axis with their directions: those of both, or those of one where an axis has no others."""
+    by_axis: dict[str, dict[Ways, list[Run]]] = {}
     for run in runs:
-        if set(run.samples["direction"]) == {"forward", "reverse"}:
-            by_axis.setdefault(str(run.meta.condition.get("axis", "")), []).append(run)
-    return list(by_axis.values())
+        of_axis = by_axis.setdefault(str(run.meta.condition.get("axis", "")), {})
+        of_axis.setdefault(ways_of(run), []).append(run)
+    return [
+        (ways, alike)
+        for of_axis in by_axis.values()
+        for ways, alike in of_axis.items()
+        if ways == BOTH or BOTH not in of_axis
+    ]
 
 
 def _across_cycles(test: LinearTest) -> list[Finding]:
     if test.position_mm.size < 2:
         return []
-    return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
+    moves = moving_zero(test) if test.ways == BOTH else None
+    return [finding for finding in (spoilt_finding(test), moves) if finding is not None]
 
 
 def _missed(run: Run) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ _FAR = 8.0
 """Robust standard deviations of all readings about those of the other cycles."""
 _APART = 5.0
 """How many times a spoilt reading is further off than the others of its target span."""
+_SAME_UM = 1e-4
+"""Readings nearer than this are equal: they are differences of positions in mm."""
 _MOST_SPOILT = 0.1
 """Share of all readings that may be called spoilt; more is something else."""
 _GAUSS = 1.4826
@@ -60,17 +63,26 @@ def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
     cycles = test.forward_um.shape[1]
     if cycles < _FEWEST_CYCLES:
         return []
-    ways = (("forward", test.forward_um), ("reverse", test.reverse_um))
-    off = {way: values - _of_others(values, np.median) for way, values in ways}
-    span = {way: _of_others(values, np.ptp) for way, values in ways}
+    ways = dict(zip(test.ways, (test.forward_um, test.reverse_um), strict=True))
+    off = {way: values - _of_others(values, np.median) for way, values in ways.items()}
+    span = {way: _of_others(values, np.ptp) for way, values in ways.items()}
     every = np.concatenate([o.ravel() for o in off.values()])
-    limit = _FAR * _GAUSS * float(np.median(np.abs(every)))
+    # Readings that are rounded agree better than what was read: not to less than a step.
+    step_um = _step_um(np.concatenate([test.forward_um, test.reverse_um]))
+    limit = _FAR * max(_GAUSS * float(np.median(np.abs(every))), step_um / math.sqrt(12.0))
     found = [
         SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
-        for way, _ in ways
-        for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * span[way]))
+        for way in ways
+        for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * (span[way] + step_um)))
     ]
     return found if len(found) <= max(2, _MOST_SPOILT * every.size) else []
+
+
+def _step_um(values: Floats) -> float:
+    """Return the step to which readings are rounded: the least by which two of them differ."""
+    apart = np.diff(np.sort(values, axis=None))
+    told = apart[apart > _SAME_UM]
+    return float(told.min()) if told.size else 0.0
 
 
 def spoilt_finding(test: LinearTest) -> Finding | None:

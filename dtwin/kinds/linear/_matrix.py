@@ -24,6 +24,7 @@ class LinearTest:
     ``left_out``: targets that some run missed.
     ``pitch_mm``: travel in one turn of the screw.
     ``first``: direction that each run began with; empty where the clock is assumed.
+    ``ways``: directions of both matrices; twice the same of runs that have one only.
     """
 
     position_mm: Floats
@@ -33,6 +34,7 @@ class LinearTest:
     pitch_mm: float | None
     axis: str = "Z"
     first: str = "forward"
+    ways: tuple[str, str] = ("forward", "reverse")
 
 
 def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse")) -> LinearTest:
@@ -53,6 +55,7 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
         pitch_mm=pitch if isinstance(pitch, float) else None,
         axis=str(runs[0].meta.condition.get("axis", "Z")),
         first=_first(runs),
+        ways=ways,
     )
 
 

@@ -17,7 +17,6 @@ a unit are millimetres; deviations must state theirs.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
+from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
     ANGLE,
@@ -45,22 +45,22 @@ from dtwin.kinds.linear._table_heads import (
     is_opposite,
     is_unit,
     long_of,
+    other_targets,
     scale_of,
     table_of,
     told_unit,
     way_of,
     wide_of,
+    without_remarks,
 )
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
-from dtwin.units import LENGTHS_MM, UM_PER_MM
+from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
 # Of the travel: no linear axis errs by so much.
 _LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
 _PERIOD_S = 1.0
-_ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
-_UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def is_position_table(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MAX_BYTES)
-    if any(_ASSIGNED.match(line) for line in text.splitlines()):
+    if is_assigned(text):
         return True
     return bool(report_tables(text)) or table_of(rows_of(text)) is not None
 
@@ -126,7 +126,7 @@ def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: S
         samples = {name: values[good] for name, values in columns.items()}
         runs.append(Run(meta, samples, source=str(path), findings=(*said, finding)))
     if not runs:
-        raise _wrong("the table holds no reading", path, "targets alone")
+        raise wrong_form("the table holds no reading", path, "targets alone")
     return runs
 
 
@@ -139,15 +139,15 @@ def read_position_table(path: Path) -> PositionTable:
 
 
 def _read(text: str, path: Path) -> PositionTable:
-    if any(_ASSIGNED.match(line) for line in text.splitlines()):
-        return matrix_of(_assigned(text, path), path)
+    if is_assigned(text):
+        return matrix_of(assigned_readings(text, path), path)
     tables = [table.rows for table in one_instrument(report_tables(text), path)]
     if not tables:
         every = rows_of(text)
         _require_positioning(every, path)
         plain = table_of(every)
         if plain is None:
-            raise _wrong("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
+            raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
         tables = [plain]
     readings: list[Reading] = []
     for rows in tables:
@@ -220,59 +220,38 @@ def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
     return list(readings)
 
 
-Reading = tuple[float, str, int, float, bool]
-"""Target in mm, direction, cycle from 1, deviation in µm, and whether it follows from a position."""
-
-
 def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     """Return readings as a table.
 
+    Cycles of one direction each, as 1 forward, 2 reverse, 3 forward, are sweeps: they are counted by direction.
+
     Raises ``InputError`` when there are fewer than two targets, or one is read twice in a cycle and direction.
     """
+    sweeps = {way: sorted({r[2] for r in readings if r[1] == way}) for way in ("forward", "reverse")}
+    numbers = sorted(number for found in sweeps.values() for number in found)
+    if all(sweeps.values()) and numbers == list(range(1, len(numbers) + 1)):
+        readings = [(r[0], r[1], sweeps[r[1]].index(r[2]) + 1, r[3], r[4]) for r in readings]
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
     if len(targets) < 2 or not 1 <= cycles <= 1000:
-        raise _wrong("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
+        raise wrong_form("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
     place = {target: i for i, target in enumerate(targets)}
     found = {way: np.full((len(targets), cycles), np.nan) for way in ("forward", "reverse")}
     for target, way, cycle, deviation, _ in readings:
         cell = place[target], cycle - 1
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} mm"
-            raise _wrong("a reading stands there twice: say which cycle each belongs to", path, got)
+            raise wrong_form("a reading stands there twice: say which cycle each belongs to", path, got)
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
     return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position)
-
-
-def _assigned(text: str, path: Path) -> list[Reading]:
-    stated = _UNIT_ASSIGNED.search(text)
-    unit = stated[1].lower() if stated else "mm"
-    if unit not in LENGTHS_MM:
-        raise _wrong("a unit that is not known", path, unit[:20])
-    targets: dict[int, float] = {}
-    read: list[tuple[str, int, int, float]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        match = _ASSIGNED.match(line)
-        if match is None:
-            continue
-        value = _number(match[4], f"{path} line {number}") * LENGTHS_MM[unit]
-        if match[1] == "TGT_DATA":
-            targets[int(match[2])] = value
-        elif match[3] is None:
-            raise _wrong("a reading without a cycle", path, line.strip()[:60])
-        else:
-            read.append(("forward" if match[1].endswith("FWD") else "reverse", int(match[2]), int(match[3]), value))
-    lost = sorted({point for _, point, _, _ in read} - set(targets))
-    if lost:
-        raise _wrong("readings of a target that is not told", path, f"number {lost[0]}")
-    return [(targets[p], way, cycle, (value - targets[p]) * UM_PER_MM, True) for way, p, cycle, value in read]
 
 
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
     heads, units, body = _parted(rows, wide.target, path)
     read = {wide.target, *(i for i, _, _ in wide.cells)}
     scale = {i: _scale(heads[i], units[i] if units is not None and i < len(units) else "", path) for i in read}
+    again = other_targets(heads, wide.target)
     out = []
     seen: Counter[float] = Counter()
     for number, row in enumerate(body, start=2 if units is None else 3):
@@ -280,6 +259,8 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
         if any(SUMMARY.fullmatch(row[i].strip()) for i in (wide.cycle, wide.target) if i is not None and i < len(row)):
             continue
         target = _cell(row, wide.target, where) * scale[wide.target]
+        if any(i < len(row) and row[i].strip() and row[i].strip() != row[wide.target].strip() for i in again):
+            raise wrong_form("two columns of targets do not agree: a row is one target", Path(where), str(row)[:80])
         seen[target] += 1
         counted = seen[target] if wide.cycle is None else _cycle(row, wide.cycle, where)
         for i, way, cycle in wide.cells:
@@ -303,7 +284,7 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
         way = way_of(row[long.way], ones=True) if long.way < len(row) else None
         if way is None:
-            raise _wrong("a reading without a direction", Path(where), str(row)[:80])
+            raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
         seen[target, way] = seen.get((target, way), 0) + 1
         cycle = seen[target, way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
@@ -314,16 +295,15 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
 def _parted(
     rows: Sequence[Sequence[str]], target: int, path: Path
 ) -> tuple[Sequence[str], Sequence[str] | None, Sequence[Sequence[str]]]:
-    """Return heads, the row of units below them, and the rows of one axis, without what is written below the last target."""
+    """Return heads, the row of units below them, and the rows of one axis, without what else is written there."""
     heads, body = rows[0], list(rows[1:])
     units = body.pop(0) if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
-    while body and target < len(body[-1]) and body[-1][target].strip()[:1].isalpha():
-        del body[-1]
+    body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
         if len(axes) > 1:
             raise InputError(
-                "the table holds several axes",
+                "the table holds several axes, or several machines",
                 code="position_table.axes",
                 where=f"{path} {heads[i].strip()}",
                 got=", ".join(axes)[:60],
@@ -361,37 +341,9 @@ def _scale(head: str, below: str, path: Path) -> float:
 def _cycle(row: Sequence[str], i: int, where: str) -> int:
     cycle = _cell(row, i, where)
     if cycle < 1 or cycle % 1:
-        raise _wrong("cycles count from 1", Path(where), f"{cycle:g}")
+        raise wrong_form("cycles count from 1", Path(where), f"{cycle:g}")
     return int(cycle)
 
 
 def _cell(row: Sequence[str], i: int, where: str) -> float:
-    return _number(row[i] if i < len(row) else "", where)
-
-
-def _number(cell: str, where: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value) or abs(value) > 1e9:
-        raise InputError(
-            "not a number",
-            code="position_table.number",
-            where=where,
-            got=cell[:40] or "nothing",
-            allowed="a finite number; an empty cell, -, nan or n/a where nothing was read",
-        )
-    return value
-
-
-def _wrong(message: str, path: Path, got: str) -> InputError:
-    return InputError(
-        message,
-        code="position_table.form",
-        where=str(path),
-        got=got,
-        allowed="targets with columns such as forward 1, reverse 1; or target, cycle, forward, reverse; or target, direction, "
-        "cycle, deviation; or TGT_DATA[1]=, REF_DATA_FWD[1,1]=",
-        hint="docs/how-to/positioning-table.md",
-    )
+    return number_of(row[i] if i < len(row) else "", where)

@@ -95,7 +95,7 @@ _BEFORE_AFTER = (
 def positioning_lines(result: Mapping[str, Any]) -> list[str]:
     """Return the lines that a terminal shows of :func:`positioning_result`."""
     if not result:
-        return ["no run approached its targets from both sides: no figures"]
+        return ["no run approached its targets from both sides: no figures of both directions"]
     if not result["targets"]:
         return ["no target was read in every run from both sides: no figures"]
     lines = [

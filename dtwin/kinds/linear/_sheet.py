@@ -81,8 +81,7 @@ def _evaluated(title: str, every: Sequence[Run], ways: Ways, under: Circumstance
     spoilt = spoilt_finding(test)
     if spoilt is not None:
         sound = False
-        told = f"{spoilt.message}" if ways == BOTH else "readings do not belong to the others: measure again"
-        notes.append(f"{title}: {told}.")
+        notes.append(f"{title}: {spoilt.message}.")
     if test.left_out:
         many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
         sides = " from both sides" if ways == BOTH else ""

@@ -13,7 +13,7 @@ from dtwin.acquire.foreign_columns import is_number
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
-MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none", "out of range"))
+MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
 _STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
 """First cell of a row that sums up the rows above it."""
@@ -21,7 +21,11 @@ ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°(?!\s*[CF])|^[\[(]?(d
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
 _SUMS_UP = re.compile(rf"\b({_STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
-AXIS = re.compile(r"^(axis|achse|axe|asse|eje)$", re.I)
+AXIS = re.compile(
+    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
+    re.I,
+)
+"""Head of a column that says of which axis, or of which of several alike, a row is."""
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
@@ -32,6 +36,8 @@ _TARGET = re.compile(
 )
 _SURELY_TARGET = re.compile(r"^([px]_?i\b|target|tgt|nominal|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I)
 _INDEX = re.compile(r"i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
+_COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
+"""Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
 _REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
@@ -65,9 +71,7 @@ class Wide:
 def wide_of(heads: Sequence[str]) -> Wide | None:
     """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
     names = [head.strip() for head in heads]
-    targets = [i for i, name in enumerate(names) if _TARGET.match(name)]
-    targets = [i for i in targets if not is_index(names[i])]
-    targets.sort(key=lambda i: _SURELY_TARGET.match(names[i]) is None)
+    targets = _targets(names)
     told = [(i, way_of(name), re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
@@ -106,8 +110,39 @@ def is_opposite(head: str) -> bool:
 
 
 def names_target(head: str) -> bool:
-    """Return whether a column holds targets."""
-    return _TARGET.match(head.strip()) is not None and not is_index(head)
+    """Return whether a column holds targets; positional deviations, as ISO 230-2 calls them, are none."""
+    surely = _SURELY_TARGET.match(head.strip()) is not None
+    return (surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))) and not is_index(head)
+
+
+def _targets(names: Sequence[str]) -> list[int]:
+    """Return the columns that may hold the targets, the surest first."""
+    found = [i for i, name in enumerate(names) if names_target(name)]
+    return sorted(found, key=lambda i: (_COUNTED.fullmatch(names[i]) is not None, not _SURELY_TARGET.match(names[i])))
+
+
+def other_targets(heads: Sequence[str], target: int) -> list[int]:
+    """Return the further columns of targets in the same unit: those of another direction, as a rule."""
+    sure = [i for i, head in enumerate(heads) if _SURELY_TARGET.match(head.strip()) and names_target(head)]
+    sure = [i for i in sure if i != target and not _COUNTED.fullmatch(heads[i].strip())]
+    return [i for i in sure if not is_deviation(heads[i]) and unit_of(heads[i]) == unit_of(heads[target])]
+
+
+def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target: int) -> list[Sequence[str]]:
+    """Return the rows of a table without blank ones, heads that are repeated, and what is written below the last target."""
+    told = [cell.strip() for cell in heads]
+    rows = [row for row in body if any(cell.strip() for cell in row) and [cell.strip() for cell in row] != told]
+    whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
+    while rows and _is_remark(rows[-1], target, whole):
+        del rows[-1]
+    return rows
+
+
+def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
+    """Return whether a row says something in words and is no target: of ``whole`` cells of a target's row it has few."""
+    at = row[target].strip() if target < len(row) else ""
+    worded = any(cell.strip()[:1].isalpha() and cell.strip().lower() not in MISSING for cell in row)
+    return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))
 
 
 @dataclass(frozen=True)
@@ -134,8 +169,7 @@ def long_of(heads: Sequence[str]) -> Long | None:
     deviation = first(_DEVIATION, way, cycle)
     value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
     indices = [i for i, name in enumerate(names) if is_index(name)]
-    target = first(_SURELY_TARGET, way, cycle, value, *indices)
-    target = first(_TARGET, way, cycle, value, *indices) if target is None else target
+    target = next((i for i in _targets(names) if i not in (way, cycle, value)), None)
     if value is None and target is not None:
         # Two columns of places: the one that says so is the target.
         target = first(_SURELY_TARGET, way, cycle)
@@ -149,10 +183,10 @@ def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], .
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
     names = [head.strip() for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
-    places = [i for i, name in enumerate(names) if names_target(name)]
+    places = _targets(names)
     if way is None or not places:
         return None
-    target = next((i for i in places if _SURELY_TARGET.match(names[i])), places[0])
+    target = places[0]
     cycles = tuple(
         (i, int(number[1]))
         for i, name in enumerate(names)

@@ -109,3 +109,19 @@ def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
         test.forward_um[0, 0] += 110.0
         test.forward_um[1, 0] += 40.0
         assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
+
+
+def test_readings_that_are_rounded_are_not_called_spoilt_but_a_spoilt_one_is() -> None:
+    for seed in range(40):
+        test = made(lambda x, c: 0.0 * x * c, seed, noise_um=0.3)
+        rounded = replace(test, forward_um=np.round(test.forward_um), reverse_um=np.round(test.reverse_um))
+        assert spoilt_readings(rounded) == []
+        rounded.forward_um[3, 1] += 30.0
+        assert [(s.target, s.cycle, s.way) for s in spoilt_readings(rounded)] == [(3, 1, "forward")]
+
+
+def test_a_spoilt_reading_of_a_test_in_one_direction_is_told_once_and_where() -> None:
+    up = made(lambda x, c: 0.0 * x * c, 1).forward_um
+    up[3, 1] += 30.0
+    test = LinearTest(np.linspace(0.0, 300.0, 11), up, up, 0, None, ways=("reverse", "reverse"))
+    assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(3, 1, "reverse")]

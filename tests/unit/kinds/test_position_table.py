@@ -483,3 +483,69 @@ def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
     path.write_text("\n".join([heads, *(f"{100 * n},{100 * n},{100 * n},{n},5" for n in range(5))]), encoding="utf-8")
     found = read_position_table(path)
     assert (found.by_position, found.forward_um.ravel().tolist()) == (False, [0, 1, 2, 3, 4])
+
+
+def test_what_is_written_between_and_below_the_targets_is_none(tmp_path: Path) -> None:
+    heads, *rows = wide("{way} {c} [µm]", 1e6, False, ";").splitlines()
+    path = tmp_path / "axis.csv"
+    path.write_text("\n".join([heads, rows[0], heads, ";;;;", *rows[1:], "A;;7,5", "E;6,5;;;", "checked by nobody;;"]))
+    table = read_position_table(path)
+    assert table.target_mm.tolist() == TARGETS.tolist()
+    assert np.allclose(table.forward_um, FORWARD)
+
+
+def test_numbers_of_targets_are_no_targets(tmp_path: Path) -> None:
+    rows = [f"{i},{t:g},{FORWARD[i, 0]},{REVERSE[i, 0]}" for i, t in enumerate(TARGETS, start=0)]
+    upright = ["Target i,Position [mm],forward 1 [µm],reverse 1 [µm]", *rows]
+    lying = [",".join(cells) for cells in zip(*(row.split(",") for row in upright), strict=True)]
+    for lines in (upright, lying):
+        path = tmp_path / "axis.csv"
+        path.write_text("\n".join(lines))
+        assert read_position_table(path).target_mm.tolist() == TARGETS.tolist()
+
+
+def test_the_table_of_the_standard_lies_on_its_side_with_targets_over_both_directions(tmp_path: Path) -> None:
+    cells = [f"{REVERSE[i, c]},{FORWARD[i, c]}" for c in range(2) for i in range(3)]
+    lines = [
+        "i,1,,2,,3,",
+        "Target position Pi (mm)," + ",".join(f"{t:g}," for t in TARGETS),
+        "Approach direction" + ",↓,↑" * 3,
+    ]
+    lines += [f"Positional deviation (µm) j={c + 1}," + ",".join(cells[3 * c : 3 * c + 3]) for c in range(2)]
+    path = tmp_path / "axis.csv"
+    path.write_text("\n".join([*lines, "Mean deviation (µm),1,2,3,4,5,6"]))
+    table = read_position_table(path)
+    assert np.allclose(table.forward_um, FORWARD)
+    assert np.allclose(table.reverse_um, REVERSE)
+
+
+def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
+    sweeps = [
+        ("forward", FORWARD[:, 0]),
+        ("reverse", REVERSE[:, 0]),
+        ("forward", FORWARD[:, 1]),
+        ("reverse", REVERSE[:, 1]),
+    ]
+    lines = [
+        f"{n},{way},{t:g},{um}" for n, (way, of) in enumerate(sweeps, 1) for t, um in zip(TARGETS, of, strict=True)
+    ]
+    path = tmp_path / "axis.csv"
+    path.write_text("\n".join(["Run,Direction,Target (mm),Error (µm)", *lines]))
+    table = read_position_table(path)
+    assert np.allclose(table.forward_um, FORWARD)
+    assert np.allclose(table.reverse_um, REVERSE)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("machine,target [mm],direction,deviation [µm]\nM1,0,+,1\nM1,9,+,2\nM2,0,+,3\nM2,9,+,1", "position_table.axes"),
+        ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
+    ],
+)
+def test_readings_of_several_machines_or_targets_in_a_row_are_not_mixed(tmp_path: Path, text: str, code: str) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == code
