@@ -8,6 +8,9 @@ import re
 from collections.abc import Sequence
 from itertools import zip_longest
 
+STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
+SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
+"""A cell of a row that sums up the rows above it."""
 _SNIFFED_LINES = 100
 _SNIFFED_BYTES = 65_536
 # How each is read, how it is known, and the first bytes of its usual letters: what Windows writes in the West has few of these in pairs.

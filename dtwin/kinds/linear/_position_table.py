@@ -27,7 +27,7 @@ import numpy as np
 
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
-from dtwin.acquire.table_dialect import decoded, rows_of
+from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
@@ -37,7 +37,6 @@ from dtwin.kinds.linear._table_heads import (
     MISSING,
     MOST_TITLES,
     OTHER_TEST,
-    SUMMARY,
     Long,
     Wide,
     deviation_um,
@@ -241,7 +240,11 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
         cell = place[target], cycle - 1
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} mm"
-            raise wrong_form("a reading stands there twice: say which cycle each belongs to", path, got)
+            raise wrong_form(
+                "a reading stands there twice: say which cycle each belongs to; each axis needs a file of its own",
+                path,
+                got,
+            )
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
     return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position)

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
-_STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
-SUMMARY = re.compile(rf"({_STATISTICS}|min|max)\b", re.I)
-"""First cell of a row that sums up the rows above it."""
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°(?!\s*[CF])|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
-_SUMS_UP = re.compile(rf"\b({_STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
+_SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
     r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",

@@ -18,6 +18,7 @@ from dtwin.schema import Finding, Floats, Run
 
 _FEWEST = 20
 _FAR_MM = 50.0
+_SMALL_MM = 10.0
 _WILD = 12.0
 _ROUNDS, _MOST_KEPT, _LISTED = 10, 0.8, 8
 _ALIKE = 0.05
@@ -51,14 +52,18 @@ def judge_poses(run: Run) -> list[Finding]:
     if typical > _FAR_MM:
         said = f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after {series.taken_away}"
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
+    commanded_mm = float(np.ptp(axes(run, "target"), axis=0).max()) if "target_x_mm" in run.samples else 0.0
+    if 0.0 < commanded_mm < _SMALL_MM:
+        said = f"the poses span {commanded_mm:z.3g} mm, less than a robot is judged by: metres under a name of millimetres?"
+        return [Finding("poses.units", "error", said, {"span_mm": commanded_mm})]
     return [*_spoilt(run, series), *_commanded(run, series), *_repeats(series)]
 
 
 def _why(run: Run) -> str:
     """Return what would bring them together: a unit, or another chain."""
     joints, measured = joints_of(run), measured_of(run)
-    if np.ptp(measured, axis=0).max() < 10.0:
-        return "; the points span less than 10 mm: are they in metres?"
+    if np.ptp(measured, axis=0).max() < _SMALL_MM:
+        return f"; the points span less than {_SMALL_MM:g} mm: are they in metres?"
     if not joints.size:
         target = axes(run, "target")
         if not _ALIKE < (ratio := float(np.ptp(target, axis=0).max() / np.ptp(measured, axis=0).max())) < 1.0 / _ALIKE:
@@ -132,7 +137,8 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
             np.ptp(axes(run, "target"), axis=0).max()
             / np.ptp(series.setup.in_base(axes(run, "measured")), axis=0).max()
         )
-        if not _ALIKE < ratio < 1.0 / _ALIKE:
+        # One pose spans nothing.
+        if ratio > 0.0 and not _ALIKE < ratio < 1.0 / _ALIKE:
             said = f"targets span {ratio:.3g} times what the points do: metres under a name of millimetres?"
             findings.append(Finding("poses.units", "warning", said, {"ratio_1": ratio}))
     return findings

@@ -16,7 +16,7 @@ import numpy as np
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import decoded, mark_of, typed
+from dtwin.acquire.table_dialect import SUMMARY, decoded, mark_of, typed
 from dtwin.errors import InputError
 from dtwin.kinds.poses._foreign import joined, lines_for, of_ros
 from dtwin.kinds.poses._orientation import house_name, with_orientation
@@ -112,7 +112,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     begin = next(named_in, 0)
     heads, below, unit = joined(rows) or (list(rows[begin]) if rows else [], rows[begin + 1 :], "m")
     named = [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads]
-    body = [row if len(row) == len(named) else [""] * len(named) for row in below]
+    sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
+    body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {
         n: i for i, n in enumerate(named) if n in ("t_s", "t_ns") or n.startswith((*_NEEDED, "target_", "ambient_"))
     }

@@ -45,7 +45,8 @@ def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         series = problem_of(run)
         sound = not any(f.severity == "error" for f in run.findings)
         notes.append(_taken_away(run, series))
-        title = f"{run.meta.run_id}, {int(series.poses.place.max()) + 1} poses"
+        poses = int(series.poses.place.max()) + 1
+        title = f"{run.meta.run_id}, {poses} pose{'' if poses == 1 else 's'}"
         parts.append(Part(title, (run.meta.run_id,), _figures(series, under), sound))
     basis = "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)"
     return Sheet("ISO 9283, poses", "AP", tuple(parts), basis, tuple(notes))
@@ -56,6 +57,8 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
     repeated = int(np.bincount(place).max()) > 1
     told = _evaluated(error_um, place, point_um)
+    for name in _taken(series):
+        told.pop(name, None)
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
     longer = [_evaluated(error_um + s * _RULER * (point_um - point_um.mean(axis=0)), place, point_um) for s in (1, -1)]
     metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
@@ -85,6 +88,13 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     )
 
 
+def _taken(series: Series) -> tuple[str, ...]:
+    """Return the figures of which frame and tool leave nothing: poses tell three numbers each, and a frame keeps distances."""
+    if 3 * (int(series.poses.place.max()) + 1) > _NUMBERS[series.taken_away]:
+        return ()
+    return ("AP", "AP mean") if series.taken_away == "frame" else ("AP", "AP mean", "AD", "AD rms")
+
+
 def _taken_away(run: Run, series: Series) -> str:
     """Return what frame and tool took away before the figures: of few poses it is much of the error."""
     poses = int(series.poses.place.max()) + 1
@@ -96,7 +106,10 @@ def _taken_away(run: Run, series: Series) -> str:
             said += f"; as the file has its errors, AP is {1000.0 * written_mm.max():z.4g} µm"
     if poses < _FEW_POSES:
         numbers = _NUMBERS[series.taken_away]
-        said += f"; {poses} poses are few for the {numbers} numbers of {series.taken_away}, and the figures too small"
+        many = "1 pose is" if poses == 1 else f"{poses} poses are"
+        taken = _taken(series)
+        rest = f"nothing is left of {taken[0]} and {taken[-1]}" if taken else "the figures too small"
+        said += f"; {many} few for the {numbers} numbers of {series.taken_away}, and {rest}"
     repeats = np.bincount(series.poses.place)
     fewest = int(repeats[repeats >= _FEWEST_REPEATS].min(initial=_ASKED_REPEATS))
     if fewest < _ASKED_REPEATS:

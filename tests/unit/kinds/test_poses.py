@@ -594,3 +594,22 @@ def test_repeats_that_never_differ_and_an_arm_without_error_are_judged() -> None
     assert diagnose(grams, ()).additions[0] == "joint_zero@J2"
     at = frames(joints, KNOWN["ur10"]).origin_mm[-1]
     assert diagnose(Grams(series_of(np.degrees(joints), at, KNOWN["ur10"], None)), ()).verdict == "nothing_missing"
+
+
+def test_all_places_in_metres_under_names_of_millimetres_decide_nothing(tmp_path: Path) -> None:
+    folder = without_joints(tmp_path / "c", "position")
+    told = (folder / "campaign.toml").read_text("utf-8").replace('_m"', '_mm"')
+    (folder / "campaign.toml").write_text(told, encoding="utf-8")
+    heads, *rows = (folder / "poses.csv").read_text("utf-8").splitlines()
+    small = [",".join(f"{float(v) / 1e3:.9f}" if i < 3 else v for i, v in enumerate(row.split(","))) for row in rows]
+    (folder / "poses.csv").write_text("\n".join([heads, *small]), encoding="utf-8")
+    (found,) = (f for f in judge_run(first_run(folder)) if f.severity == "error")
+    assert found.code == "poses.units"
+
+
+def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
+    folder = without_joints(tmp_path / "c", "position")
+    heads, *rows = (folder / "poses.csv").read_text("utf-8").splitlines()
+    numbered = [f"P{i % 30},{row}" for i, row in enumerate(rows)]
+    (folder / "poses.csv").write_text("\n".join([f"pose,{heads}", *numbered, f"mean,{rows[3]}"]), encoding="utf-8")
+    assert first_run(folder).n_samples == 900

@@ -226,3 +226,13 @@ def test_the_sheet_of_poses_says_what_frame_and_tool_took_away() -> None:
 
 def _first(run: Run, rows: int) -> Run:
     return Run(run.meta, {name: values[:rows] for name, values in run.samples.items()})
+
+
+def test_one_pose_tells_its_repeatability_and_no_accuracy() -> None:
+    there = np.array([500.0, 0.0, 400.0]) + np.random.default_rng(0).normal(0.0, 0.02, (30, 3))
+    samples = {f"measured_{a}_mm": there[:, i] + 0.3 for i, a in enumerate("xyz")}
+    samples |= {f"target_{a}_mm": np.full(30, v) for a, v in zip("xyz", (500.0, 0.0, 400.0), strict=True)}
+    run = Run(RunMeta("p1", kind="poses"), {"t_s": np.arange(30.0), **samples})
+    sheet = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [run], {})
+    assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["RP"]
+    assert {f.code for f in kind_named("poses").judge_run(run)} == {"poses.repeats"}
