@@ -30,9 +30,9 @@ body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; marg
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
 td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from { white-space: normal; } th { color: #44525d; font-weight: 600; }
-.overview { font-size: 10px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
+.overview { font-size: 9px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
 .beside { display: grid; grid-template-columns: 270px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
-.beside table { font-size: 10px; } .beside td, .beside th { padding: 3px; white-space: nowrap; }
+.beside table { font-size: 10px; } .beside td, .beside th { padding: 3px; }
 dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 12px; margin: 10px 0; } dt { color: #44525d; } dd { margin: 0; }
 .decision { border: 2px solid #14212b; padding: 8px 12px; font-size: 17px; margin: 10px 0; } .note { color: #44525d; font-size: 12px; }
 section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1fr 1fr; gap: 30px; margin-top: 46px; break-inside: avoid; }
@@ -104,10 +104,13 @@ def certificate_page(
     parts = [
         {
             "title": part["title"],
-            "figure": figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX, point)),
+            # Parts of the same runs, as the speeds of a table, have one picture.
+            "figure": ""
+            if before is not None and before["runs"] == part["runs"]
+            else figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX, point)),
             "rows": [_row(part, c, old) for c in part["characteristics"]],
         }
-        for part, figure in zip(sheet["parts"], figures, strict=True)
+        for before, part, figure in zip([None, *sheet["parts"]], sheet["parts"], figures, strict=False)
     ]
     return (
         Environment(autoescape=True)
@@ -136,7 +139,14 @@ def _told(figure: go.Figure, tell: Callable[[object], str], height_px: int, poin
     title, small = tell(figure.layout.title.text or ""), {}
     if height_px < _FIGURE_PX:
         title = title.replace(", ", ",<br>")
-        small = {"title_font_size": 11, "legend_font_size": 9, "margin": {"t": 60, "b": 40, "l": 30, "r": 30}}
+        polar = {"radialaxis_tickfont_size": 7, "angularaxis_tickfont_size": 9}
+        legend = {"font_size": 9, "y": -0.2}
+        small = {
+            "title_font_size": 10,
+            "legend": legend,
+            "margin": {"t": 60, "b": 40, "l": 30, "r": 30},
+            "polar": polar,
+        }
     told = go.Figure(figure).update_layout(
         height=height_px, title_text=title, separators=",." if point == "," else ".,", **small
     )

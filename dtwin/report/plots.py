@@ -135,8 +135,9 @@ def error_figure(
     title: str,
     floor_um: float | None = None,
     x_title: str = "path angle, deg",
+    y_title: str = "error, µm",
 ) -> go.Figure:
-    """Return error over the path angle, or over something else.
+    """Return error, or another length in µm, over the path angle, or over something else.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def error_figure(
         figure.add_trace(
             go.Scatter(x=_short(angle), y=_short(error), mode="lines", name=name, line={"color": colour, "width": 1.5})
         )
-    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, µm")
+    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title=y_title)
     if floor_um is not None:
         draw_floor_band(figure, floor_um)
     return styled(figure)

@@ -201,7 +201,7 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
         c = replace(c, limits=limits.get(c.symbol))
         if not c.dof > 0 or not sound:
             return replace(c, expanded_um=math.nan, budget=None)
-        basis = f"standard deviation {c.deviation_um:.3g} µm, {c.dof:g} degrees of freedom"
+        basis = f"standard deviation {c.deviation_um:.3g} µm, {c.dof:.3g} degrees of freedom"
         scatter = Contribution(REPEATABILITY, c.deviation_um / math.sqrt(c.repeats), basis, c.dof)
         budget = combined([scatter, *c.contributions])
         return replace(c, expanded_um=budget.expanded_um, budget=budget)

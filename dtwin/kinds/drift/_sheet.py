@@ -66,7 +66,7 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
 def drift_figure(runs: Sequence[Run]) -> go.Figure:
     """Draw the displacement over the time."""
     curves = {run.meta.run_id: (run.samples["t_s"] / _HOUR_S, moved_um(run)) for run in runs}
-    return error_figure(curves, title="Displacement", x_title="time, h")
+    return error_figure(curves, title="Displacement", x_title="time, h", y_title="displacement, µm")
 
 
 def _means(series: Series) -> tuple[Floats, Floats]:

@@ -166,4 +166,4 @@ def positioning_figure(runs: Sequence[Run]) -> go.Figure:
     means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
     count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
     named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
-    return error_figure(named, title=f"Deviation of axis {test.axis}", x_title="position, mm")
+    return error_figure(named, title=f"Deviation of axis {test.axis}", x_title="position, mm", y_title="deviation, µm")

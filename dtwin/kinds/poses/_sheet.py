@@ -152,4 +152,9 @@ def pose_figure(runs: Sequence[Run]) -> go.Figure:
     for run in runs:
         size = 1000.0 * np.linalg.norm(problem_of(run).error_mm, axis=1)
         curves[run.meta.run_id] = (np.arange(1.0, size.size + 1.0), size)
-    return error_figure(curves, title="Distance from the commanded pose, as the set-up leaves it", x_title="reading")
+    return error_figure(
+        curves,
+        title="Distance from the commanded pose, as the set-up leaves it",
+        x_title="reading",
+        y_title="distance, µm",
+    )

@@ -96,7 +96,9 @@ def _over_table(run: Run) -> go.Figure:
     speed = np.array([g.speed_rpm for g in groups])
     mean = np.array([float(g.runout_um.mean()) for g in groups])
     curves = {run.meta.run_id: (speed, mean)}
-    return error_figure(curves, title="Run-out over speed, mean of repeats", x_title="speed, rpm")
+    return error_figure(
+        curves, title="Run-out over speed, mean of repeats", x_title="speed, rpm", y_title="run-out, µm"
+    )
 
 
 def _polar(run: Run) -> go.Figure:
@@ -148,7 +150,10 @@ def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     level = middle.mean()
     curves = {"mean of turns": (at, middle - level), "lowest": (at, low - level), "highest": (at, high - level)}
     return error_figure(
-        curves, title=f"{run.meta.run_id}: reading over the angle, features included", x_title="angle, deg"
+        curves,
+        title=f"{run.meta.run_id}: reading over the angle, features included",
+        x_title="angle, deg",
+        y_title="reading, µm",
     )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 import pytest
 from conftest import require_program
@@ -15,9 +18,11 @@ from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.certificate import certificate
 from dtwin.report.certificate import certificate_page
+from dtwin.schema import Run, RunMeta
 
 BASIS = "6.5 µm within 1 h, drift test night; what goes beyond the repeatability"
 
@@ -89,6 +94,36 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
         "r-1.5",
     ):
         assert told in page
+
+
+@pytest.mark.parametrize("kind", ["drift", "linear", "poses", "rotation"])
+def test_pictures_of_a_german_certificate_have_no_english_words(kind: str) -> None:
+    """A title of which only some words were known was half German: "Distance Herkunft the commanded pose"."""
+    figure, words = kind_named(kind).sheet_figure([_of_kind(kind)]), set()
+    sheet = {"standard": "", "headline": "", "verdict": "", "basis": "", "notes": []}
+    sheet["parts"] = [{"title": "", "runs": ["r"], "verdict": "", "characteristics": []}] * 2
+    page = certificate_page({"campaign": "c", "machine": "m"}, sheet, [figure, figure], [], language="de")
+    for text in re.findall(r'"text":"([^"]*)"|"name":"([^"]*)"', page[page.index("<body>") :]):
+        words |= set(re.findall(r"[A-Za-z]{4,}", json.loads(f'"{"".join(text)}"').lower()))
+    assert (
+        words & {"error", "from", "the", "reading", "distance", "turns", "synchronous", "displacement", "speed"}
+        == set()
+    )
+    # Parts of the same runs have one picture.
+    assert page.count("Plotly.newPlot") == 1
+
+
+def _of_kind(kind: str) -> Run:
+    n, rng = 30, np.random.default_rng(0)
+    places = rng.uniform(-300.0, 300.0, (n, 3))
+    samples: dict[str, dict[str, Any]] = {
+        "drift": {"displacement_um": np.arange(n), "temperature_room_c": 20.0 + np.zeros(n)},
+        "linear": {"position_mm": np.arange(n), "direction": np.repeat("forward", n), "error_um": np.arange(n)},
+        "poses": {f"{what}_{a}_mm": places[:, i] for what in ("target", "measured") for i, a in enumerate("xyz")},
+        "rotation": {"angle_deg": np.linspace(0.0, 1080.0, 600), "displacement_um": rng.normal(size=600)},
+    }
+    t_s = np.arange(float(len(next(iter(samples[kind].values())))))
+    return Run(RunMeta("r", kind=kind, sample_rate_hz=1.0), {"t_s": t_s, **samples[kind]})
 
 
 def test_what_cannot_be_written_is_refused(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
