@@ -29,6 +29,7 @@ _KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
 _DIGITS = 24
 _NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
 # One group of rows of a data file.
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 _PART = re.compile(r"([^\x00]+\.parquet)#([0-9]{1,6})")
 
 
@@ -365,7 +366,8 @@ class DeltaFiles:
             "the lake cannot be written",
             code="store.write",
             where=str(self.place),
-            got=str(error)[:200],
+            # Its causes stand below each other, in colours.
+            got=" ".join(_COLOUR.sub("", str(error)).split())[:200],
             hint="check free space and permissions; nothing was committed",
         )
 

@@ -117,12 +117,13 @@ class TwinShelf:
         """
         require_name(name, "the twin")
         folder = self.root / name
-        if not folder.is_dir():
+        # A first fit that could not be written leaves an empty one.
+        if not version_paths(folder):
             raise InputError(
                 "no such twin",
                 code="twin.unknown",
                 got=name,
-                allowed=", ".join(sorted(p.name for p in self.root.glob("*") if p.is_dir())) or "none yet",
+                allowed=", ".join(sorted(p.name for p in self.root.glob("*") if version_paths(p))) or "none yet",
                 hint="dtwin twin fit CAMPAIGN --effects ... --name NAME makes one",
             )
         return folder

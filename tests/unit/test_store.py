@@ -534,3 +534,13 @@ def test_repair_sweeps_every_table(tmp_path: Path) -> None:
     assert lake.repair() == dict.fromkeys(lake.tables, 0) | {"log": []}
     assert sorted(p for p in lake.root.rglob("*.parquet")) == kept
     assert not list(lake.root.rglob("*.partial"))
+
+
+def test_a_refusal_of_the_storage_is_one_line_without_colours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError("Generic error\n  \x1b[31m↳\x1b[0m Unable to copy\n  \x1b[31m↳\x1b[0m No space left on device")
+
+    monkeypatch.setattr("dtwin.lake.delta.DeltaTable.create", full)
+    with pytest.raises(StoreError) as refused:
+        Lake(tmp_path / "lake").commit(CAMPAIGN, [make_run("r1")])
+    assert refused.value.got == "Generic error ↳ Unable to copy ↳ No space left on device"

@@ -300,3 +300,11 @@ def test_an_unknown_setting_is_refused_before_anything_is_stored(
     with pytest.raises(InputError, match="the setting is not known"):
         shelf.store(version("n", 1))
     assert not shelf.root.exists()
+
+
+def test_a_twin_whose_first_version_could_not_be_written_is_none(tmp_path: Path) -> None:
+    shelf = TwinShelf(Home(tmp_path), PATHS)
+    (shelf.root / "empty").mkdir(parents=True)
+    with pytest.raises(InputError) as refused:
+        shelf.folder("empty")
+    assert (refused.value.code, refused.value.allowed) == ("twin.unknown", "none yet")
