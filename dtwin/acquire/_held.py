@@ -92,7 +92,7 @@ class Held:
                     said = (
                         f"values of {one.name} and perhaps others, whose clock is more than an hour off, are left out"
                     )
-                    self._events.append(Event(self._given / self._rate_hz, "recording", said))
+                    self.say(said)
             else:
                 self._waiting.append(one)
 
@@ -100,6 +100,10 @@ class Held:
         """Let the clock begin now, unless it has."""
         if math.isnan(self._begun_s):
             self._begun_s = time_s
+
+    def say(self, text: str) -> None:
+        """Tell an event of the recording itself, at the next sample."""
+        self._events.append(Event(self._given / self._rate_hz, "recording", text))
 
     def lose(self, until_s: float, why: str) -> None:
         """Say that nothing is known between the samples given so far and a time."""

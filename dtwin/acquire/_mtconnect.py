@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import http.client
+import math
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
-from dtwin.acquire._held import Held, replace_time
-from dtwin.acquire._mtconnect_documents import Item, OutOfRange, read_probe, read_streams
+from dtwin.acquire._held import Held, Observed, replace_time
+from dtwin.acquire._mtconnect_documents import Header, Item, OutOfRange, read_probe, read_streams
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.opened import OpenAndClose
@@ -19,6 +21,10 @@ from dtwin.schema import Finding
 _MAX_BYTES = 16_000_000
 _OVERRUN = "observations that the agent's buffer no longer held"
 _RESTARTED = "the agent was restarted"
+# A server, or what stands before it, that is not ready yet.
+_NOT_READY = (502, 503, 504)
+_CLOCK_SET_S = 30.0
+"""By how much an agent's clock differs from the time that has passed, beside the time of an answer, before it was set."""
 
 
 class MTConnectRecorder(OpenAndClose):
@@ -52,6 +58,7 @@ class MTConnectRecorder(OpenAndClose):
         self._left: list[str] = []
         self._held: Held | None = None
         self._next, self._instance, self._known_s = 0, "", 0.0
+        self._heard_s, self._created_s, self._set_s, self._before_s = math.nan, 0.0, 0.0, 0.0
         self._running = False
 
     def open(self) -> None:
@@ -84,7 +91,8 @@ class MTConnectRecorder(OpenAndClose):
         """Begin with what holds now."""
         held = self._sink()
         held.restart()
-        header, observed = read_streams(self._answer("current"), self.url, self._items)
+        self._heard_s, self._created_s, self._set_s, self._before_s = math.nan, 0.0, 0.0, 0.0
+        header, observed = self._streams(self._answer("current"))
         # What has held for hours holds at the beginning.
         held.begin(header.created_s)
         held.take(replace_time(one, header.created_s) for one in observed)
@@ -119,7 +127,7 @@ class MTConnectRecorder(OpenAndClose):
         held = self._sink()
         asked = {"from": self._next, "count": self._count}
         try:
-            header, observed = read_streams(self._patiently("sample", asked), self.url, self._items)
+            header, observed = self._streams(self._patiently("sample", asked))
         except OutOfRange:
             self._go_on(held)
             return
@@ -134,10 +142,29 @@ class MTConnectRecorder(OpenAndClose):
 
     def _go_on(self, held: Held) -> None:
         """Go on with what holds now, after an agent that counts anew or no longer has what is next; tell the gap."""
-        header, observed = read_streams(self._patiently("current"), self.url, self._items)
+        header, observed = self._streams(self._patiently("current"))
         held.lose(header.created_s, _RESTARTED if header.instance != self._instance else _OVERRUN)
         held.take(replace_time(one, header.created_s) for one in observed)
         self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
+
+    def _streams(self, answer: bytes) -> tuple[Header, list[Observed]]:
+        """Return what an answer holds, its times as if the agent's clock had not been set meanwhile.
+
+        A clock that is set forward would make hours of values that nobody observed; one that is set back would end the samples.
+        """
+        header, observed = read_streams(answer, self.url, self._items)
+        now_s = time.monotonic()
+        step_s = header.created_s - self._set_s - self._created_s - (now_s - self._heard_s)
+        if abs(step_s) > _CLOCK_SET_S + self._timeout_s:
+            self._before_s, self._set_s = self._set_s, self._set_s + step_s
+            self._sink().say(f"the agent's clock was set by {step_s:+z.0f} s; times run on as before")
+        header = replace(header, created_s=header.created_s - self._set_s)
+        self._heard_s, self._created_s = now_s, header.created_s
+        return header, [replace_time(one, self._as_before(one.time_s)) for one in observed]
+
+    def _as_before(self, time_s: float) -> float:
+        """Return a time by the clock as it was at the beginning; an answer may hold times of before and after it was set."""
+        return min((time_s - self._set_s, time_s - self._before_s), key=lambda told_s: abs(told_s - self._known_s))
 
     def _patiently(self, what: str, query: dict[str, Any] | None = None) -> bytes:
         """Return an answer; the agent keeps what is observed while it cannot be reached."""
@@ -166,7 +193,10 @@ class MTConnectRecorder(OpenAndClose):
             if b"MTConnectError" in body[:4000]:
                 return _bounded(body, address)
             raise DeviceError(
-                "the agent refuses", code="mtconnect.error", where=address, got=f"HTTP {error.code}"
+                "the agent refuses",
+                code="mtconnect.absent" if error.code in _NOT_READY else "mtconnect.error",
+                where=address,
+                got=f"HTTP {error.code}",
             ) from error
         except (OSError, http.client.HTTPException) as error:
             raise DeviceError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -145,6 +147,41 @@ def test_an_agent_that_was_away_has_kept_everything(agent: Agent, url: str) -> N
         back.join()
     assert column(found, "xact_mm").tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert not any(r.lost for r in found)
+
+
+@pytest.mark.parametrize("step_s", [7200.0, -2400.0, -1.7e9])
+def test_a_clock_that_is_set_meanwhile_makes_no_values_and_no_end(
+    agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    passed = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: passed[0], sleep=time.sleep)
+    monkeypatch.setattr("dtwin.acquire._mtconnect.time", clock)
+    agent.observe("xpos", "1.0", 0.0)
+    with recorder(url) as device:
+        device.start()
+        agent.now_s, passed[0] = BEGUN_S + 0.3, 0.3
+        agent.observe("xpos", "2.0", 0.3)
+        readings = until(device, 0.3)
+        agent.observe("xpos", "3.0", 0.4)
+        agent.observe("xpos", "4.0", 0.5 + step_s)
+        agent.now_s, passed[0] = BEGUN_S + 0.6 + step_s, 0.6
+        readings += until(device, 0.5)
+        device.stop()
+    assert column(readings, "xact_mm").tolist()[:6] == [1.0, 1.0, 1.0, 2.0, 3.0, 4.0]
+    assert len(column(readings, "xact_mm")) <= 8
+    assert [e.text for r in readings for e in r.events if "clock" in e.text] != []
+
+
+def test_an_agent_that_is_not_ready_yet_is_waited_for(agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    agent.observe("xpos", "1.0", 0.0)
+    with recorder(url, patience_s=30.0) as device:
+        device.start()
+        answer, refused = agent.answer, [b"<html>starting</html>"] * 3
+        monkeypatch.setattr(agent, "answer", lambda path: (503, refused.pop()) if refused else answer(path))
+        agent.now_s = BEGUN_S + 0.5
+        assert len(column(until(device, 0.5), "xact_mm")) >= 5
+        device.stop()
+    assert refused == []
 
 
 def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
