@@ -19,6 +19,8 @@ _CLIPPED_SHARE = 0.05
 # Below this share of the tone in the accelerometer's power its features are noise.
 HEARD = 0.5
 _SAME_TONE = 0.9
+_AGAINST_DEG = 150.0
+"""No slide turns a tone below its bandwidth by as much."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,13 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
                 "no column tool_z_mm: what the tool does beyond the encoder is not known",
             )
         )
+        return findings
+    encoder, tool = (fit_tone(run.samples["t_s"], run.samples[n], told.frequency_hz) for n in ("act_z_mm", "tool_z_mm"))
+    if min(encoder.share, tool.share) > _SAME_TONE:
+        behind_deg = float(np.degrees(np.angle(tool.phasor * np.conj(encoder.phasor))))
+        if abs(behind_deg) > _AGAINST_DEG:
+            said = f"the tool moves against the encoder ({behind_deg:z.0f}°): the probe reads with the opposite sign"
+            findings.append(Finding("sinusoidal.sign", "error", said, {"phase_deg": behind_deg}))
     return findings
 
 

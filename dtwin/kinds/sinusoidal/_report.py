@@ -30,13 +30,13 @@ def tone_result(run: Run) -> dict[str, Any]:
 _COLUMNS = (
     ("Hz", "frequency_hz", "g"),
     ("um", "amplitude_um", "g"),
-    ("encoder µm", "encoder_um", ".3f"),
-    ("lag deg", "encoder_lag_deg", ".2f"),
-    ("tool µm", "tool_um", ".3f"),
-    ("lag deg", "tool_lag_deg", ".2f"),
-    ("tracking µm", "tracking_um", ".3f"),
-    ("total µm", "total_um", ".3f"),
-    ("amplitude error µm", "amplitude_error_um", ".3f"),
+    ("encoder µm", "encoder_um", "z.3f"),
+    ("lag deg", "encoder_lag_deg", "z.2f"),
+    ("tool µm", "tool_um", "z.3f"),
+    ("lag deg", "tool_lag_deg", "z.2f"),
+    ("tracking µm", "tracking_um", "z.3f"),
+    ("total µm", "total_um", "z.3f"),
+    ("amplitude error µm", "amplitude_error_um", "z.3f"),
     ("heard", "heard_share_1", ".0%"),
 )
 
@@ -60,10 +60,10 @@ def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 _FIGURES = (
-    ("form µm", "form_um", ".3f"),
-    ("phase deg", "phase_deg", ".3f"),
-    ("vector µm", "vector_um", ".3f"),
-    ("p-v µm", "peak_to_valley_um", ".3f"),
+    ("form µm", "form_um", "z.3f"),
+    ("phase deg", "phase_deg", "z.3f"),
+    ("vector µm", "vector_um", "z.3f"),
+    ("p-v µm", "peak_to_valley_um", "z.3f"),
 )
 
 
