@@ -3,18 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
 from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
-from dtwin.schema import Finding, Floats, Run, SignalGroup
+from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
+from dtwin.units import UM_PER_MM
 
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
 _LEAST_UM = 0.2
 _STUCK_C = 1e-6
+_BEYOND = 0.05
+"""Share of a stroke by which a ball may lie beyond it: strokes are told roughly."""
+
+
+def with_strokes(run: Run, campaign: Campaign) -> Run:
+    """Return a cycle with what is wrong with its places beside the strokes that the campaign states, where it does."""
+    for axis in "xyz":
+        reach, at = campaign.machine_geometry.get(f"stroke_{axis}_mm"), run.samples.get(f"{axis}_mm")
+        if (
+            at is None
+            or not isinstance(reach, list | tuple)
+            or [isinstance(v, int | float) for v in reach] != [True, True]
+        ):
+            continue
+        low, high = float(reach[0]), float(reach[1])
+        if max(low - at.min(), at.max() - high) > _BEYOND * abs(high - low):
+            metres = low <= UM_PER_MM * at.max() <= high and low <= UM_PER_MM * at.min()
+            why = "metres under a name of millimetres" if metres else "another axis, or another zero"
+            text = f"balls lie at {axis} = {at.min():z.4g} to {at.max():z.4g} mm, the stroke is {low:g} to {high:g} mm: {why}?"
+            return replace(run, findings=(*run.findings, Finding("balls.outside_stroke", "error", text)))
+    return run
 
 
 def judge_volumetric_run(run: Run) -> list[Finding]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.progress import Progress
-    from dtwin.schema import Finding, Run
+    from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
@@ -47,6 +47,11 @@ class _Volumetric(Kind):
         from dtwin.kinds.volumetric._planned import draft
 
         return draft(machine)
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.kinds.volumetric._check import with_strokes
+
+        return with_strokes(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.volumetric._check import judge_volumetric_run

@@ -12,7 +12,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._spoilt import spoilt_in
 from dtwin.kinds.volumetric.session import _temperatures, hours_of
-from dtwin.schema import Finding, Floats, Run, RunMeta, SignalGroup
+from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta, SignalGroup
 
 KIND = kind_named("volumetric")
 GRID = np.array([[110.0 * i, 110.0 * j, 0.0] for i in range(4) for j in range(3)])
@@ -117,3 +117,13 @@ def test_cycles_without_a_stated_hour_are_ordered_by_their_begin() -> None:
         Run(RunMeta(name, "volumetric", started=f"2026-03-0{day}T08:00:00Z"), {}) for name, day in (("b", 1), ("a", 3))
     ]
     assert hours_of(runs) == {"b": 0.0, "a": 48.0}
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1e-3, "metres"), (1.3, "another zero")])
+def test_places_beyond_the_stroke_are_an_error(scale: float, said: str) -> None:
+    strokes = {"stroke_x_mm": [30.0, 1460.0], "stroke_y_mm": [50.0, 1200.0], "stroke_z_mm": [460.0, 1490.0]}
+    place = scale * np.vstack(list(PLACES.values()))
+    run = Run(RunMeta("c0", kind="volumetric"), {f"{a}_mm": place[:, i] for i, a in enumerate("xyz")})
+    found = KIND.completed(run, Campaign("c", "m", "volumetric", machine_geometry=strokes)).findings
+    assert [f.code for f in found] == ["balls.outside_stroke"] * bool(said)
+    assert all(said in f.message for f in found)
