@@ -78,7 +78,8 @@ def _judge_table(run: Run) -> list[Finding]:
         )
     if len(np.unique(speed)) == len(speed):
         said = (
-            "no speed was measured twice: what run-outs differ by from speed to speed cannot be compared with repeats"
+            "no speed was measured twice (a row is a reading, a column a probe): what run-outs differ by from speed to speed cannot be "
+            "compared with repeats"
         )
         findings.append(Finding("rotation.no_repeats", "warning", said))
     if len(np.unique(speed)) < 2:
