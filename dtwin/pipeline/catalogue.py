@@ -105,10 +105,8 @@ def twin_lines(home: Home) -> list[TwinLine]:
     changed = sorted(set(stamps) - set(lines))
     for shelf in every_shelf(home) if changed else ():
         for name in shelf.names(changed):
-            rungs = shelf.history(name)
-            if rungs:  # Else nothing was stored yet in its folder.
-                machine = str(shelf.newest_document(name)[0]["machine"])
-                lines[name] = asdict(TwinLine(name, machine, stamps[name], rungs[-1]))
+            machine = str(shelf.newest_document(name)[0]["machine"])
+            lines[name] = asdict(TwinLine(name, machine, stamps[name], shelf.history(name)[-1]))
     if changed or len(lines) != len(before):
         with suppress(StoreError):  # A home that cannot be written is read all the same.
             keep(home, "catalogue", "twins", "", lines)

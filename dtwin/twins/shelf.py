@@ -88,7 +88,7 @@ class TwinShelf:
     def names(self, among: Collection[str] | None = None) -> list[str]:
         """Return the twins of this kind; with ``among``, those of these names."""
         folders = [p for p in self.root.glob("*") if among is None or p.name in among]
-        return sorted(p.name for p in folders if p.is_dir() and self._is_ours(p))
+        return sorted(p.name for p in folders if self._is_ours(p))
 
     def newest_document(self, name: str, version: int | None = None) -> tuple[dict[str, Any], Path]:
         """Return a version as it was stored, the newest one without a number, and its file.
@@ -196,7 +196,7 @@ class TwinShelf:
 
     def _is_ours(self, folder: Path) -> bool:
         paths = version_paths(folder)
-        return not paths or read_document(paths[-1]).get("kind", PATHS) == self.kind
+        return bool(paths) and read_document(paths[-1]).get("kind", PATHS) == self.kind
 
     def _require_ours(self, name: str, document: Mapping[str, Any]) -> None:
         kind = document.get("kind", PATHS)
