@@ -19,6 +19,7 @@ _OF_SPAN = 0.25
 _NOISY = 0.1
 _CHANCE = 1e-3
 _PAUSE_S, _TIMES_PAUSE, _LISTED = 300.0, 10.0, 4
+_HOUR_S = 3600.0
 _MOST_APART = 2.0
 """How far two runs of one machine may differ before a step size is doubted."""
 _BEYOND = 1.5
@@ -59,6 +60,11 @@ def judge_drift(run: Run) -> list[Finding]:
             f"no readings for up to {pauses.max() / 60.0:z.0f} min, {long.size} time{'s' if long.size > 1 else ''}, first after {first:z.0f} min: "
             "temperatures are taken to have moved evenly meanwhile, and what is late is less sure"
         )
+        others_s = np.delete(pauses, long).max(initial=0.0)
+        if long.size == 1 and 0.0 < float(pauses[long[0]]) - _HOUR_S <= 1.5 * others_s:
+            said += (
+                "; it is an hour and a usual pause: a clock that was set forward, by summer time or by hand, looks so"
+            )
         findings.append(Finding("drift.gap", "warning", said, {"longest_s": float(pauses.max())}))
     # What a correction leaves may be little more than noise.
     if not run.meta.correction and _still(series):

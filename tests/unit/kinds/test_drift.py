@@ -452,6 +452,15 @@ def test_a_pause_is_told() -> None:
     paused = replace(run, samples={name: values[kept] for name, values in run.samples.items()})
     (said,) = [f for f in judge_drift(paused) if f.code == "drift.gap"]
     assert said.numbers["longest_s"] == pytest.approx(3000.0, abs=120.0)
+    assert "summer time" not in said.message
+
+
+def test_a_pause_of_an_hour_and_a_reading_looks_like_a_clock_that_was_set() -> None:
+    run = _touched(0.0)
+    t_s = run.samples["t_s"]
+    later = replace(run, samples={**run.samples, "t_s": t_s + np.where(t_s > 5000.0, 3600.0, 0.0)})
+    (said,) = [f for f in judge_drift(later) if f.code == "drift.gap"]
+    assert "summer time" in said.message
 
 
 def test_what_takes_a_quarter_of_the_squares_is_not_idle_where_more_is_left() -> None:
