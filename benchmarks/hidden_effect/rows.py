@@ -154,7 +154,7 @@ def _of_others() -> list[Row]:
         Row(
             f"second_untold_{n}_noise_{noise:g}",
             "every",
-            100,
+            200 if n == 5 else 100,
             hidden=every,
             how_many=n,
             base=(),

@@ -108,8 +108,7 @@ def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
 def _across_cycles(test: LinearTest) -> list[Finding]:
     if test.position_mm.size < 2:
         return []
-    moves = moving_zero(test) if test.ways == BOTH else None
-    return [finding for finding in (spoilt_finding(test), moves) if finding is not None]
+    return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
 
 
 def _missed(run: Run) -> list[Finding]:

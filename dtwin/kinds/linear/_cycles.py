@@ -144,9 +144,10 @@ def moving_zero(test: LinearTest) -> Finding | None:
     cycles = test.forward_um.shape[1]
     if cycles < _FEWEST_CYCLES:
         return None
-    values = np.stack([test.forward_um, test.reverse_um])
+    ways = list(dict.fromkeys(test.ways))
+    values = np.stack([test.forward_um, test.reverse_um][: len(ways)])
     for s in spoilt_readings(test):
-        values[0 if s.way == "forward" else 1, s.target, s.cycle] = np.nan
+        values[ways.index(s.way), s.target, s.cycle] = np.nan
     moved = values - np.nanmean(values, axis=2, keepdims=True)
     told = np.isfinite(moved)
     total, n = float(np.nansum(moved**2)), int(told.sum())
@@ -172,10 +173,15 @@ def moving_zero(test: LinearTest) -> Finding | None:
         cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + many * np.log(n)
         rivals.append((float(cost), rest, name, where, sizes, many))
 
-    share = (np.arange(len(place)) + 0.5) / (2 * len(place))
+    share = (np.arange(len(place)) + 0.5) / (len(ways) * len(place))
     orders = {"forward": np.stack([share, 1.0 - share]), "reverse": np.stack([0.5 + share, 0.5 - share])}
+    if len(ways) == 1:
+        orders = {ways[0]: (share if ways[0] == "forward" else 1.0 - share)[None, :]}
     tried("slip", "", [cycle], 0)
-    tried("jumps", "cycle to cycle", [(cycle >= at).astype(float) for at in range(1, cycles)], 0)
+    between = [(cycle >= at).astype(float) for at in range(1, cycles)]
+    tried("jumps", "cycle to cycle", between, 0)
+    for number, step in enumerate(between, start=2):
+        tried("jump", f"cycle {number}", [step], 1)
     for way in [test.first] if test.first else list(orders):
         within = orders[way][:, :, None] + cycle
         tried("slip", "", [within], 0)
@@ -202,7 +208,7 @@ def moving_zero(test: LinearTest) -> Finding | None:
     _, rest, name, where, sizes, many = min(rivals, key=lambda rival: rival[0])
     kept = float(np.nansum(rest**2))
     # Each target and direction has its mean.
-    free = n - 2 * len(place) - many
+    free = n - len(ways) * len(place) - many
     ratio = (total - kept) / many / max(kept, 1e-12) * free
     little = 1.0 - kept / total < _WORTH or free < 1 or stats.f.sf(ratio, many, free) > _CHANCE
     if little or name not in _SAID or _wanders(rest):
@@ -235,7 +241,7 @@ _SAID = {
 def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[list[float]]:
     """Yield the times of one jump, of two, up to one a cycle, that leave the least: found one by one, each looked for again.
 
-    ``within``, ``moved``, ``told`` (2, targets, cycles): time in cycles, readings about their mean over the cycles, and whether
+    ``within``, ``moved``, ``told`` (ways, targets, cycles): time in cycles, readings about their mean over the cycles, and whether
     there is one.
     """
     times = np.sort(within.ravel())[1:]
@@ -244,7 +250,7 @@ def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[l
     columns = (steps - steps.mean(axis=2, keepdims=True))[told]
     size = np.sum(columns**2, axis=0)
     # A jump lies between the reading before its time and the one at it.
-    apart = 1.0 / (2 * within.shape[1])
+    apart = 1.0 / (within.shape[0] * within.shape[1])
     first, after_last = float(within.min()), float(within.max()) + apart
     chosen: list[int] = []
 
@@ -274,13 +280,13 @@ def _places(at: Sequence[float], within: Floats, test: LinearTest) -> str:
         way, target, cycle = (
             int(i) for i in np.argwhere(within >= time - 1e-9)[np.argmin(within[within >= time - 1e-9])]
         )
-        told.append(f"cycle {cycle + 1} {('forward', 'reverse')[way]} at {test.position_mm[target]:g} mm")
+        told.append(f"cycle {cycle + 1} {test.ways[way]} at {test.position_mm[target]:g} mm")
     return ", ".join(told)
 
 
 def _wanders(rest_um: Floats) -> bool:
-    """Return whether neighbours in time deviate alike, (2, targets, cycles): what is left is no noise (von Neumann)."""
-    in_time = np.concatenate([rest_um[0], rest_um[1, ::-1]])
+    """Return whether neighbours in time deviate alike, (ways, targets, cycles): what is left is no noise (von Neumann)."""
+    in_time = np.concatenate([rest_um[0], *rest_um[1:, ::-1]])
     successive = float(np.nanmean(np.diff(in_time, axis=0) ** 2)) / 2.0
     return successive < min(0.7, 1.0 - 4.0 / np.sqrt(in_time.size)) * float(np.nanmean(in_time**2))
 

@@ -48,6 +48,26 @@ def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str 
     assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
 
 
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+@pytest.mark.parametrize(
+    ("zero", "codes"),
+    [
+        (lambda x, c: 0.0 * x * c, {None}),
+        (lambda x, c: 0.0 * x - 1.5 * c, {"linear.slip"}),
+        (lambda x, c: 0.0 * x + 6.0 * (c >= 3.2), {"linear.jump", "linear.jumps"}),
+        (lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)), {"linear.warming"}),
+    ],
+)
+def test_the_same_is_told_of_runs_in_one_direction(way: str, zero: Any, codes: set[str | None]) -> None:
+    right = 0
+    for seed in range(40):
+        both = made(zero, seed)
+        only = both.forward_um if way == "forward" else both.reverse_um
+        found = moving_zero(replace(both, forward_um=only, reverse_um=only, ways=(way, way), first=way))
+        right += (None if found is None else found.code) in codes
+    assert right >= 38
+
+
 def jumping(seed: int, first: str, noise_um: float = 0.5) -> tuple[LinearTest, list[float]]:
     """Return a test of five cycles in which all readings move two to four times, and when; at any reading, up or down."""
     rng = np.random.default_rng([seed, 7])
