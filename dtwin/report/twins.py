@@ -195,13 +195,19 @@ def _size_words(estimate: Mapping[str, Any]) -> str:
     return f"{estimate['name'].replace('_', ' ')} {with_k2(estimate['value'], uncertainty, estimate['unit'])}"
 
 
+def _sizes_of_first(group: Sequence[Mapping[str, Any]]) -> str:
+    """Return the sizes of the first of a group, in whose place nothing else of it is."""
+    words = "; ".join(_size_words(size) for size in group[0]["sizes"])
+    return f"{words}, if it is the first alone" if words and len(group) > 1 else words or "-"
+
+
 def found_table(result: Mapping[str, Any]) -> Table:
     """Return every effect that was found, with what cannot be told from it and what was tested."""
     rows = [
         (
             " or ".join(f"{c['effect']} {c['axis']}".strip() for c in group),
             micrometres(group[0]["size_um"]),
-            "; ".join(_size_words(size) for size in group[0]["sizes"]) or "-",
+            _sizes_of_first(group),
             f"{100 * group[0]['cv_gain']:z.1f} %",
             group[0]["grade"] or "",
             ", ".join(group[0]["tested"]) or "-",

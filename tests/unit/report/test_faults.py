@@ -12,6 +12,7 @@ from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
 from dtwin.report.faults import size_of, sizes_of
 from dtwin.report.signature import signature_svg
+from dtwin.report.twins import found_table
 
 LIBRARY = Library()
 
@@ -76,3 +77,13 @@ def test_waves_and_half_waves_have_one_size(names: tuple[str, str]) -> None:
         for name, value in zip(names, (3.0, -4.0), strict=True)
     ]
     assert sizes_of(parts) == [("amplitude", 5.0, pytest.approx(0.2), "um")]
+
+
+def test_the_size_of_a_group_is_that_of_its_first_alone() -> None:
+    size = {"name": "scale", "value": 45.7, "uncertainty": 0.6, "unit": "um/m", "identifiable": True}
+    common = {"size_um": 1.0, "cv_gain": 0.9, "grade": "", "tested": [], "untested": [], "sizes": [size]}
+    scale, inertia = (
+        {"effect": e, "axis": a, **common} for e, a in (("scale_mismatch", "XY"), ("inertial_compliance", ""))
+    )
+    rows = found_table({"found": [[scale, inertia], [scale]]}).rows
+    assert [row[2] for row in rows] == ["scale 45.70 ± 0.60 µm/m, if it is the first alone", "scale 45.70 ± 0.60 µm/m"]
