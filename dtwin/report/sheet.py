@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dtwin.report.text import decimals, table
+from dtwin.report.text import decimals, micrometres, table
 from dtwin.report.uncertainty import REPEATABILITY, Budget, Contribution, combined
 from dtwin.schema import Run
 from dtwin.tolerances import Limits
@@ -62,7 +62,7 @@ class Characteristic:
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping; ``shown`` is rounded to two digits of the uncertainty."""
         known = math.isfinite(self.expanded_um)
-        digits = decimals(self.expanded_um) if known else 2 if abs(self.value_um) >= 1.0 else 4
+        digits = decimals(self.expanded_um)
         return {
             "symbol": self.symbol,
             "name": self.name,
@@ -74,7 +74,7 @@ class Characteristic:
             "decision": self.decision,
             "budget": None if self.budget is None else self.budget.as_dict(),
             "shown": {
-                "value": f"{self.value_um:z.{digits}f}",
+                "value": f"{self.value_um:z.{digits}f}" if known else micrometres(self.value_um),
                 "expanded": f"± {self.expanded_um:z.{digits}f}" if known else "-",
                 "limit": str(self.limits or "-"),
             },
