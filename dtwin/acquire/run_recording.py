@@ -119,6 +119,10 @@ def record_run(
         _write_intent(request)
         try:
             _record_all(instruments, request, asked_to_stop)
+        except DtwinError as error:
+            kept = f"what came before is kept in {request.folder}, run {request.run_id}"
+            error.hint = f"{error.hint}; {kept}" if error.hint else kept
+            raise
         finally:
             sealed = _finish(request.folder, request.run_id, request.in_force)
     return RecordedRun(request.run_id, sealed, findings, request.folder / request.reference)

@@ -213,6 +213,7 @@ def test_a_module_that_goes_ends_the_recording_and_keeps_what_came(
     _, err = recording.communicate(timeout=600)
     assert recording.returncode == 4
     assert "daq.removed" in err
+    assert f"what came before is kept in {folder}, run r001" in err
     (group,) = read_signals(folder / "r001.accelerometers.parquet")
     assert is_the_truth(group.columns["wrist_x_g"])
     assert 'id = "r001"' in (folder / "campaign.toml").read_text()
