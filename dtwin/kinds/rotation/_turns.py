@@ -96,6 +96,9 @@ class Figures:
 
 def one_way(angle_deg: Floats) -> slice:
     """Return the longest stretch in which the axis did not turn back by more than 20 degrees."""
+    step = np.diff(angle_deg)
+    if (step > 0.0).all() or (step < 0.0).all():
+        return slice(0, len(angle_deg))
     rising = longest_rise(angle_deg)
     falling = longest_rise(-angle_deg)
     return max((rising, falling), key=lambda s: abs(angle_deg[s.stop - 1] - angle_deg[s.start]))
