@@ -85,7 +85,7 @@ def _untold(by_row: Mapping[str, list[Record]]) -> str:
 
 
 def _covered(records: Sequence[Record]) -> tuple[list[bool], list[bool]]:
-    """Return whether each size holds the truth, of names that stand alone, and of those first in a group, in whose place it is."""
+    """Return whether each interval holds the truth: of effects named alone, and of the first of a group, as if it were alone."""
     alone: list[bool] = []
     grouped: list[bool] = []
     for record in records:
@@ -261,20 +261,21 @@ def _times(by_row: Mapping[str, list[Record]]) -> list[str]:
 
 def _rows(by_row: Mapping[str, list[Record]]) -> str:
     lines = [
-        "| row | design | k | right answer | right | 95 % | cases (full table) | wrong name | answers |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| row | design | k | right answer | right | 95 % | cases (full table) | wrong name | median s | answers |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in ROWS.items():
         records = by_row.get(name, [])
         if not records:
-            lines.append(f"| {name} | {row.design} | {row.k:g} | {row.right} | not run | | 0 ({row.cases}) | | |")
+            lines.append(f"| {name} | {row.design} | {row.k:g} | {row.right} | not run | | 0 ({row.cases}) | | | |")
             continue
         hits, n = _share(records, "right")
         wrong = _share(records, "wrong_name")[0]
+        spent = np.median([r["seconds"] for r in records])
         said = ", ".join(f"{v} {c}" for v, c in Counter(r["verdict"] for r in records).most_common())
         lines.append(
             f"| {name} | {row.design} | {row.k:g} | {row.right} | {hits / n:.2f} | "
-            f"{_interval(hits, n)} | {n} ({row.cases}) | {wrong / n:.2f} | {said} |"
+            f"{_interval(hits, n)} | {n} ({row.cases}) | {wrong / n:.2f} | {spent:.1f} | {said} |"
         )
     return "\n".join(lines)
 

@@ -117,14 +117,17 @@ def record_run(
             opened.enter_context(instrument)
         findings = tuple(f for instrument in instruments for f in instrument.check())
         _write_intent(request)
+        sealed: tuple[Sealed, ...] = ()
         try:
-            _record_all(instruments, request, asked_to_stop)
+            try:
+                _record_all(instruments, request, asked_to_stop)
+            finally:
+                sealed = _finish(request.folder, request.run_id, request.in_force)
         except DtwinError as error:
-            kept = f"what came before is kept in {request.folder}, run {request.run_id}"
-            error.hint = f"{error.hint}; {kept}" if error.hint else kept
+            if sealed:
+                kept = f"what came before is kept in {request.folder}, run {request.run_id}"
+                error.hint = f"{error.hint}; {kept}" if error.hint else kept
             raise
-        finally:
-            sealed = _finish(request.folder, request.run_id, request.in_force)
     return RecordedRun(request.run_id, sealed, findings, request.folder / request.reference)
 
 

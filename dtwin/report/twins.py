@@ -196,7 +196,7 @@ def _size_words(estimate: Mapping[str, Any]) -> str:
 
 
 def _sizes_of_first(group: Sequence[Mapping[str, Any]]) -> str:
-    """Return the sizes of the first of a group, in whose place nothing else of it is."""
+    """Return the sizes of the first effect of a group, as they are when no other of the group is there."""
     words = "; ".join(_size_words(size) for size in group[0]["sizes"])
     return f"{words}, if it is the first alone" if words and len(group) > 1 else words or "-"
 

@@ -11,7 +11,7 @@ from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
 from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, is_number
 
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
@@ -25,11 +25,7 @@ def with_strokes(run: Run, campaign: Campaign) -> Run:
     """Return a cycle with what is wrong with its places beside the strokes that the campaign states, where it does."""
     for axis in "xyz":
         reach, at = campaign.machine_geometry.get(f"stroke_{axis}_mm"), run.samples.get(f"{axis}_mm")
-        if (
-            at is None
-            or not isinstance(reach, list | tuple)
-            or [isinstance(v, int | float) for v in reach] != [True, True]
-        ):
+        if at is None or not isinstance(reach, list | tuple) or len(reach) != 2 or not all(map(is_number, reach)):
             continue
         low, high = float(reach[0]), float(reach[1])
         if max(low - at.min(), at.max() - high) > _BEYOND * abs(high - low):
