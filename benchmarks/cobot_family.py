@@ -23,7 +23,7 @@ import numpy as np
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
-from dtwin.kinds.circular._circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.kinds.circular._circles import CorrectedCircles, evaluate_circle, rms_per_run
 from dtwin.kinds.circular._evidence import WAYS
 from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
@@ -120,16 +120,14 @@ def tried(name: str, seed: int, repeats: int) -> dict[str, Any]:
         bundle = Bundle.from_dict(registry.bundle(made.version))
     tcp_mm = np.array([0.0, 0.0, cobot.parameters.motion.tcp_z_mm])
     scores = report.candidate(report.proposed).scores
+    circles = CorrectedCircles(cobot, bundle, tcp_mm)
     conditions = []
     for plane, radius, feed in size.evidence.conditions:
         left = {}
         for way in WAYS:
             runs = [
                 evaluate_circle(
-                    run_circle(
-                        cobot, bundle, tcp_mm, CircleCondition(plane, radius, feed, turn), "evidence", 101 + number, way
-                    )[0],
-                    turn,
+                    circles.measure(CircleCondition(plane, radius, feed, turn), "evidence", 101 + number, way)[0], turn
                 )
                 for number in range(repeats)
                 for turn in ("CCW", "CW")

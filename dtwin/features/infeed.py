@@ -62,23 +62,25 @@ def align_infeed(
             got=f"{t_controller[-1]:z.1f} s and {t_bar[-1]:z.1f} s",
         )
 
-    def unexplained(lag: float) -> float:
-        angle = np.interp(t_bar + lag, t_controller, angle_rad)
-        y = bar - np.interp(t_bar + lag, t_controller, commanded_um)
-        columns = [np.ones_like(angle)]
+    def unexplained(lags: Floats) -> Floats:
+        at = t_bar + lags[:, None]
+        wave = np.exp(1j * np.interp(at, t_controller, angle_rad))
+        y = bar - np.interp(at, t_controller, commanded_um)
+        design = np.empty((lags.size, 1 + 2 * _HARMONICS, bar.size))
+        design[:, 0] = 1.0
         for k in range(1, _HARMONICS + 1):
-            columns += [np.cos(k * angle), np.sin(k * angle)]
-        design = np.column_stack(columns)
-        gram = design.T @ design
-        moment = design.T @ y
-        solved = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(len(gram)), moment)
-        return max(float(y @ y - moment @ solved), 0.0) / y.size
+            design[:, 2 * k - 1], design[:, 2 * k] = (wave**k).real, (wave**k).imag
+        gram = design @ design.transpose(0, 2, 1)
+        moment = (design @ y[:, :, None])[:, :, 0]
+        ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(design.shape[1])
+        solved = np.linalg.solve(gram + ridge, moment[:, :, None])[:, :, 0]
+        return np.maximum(np.sum(y**2, axis=1) - np.sum(moment * solved, axis=1), 0.0) / bar.size
 
     coarse = np.arange(0.0, longest, _COARSE * step_s)
-    overview = np.array([unexplained(lag) for lag in coarse])
+    overview = unexplained(coarse)
     middle_s = float(coarse[int(np.argmin(overview))])
     lags = middle_s + step_s * np.arange(-_COARSE, _COARSE + 1)
-    rest = np.array([unexplained(lag) for lag in lags])
+    rest = unexplained(lags)
     best = int(np.argmin(rest))
     shift = 0.0
     if 0 < best < lags.size - 1:

@@ -15,6 +15,7 @@ from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
+from dtwin.train.side_by_side import side_by_side
 
 TICK_HZ = 500.0
 _ROW_EVERY = 10
@@ -77,12 +78,20 @@ def load_ticks(
     progress : callable, optional
         Called with (done, total, run id).
     """
-    runs = []
-    for done, row in enumerate(rows, start=1):
-        runs.append(_tick_run(lake.load(row), campaign))
-        if progress is not None:
-            progress(done, len(rows), str(row["run_id"]))
-    return runs
+    with side_by_side() as (pool, step):
+
+        def aligned(run: Run) -> TickRun:
+            step(0, 0, "")
+            return _tick_run(run, campaign)
+
+        # One is read while others are brought to the clock.
+        runs = [pool.submit(aligned, lake.load(row)) for row in rows]
+        found = []
+        for done, (run, row) in enumerate(zip(runs, rows, strict=True), start=1):
+            found.append(run.result())
+            if progress is not None:
+                progress(done, len(rows), str(row["run_id"]))
+    return found
 
 
 def _tick_run(run: Run, campaign: Campaign) -> TickRun:

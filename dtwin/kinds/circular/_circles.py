@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.machines._recording import RunTicks
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.schema import Direction, Floats
 from dtwin.serve.bundle import Bundle
@@ -22,27 +23,46 @@ from dtwin.train.oracle import best_offsets, follow
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 
 
-def run_circle(
-    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition, setup: str, repeat: int, way: str
-) -> tuple[CobotRecording, dict[str, int]]:
-    """Return the recording of one circle in lock-step, and how often each guard acted.
+class CorrectedCircles:
+    """Circles of the virtual cobot in lock-step, by three ways: nothing, a bundle, or the best that is found.
+
+    What the machine does is the same in every mounting and repeat: each program runs once, and the instruments record
+    it every time.
 
     ``bundle``: what is served; the oracle takes its limits.
     ``tcp_mm`` (3,): tool centre point.
-    ``condition``, ``setup``, ``repeat``: what is run, in which mounting of the bar, which repeat.
-    ``way``, one of "uncompensated", "compensated", "oracle": nothing, the bundle, or the best that is found with the
-    truth known (:mod:`dtwin.train.oracle`).
     """
-    if way == "uncompensated":
-        return cobot.measure(condition, setup=setup, repeat=repeat), {}
-    controller = cobot.controller(condition, setup=setup, repeat=repeat)
-    if way == "compensated":
-        status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
-        return controller.recording(), status.reasons
-    offsets = _best_of_both(cobot, replace(condition, direction="CCW"), bundle.safety)
-    found = offsets[0 if condition.direction == "CCW" else 1]
-    controller, acted = follow(controller, found, bundle.safety)
-    return controller.recording(), acted
+
+    def __init__(self, cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats) -> None:
+        self._cobot, self._bundle, self._tcp_mm = cobot, bundle, tcp_mm
+        self._ran: dict[tuple[CircleCondition, str], tuple[RunTicks, dict[str, int]]] = {}
+
+    def measure(
+        self, condition: CircleCondition, setup: str, repeat: int, way: str
+    ) -> tuple[CobotRecording, dict[str, int]]:
+        """Return the recording of one circle, and how often each guard acted.
+
+        ``condition``, ``setup``, ``repeat``: what is run, in which mounting of the bar, which repeat.
+        ``way``, one of "uncompensated", "compensated", "oracle": nothing, the bundle, or the best that is found with
+        the truth known (:mod:`dtwin.train.oracle`).
+        """
+        condition = condition.standard()
+        if (condition, way) not in self._ran:
+            self._ran[condition, way] = self._run(condition, way)
+        ticks, acted = self._ran[condition, way]
+        return self._cobot.recording_of(condition, self._cobot.plan(condition), ticks, setup, repeat), acted
+
+    def _run(self, condition: CircleCondition, way: str) -> tuple[RunTicks, dict[str, int]]:
+        if way == "uncompensated":
+            return self._cobot.run(self._cobot.plan(condition)), {}
+        controller = self._cobot.controller(condition, setup="", repeat=1)
+        if way == "compensated":
+            acted = serve_lockstep(Decision(CompiledBundle(self._bundle), self._tcp_mm), controller).reasons
+        else:
+            both = [replace(condition, direction=direction) for direction in _DIRECTIONS]
+            offsets = _best_of_both(self._cobot, both[0], self._bundle.safety)[both.index(condition)]
+            acted = follow(controller, offsets, self._bundle.safety)[1]
+        return controller.ticks(), acted
 
 
 @lru_cache(maxsize=8)

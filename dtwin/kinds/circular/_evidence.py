@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.virtual import EPOCH, run_of
-from dtwin.kinds.circular._circles import run_circle
+from dtwin.kinds.circular._circles import CorrectedCircles
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan
 from dtwin.processors import processors
@@ -78,14 +78,14 @@ def measured_circles(
 def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, int]]]:
     content, seed, tcp, (plane, radius, feed), repeats = job
     bundle = Bundle.from_dict(content)
-    cobot = VirtualCobot(seed=seed)
+    circles = CorrectedCircles(VirtualCobot(seed=seed), bundle, np.array(tcp))
     measured: list[tuple[str, Run, dict[str, int]]] = []
     setup = f"evidence-{plane}-{radius:g}"
     for _ in range(repeats):
         for way in WAYS:
             for direction in ("CCW", "CW"):
                 condition = CircleCondition(plane, radius, feed, direction)
-                recording, acted = run_circle(cobot, bundle, np.array(tcp), condition, setup, 101 + len(measured), way)
+                recording, acted = circles.measure(condition, setup, 101 + len(measured), way)
                 run = run_of(recording, "e", plane, EPOCH)
                 correction = bundle.model_sha256 if way == "compensated" else ""
                 meta = replace(run.meta, correction=correction)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.circular._circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.kinds.circular._circles import CorrectedCircles, evaluate_circle, rms_per_run
 from dtwin.kinds.machine import EvidenceRequest
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.plan import plan_within
@@ -35,13 +35,11 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
         for direction in ("CCW", "CW")
         for way in ("uncompensated", "compensated")
     ]
+    circles = CorrectedCircles(cobot, request.bundle, tcp_mm)
     by_condition: dict[Any, list[dict[str, Any]]] = defaultdict(list)
     order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
     for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
-        recording, _ = run_circle(
-            cobot,
-            request.bundle,
-            tcp_mm,
+        recording, _ = circles.measure(
             CircleCondition(plane, radius, feed, direction),
             f"recheck-{seed}-{plane}-{radius:g}",
             1000 * (seed + 1) + number,

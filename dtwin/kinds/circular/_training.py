@@ -59,8 +59,6 @@ def train_campaign(
     runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
     rows, columns = gather(runs), TermColumns(runs)
     compared = thinned(rows, _COMPARED_EVERY)
-    inputs = generic_inputs(compared)
-    usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
     with warnings.catch_warnings(), side_by_side() as (pool, step):
         # A comparison model that has not converged is judged as it is.
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -69,23 +67,26 @@ def train_campaign(
         symbolic = pool.submit(
             symbolic_candidate, compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions
         )
+        inputs = generic_inputs(compared)
+        usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
         left_out = predicted_left_out(
             folds, lambda d, n, w: tell("fit the whole, and without what is predicted", d, n, w)
         )
+        fit = whole.result()
+        scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
+        fresh_um = score(rows, predicted_fresh(fit), "run_id").rms_um
+        floor, freedom = noise_floor_um(rows)
         found = baselines(compared)
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
         found.append(symbolic.result())
-        fit = whole.result()
-    scores = {group: score(rows, predicted, group) for group, predicted in left_out.items()}
-    fresh_um = score(rows, predicted_fresh(fit), "run_id").rms_um
+    # Its time is measured with nothing else running.
     found.append(
         physics_candidate(fit, scores, fresh_um, campaign.machine, horizon_s=horizon_s, table_versions=versions)
     )
     found.sort(key=lambda c: c.held_out.rms_um)
-    floor, freedom = noise_floor_um(rows)
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
