@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.features.alignment import Alignment
@@ -62,7 +63,7 @@ def align_infeed(
             got=f"{t_controller[-1]:z.1f} s and {t_bar[-1]:z.1f} s",
         )
 
-    def unexplained(lags: Floats) -> Floats:
+    def unexplained(lags: NDArray[np.floating]) -> Floats:
         at = t_bar + lags[:, None]
         wave = np.exp(1j * np.interp(at, t_controller, angle_rad))
         y = bar - np.interp(at, t_controller, commanded_um)

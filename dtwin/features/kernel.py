@@ -147,8 +147,9 @@ def _spectral_features(
 
 
 class WindowKernel:
-    """Computes the features of one window without allocating.
+    """Computes the features of one window of several channels, or of several windows, without allocating.
 
+    ``n_channels``: rows of samples that are computed at once.
     ``selection``: features, in the order in which they are wanted.
     ``band_hz``: half-open band [low, high) of ``band_power``.
     ``remove_mean``: whether the mean is taken out before every feature.
@@ -184,9 +185,9 @@ class WindowKernel:
         self._codes = np.zeros(n_channels, dtype=np.int64)
 
     def compute(self, flat: Floats, first: int, stride: int, out: Floats, codes: Codes) -> None:
-        """Write the selected features of one window.
+        """Write the selected features of the samples of every row.
 
-        ``flat``: channel c starts at ``first + c * stride``.
+        ``flat``: row c starts at ``first + c * stride``.
         ``out``, (channels, n_features): receives the features; always finite.
         ``codes``, (channels,): receives the validity of each channel.
         """

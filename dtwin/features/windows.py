@@ -17,6 +17,8 @@ from dtwin.schema import Floats
 
 MAX_SAMPLES = 1_000_000
 MAX_CHANNELS = 256
+# Windows that are computed together: the memory that a long recording needs.
+_AT_ONCE = 512
 
 
 @dataclass(frozen=True)
@@ -116,11 +118,10 @@ class WindowContract:
                 "a field of the window contract has the wrong type", code="window.type", got=str(error)[:200]
             ) from error
 
-    def kernel(self) -> WindowKernel:
-        """Return the computation that this contract describes."""
-        return WindowKernel(
-            len(self.channels), self.n_samples, self.rate_hz, self.features, self.band_hz, self.detrend == "mean"
-        )
+    def kernel(self, rows: int | None = None) -> WindowKernel:
+        """Return the computation that this contract describes, of so many rows of samples: by default one a channel."""
+        rows = rows or len(self.channels)
+        return WindowKernel(rows, self.n_samples, self.rate_hz, self.features, self.band_hz, self.detrend == "mean")
 
 
 @dataclass(frozen=True)
@@ -168,13 +169,21 @@ def batch_features(signals: NDArray[np.floating], contract: WindowContract, star
     samples = np.ascontiguousarray(signals, dtype=np.float64)
     flat, stride = samples.reshape(-1), samples.shape[1]
     count = window_count(stride, contract)
-    kernel = contract.kernel()
-    values = np.zeros((count, len(contract.channels), len(contract.features)))
-    codes = np.zeros((count, len(contract.channels)), dtype=np.int64)
-    for i in range(count):
-        kernel.compute(flat, i * contract.hop, stride, values[i], codes[i])
+    values = np.zeros((len(contract.channels), count, len(contract.features)))
+    codes = np.zeros((len(contract.channels), count), dtype=np.int64)
+    for first in range(0, count, _AT_ONCE):
+        some = slice(first, min(first + _AT_ONCE, count))
+        # The rows of one computation are successive windows of a channel: each begins a hop after the one before.
+        kernel = contract.kernel(some.stop - first)
+        for channel in range(len(contract.channels)):
+            begin = channel * stride + first * contract.hop
+            kernel.compute(flat, begin, contract.hop, values[channel, some], codes[channel, some])
     ends = np.arange(count) * contract.hop + contract.n_samples - 1
-    return WindowFeatures(values, codes, start_s + ends / contract.rate_hz)
+    return WindowFeatures(
+        np.ascontiguousarray(values.transpose(1, 0, 2)),
+        np.ascontiguousarray(codes.T),
+        start_s + ends / contract.rate_hz,
+    )
 
 
 class StreamingWindow:

@@ -13,7 +13,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.results import Latency
 
-_BUDGET_NS, _ROUNDS = 3e8, 3
+_BUDGET_NS, _ROUNDS = 1e8, 3
 _EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
 
 
@@ -27,33 +27,34 @@ def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
     return _timed(compiled.evaluate, calls, "bundle tick")
 
 
-def onnx_latency(model: Any, x: Floats, calls: int = 2000) -> tuple[bytes | None, Latency | None]:
-    """Convert a fitted scikit-learn model to ONNX and time one row of it.
-
-    ``x``, (n, k): inputs; the first row is used.
-    The serialised model and its time; both None when it cannot be converted.
-    """
-    import onnxruntime
+def onnx_of(model: Any, width: int) -> bytes | None:
+    """Return a fitted scikit-learn model of so many inputs as serialised ONNX; None when it cannot be converted."""
     from skl2onnx import to_onnx
 
-    row = np.ascontiguousarray(x[:1], dtype=np.float32)
     try:
-        data = to_onnx(model, row, target_opset=17).SerializeToString()
-    except (RuntimeError, NotImplementedError):
-        return None, None
+        return bytes(to_onnx(model, np.zeros((1, width), np.float32), target_opset=17).SerializeToString())
+    except (RuntimeError, NotImplementedError, ValueError):
+        return None
+
+
+def onnx_latency(model: bytes, calls: int = 2000) -> Latency:
+    """Time one row, of zeros, of a serialised ONNX model."""
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    name = session.get_inputs()[0].name
-    return data, _timed(lambda: session.run(None, {name: row}), calls, "onnxruntime")
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    wanted = session.get_inputs()[0]
+    row = np.zeros((1, wanted.shape[1]), np.float32)
+    return _timed(lambda: session.run(None, {wanted.name: row}), calls, "onnxruntime")
 
 
 def _timed(call: Callable[[], Any], calls: int, what: str) -> Latency:
     """Time calls in rounds, and tell the round that other work on the computer disturbed least."""
     # A slow model is not worth minutes of timing.
     each_ns = float(_spent_ns(call, 20).min())
-    calls = int(min(calls, max(50, _BUDGET_NS / max(each_ns, 1.0))))
+    calls = int(min(calls, max(25, _BUDGET_NS / max(each_ns, 1.0))))
     rounds = [_spent_ns(call, calls) for _ in range(_ROUNDS)]
     spent = min(rounds, key=lambda taken: float(np.percentile(taken, 99)))
     clock = time.perf_counter_ns
