@@ -53,6 +53,8 @@ GERMAN = {
     "pose accuracy, largest": "Pose-Genauigkeit, größte",
     "pose accuracy, mean": "Pose-Genauigkeit, Mittel",
     "pose repeatability, largest": "Pose-Wiederholgenauigkeit, größte",
+    "drift of pose accuracy, largest": "Drift der Pose-Genauigkeit, größte",
+    "drift of pose repeatability, largest": "Drift der Pose-Wiederholgenauigkeit, größte",
     "Notes are in English.": "Anmerkungen sind englisch.",
     "circular deviation, counter-clockwise": "Kreisformabweichung, gegen den Uhrzeigersinn",
     "circular deviation, clockwise": "Kreisformabweichung, im Uhrzeigersinn",

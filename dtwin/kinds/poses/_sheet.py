@@ -27,18 +27,26 @@ _READING_UM = 15.0
 _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
 _OTHER_FRAME_MM = 20.0
-_LARGEST = ("AP", "AD", "RP")
+_DRIFT = ("dAP", "dRP")
+_LARGEST = ("AP", "AD", "RP", *_DRIFT)
+# Readings of a pose of which one accuracy and one repeatability are computed, to see them change.
+_CYCLES = 10
 _NAMES = {
     "AP": "pose accuracy, largest",
     "AP mean": "pose accuracy, mean",
     "AD": "distance accuracy, largest",
     "AD rms": "distance accuracy, RMS",
     "RP": "pose repeatability, largest",
+    "dAP": "drift of pose accuracy, largest",
+    "dRP": "drift of pose repeatability, largest",
 }
 
 
 def pose_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
-    """Evaluate every run: pose accuracy AP in the mean and at most, distance accuracy AD, pose repeatability RP at most."""
+    """Evaluate every run: pose accuracy AP in the mean and at most, distance accuracy AD, pose repeatability RP at most.
+
+    Drift of both, dAP and dRP, is told of poses that were measured twenty times or more.
+    """
     parts, notes = [], []
     for run in runs:
         notes += sound_runs([run])[1]
@@ -57,7 +65,8 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
     repeated = int(np.bincount(place).max()) > 1
     told = _evaluated(error_um, place, point_um)
-    for name in _taken(series):
+    taken = _taken(series)
+    for name in (*taken, "dAP") if taken else ():
         told.pop(name, None)
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
     longer = [_evaluated(error_um + s * _RULER * (point_um - point_um.mean(axis=0)), place, point_um) for s in (1, -1)]
@@ -80,12 +89,22 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
             _NAMES[symbol],
             value,
             1,
-            float(np.std([a[symbol] for a in again], ddof=1)) if again else math.nan,
+            _spread(np.array([a[symbol] for a in again]), symbol),
             dof[symbol],
             contributions=_contributions(metres[symbol], under),
         )
         for symbol, value in told.items()
     )
+
+
+def _spread(again_um: Floats, symbol: str) -> float:
+    """Return the standard uncertainty of a figure by what it was in simulated tests; NaN without any.
+
+    Nothing drifts in them: what they show of drift all the same is an error of it.
+    """
+    if not again_um.size:
+        return math.nan
+    return float(np.sqrt(np.mean(again_um**2)) if symbol in _DRIFT else np.std(again_um, ddof=1))
 
 
 def _taken(series: Series) -> tuple[str, ...]:
@@ -130,7 +149,10 @@ def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, .
 
 
 def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, float]:
-    """Return the figures of errors (n, 3) of poses with these numbers; RP where a pose was measured three times."""
+    """Return the figures of errors (n, 3), in the order of measurement, of poses with these numbers.
+
+    RP where a pose was measured three times, dAP and dRP where one was measured twenty times.
+    """
     count, means = np.bincount(place), means_of(error_um, place)
     accuracy = np.linalg.norm(means, axis=1)
     told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
@@ -143,7 +165,20 @@ def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, f
         mean = np.bincount(place, away) / count
         squares = np.bincount(place, (away - mean[place]) ** 2)[often] / (count[often] - 1)
         told["RP"] = float((mean[often] + 3.0 * np.sqrt(squares)).max())
+    changes = [_changes(error_um[place == pose]) for pose in np.flatnonzero(count >= 2 * _CYCLES)]
+    if changes:
+        told["dAP"], told["dRP"] = np.max(changes, axis=0).tolist()
     return told
+
+
+def _changes(error_um: Floats) -> tuple[float, float]:
+    """Return by how much AP and RP of later readings of one pose (n, 3) differ from those of the first ten, at most."""
+    blocks = error_um[: len(error_um) // _CYCLES * _CYCLES].reshape(-1, _CYCLES, 3)
+    means = blocks.mean(axis=1)
+    accuracy = np.linalg.norm(means, axis=1)
+    away = np.linalg.norm(blocks - means[:, None], axis=2)
+    repeatability = away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)
+    return float(np.abs(accuracy - accuracy[0]).max()), float(np.abs(repeatability - repeatability[0]).max())
 
 
 def pose_figure(runs: Sequence[Run]) -> go.Figure:

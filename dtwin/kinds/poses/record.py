@@ -33,7 +33,7 @@ class _Poses(Kind):
         "ambient_c",
     )
     sheet_columns = campaign_columns
-    figures = ("AP", "AP mean", "AD", "AD rms", "RP")
+    figures = ("AP", "AP mean", "AD", "AD rms", "RP", "dAP", "dRP")
     read_with = (*Kind.read_with, "instrument.columns", "condition.joints_log", "condition.leave_out")
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."

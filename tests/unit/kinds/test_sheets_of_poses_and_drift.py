@@ -124,6 +124,69 @@ def test_a_distance_is_between_the_means_of_two_poses() -> None:
     assert found["AD"]["value_um"] < 30.0
 
 
+def test_drift_is_of_ten_later_readings_against_the_first_ten() -> None:
+    """A base that creeps by 4 um a cycle: means of the first and the last ten of forty cycles are 120 um apart."""
+    rng = np.random.default_rng(5)
+    target = rng.uniform(-500.0, 500.0, (30, 3))
+    wild = np.where(np.arange(40) < 30, 1.0, 6.0)[:, None, None]
+    noise = wild * rng.normal(0.0, 0.005, (40, 30, 3))
+    creep = 0.004 * (np.arange(40.0) - 19.5)[:, None, None] * [1.0, 0.0, 0.0]
+    given = 0.5 * np.stack([np.sin(target[:, 1] / 90.0), np.zeros(30), np.cos(target[:, 0] / 70.0)], axis=1)
+    measured = target + given + noise + creep
+    samples = {"t_s": np.arange(1200.0)}
+    samples |= {f"target_{a}_mm": np.tile(target[:, n], 40) for n, a in enumerate("xyz")}
+    samples |= {f"measured_{a}_mm": measured[..., n].ravel() for n, a in enumerate("xyz")}
+    found = characteristics_of_points(samples)
+    # A pose whose error points along the creep changes by all of it; no pose by more.
+    assert found["dAP"]["value_um"] == pytest.approx(120.0, abs=15.0)
+    # Six times 5 um: RP of ten is their mean distance and three standard deviations of it, 22 and 11 um for 5 um.
+    assert 100.0 < found["dRP"]["value_um"] < 300.0
+    # What creeps counts as scatter, too: U is that of a machine that scatters by as much.
+    assert 0.0 < found["dAP"]["expanded_um"] < 100.0
+    short = {name: column[: 19 * 30] for name, column in samples.items()}
+    assert not {"dAP", "dRP"} & set(characteristics_of_points(short))
+
+
+@pytest.mark.parametrize("creep_um", [0.0, 60.0])
+def test_the_uncertainty_of_drift_covers_it_also_where_there_is_none(creep_um: float) -> None:
+    rng = np.random.default_rng(7)
+    held = []
+    for _ in range(25):
+        target = np.tile(rng.uniform(-500.0, 500.0, (12, 3)), (20, 1))
+        # Away from the base, along the error of every pose, in the second ten of twenty cycles.
+        outward = target / np.linalg.norm(target, axis=1)[:, None]
+        later = (np.arange(240) >= 120)[:, None] * creep_um / 1000.0
+        measured = target + (0.3 + later) * np.sign(target[:, :1]) * outward + rng.normal(0.0, 0.01, (240, 3))
+        samples = {"t_s": np.arange(240.0)}
+        samples |= {f"target_{a}_mm": target[:, n] for n, a in enumerate("xyz")}
+        samples |= {f"measured_{a}_mm": measured[:, n] for n, a in enumerate("xyz")}
+        found = characteristics_of_points(samples)
+        truth = true_change_um(target[:12], creep_um)
+        held.append([abs(found["dAP"]["value_um"] - truth) <= found["dAP"]["expanded_um"]])
+        held[-1].append(found["dRP"]["value_um"] <= found["dRP"]["expanded_um"])
+    assert np.mean(held, axis=0).min() >= 0.9
+
+
+def true_change_um(target: np.ndarray, creep_um: float) -> float:
+    """How AP of these poses changes by the creep: the best frame of all readings is taken from both halves, by Kabsch."""
+    outward = target / np.linalg.norm(target, axis=1)[:, None] * np.sign(target[:, :1])
+    first, second = target + 0.3 * outward, target + (0.3 + creep_um / 1000.0) * outward
+    both, twice = np.concatenate([first, second]), np.concatenate([target, target])
+    u, _, vt = np.linalg.svd((both - both.mean(axis=0)).T @ (twice - twice.mean(axis=0)))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    left = [
+        np.linalg.norm((half - both.mean(axis=0)) @ turn + twice.mean(axis=0) - target, axis=1)
+        for half in (first, second)
+    ]
+    return 1000.0 * float(np.abs(left[1] - left[0]).max())
+
+
+def characteristics_of_points(samples: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    campaign = Campaign("c", "m", "poses", instrument={"uncertainty_um": 0.0})
+    sheet = sheet_of(kind_named("poses"), campaign, [Run(RunMeta("p", kind="poses"), samples)], {})
+    return {c["symbol"]: c for c in sheet["parts"][0]["characteristics"]}
+
+
 def test_a_pose_that_scatters_more_than_others_has_its_own_uncertainty() -> None:
     """RP is of the worst pose: with the scatter of all poses for its own, U covered it in 7 of 10 tests."""
     rng = np.random.default_rng(11)
@@ -234,5 +297,6 @@ def test_one_pose_tells_its_repeatability_and_no_accuracy() -> None:
     samples |= {f"target_{a}_mm": np.full(30, v) for a, v in zip("xyz", (500.0, 0.0, 400.0), strict=True)}
     run = Run(RunMeta("p1", kind="poses"), {"t_s": np.arange(30.0), **samples})
     sheet = sheet_of(kind_named("poses"), Campaign("c", "m", "poses"), [run], {})
-    assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["RP"]
+    # A frame takes the error of a single pose, and with it how AP changes.
+    assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["RP", "dRP"]
     assert {f.code for f in kind_named("poses").judge_run(run)} == {"poses.repeats"}
