@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
 
-_BLOCK = 2048
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -54,28 +52,29 @@ class Rows:
         return np.array([numbers[key] for key in keys])[self.of_run]
 
     def without_setups(self, values: Floats) -> Floats:
-        """Project centre and radius of every set-up out of columns.
+        """Project centre and radius of every set-up out of columns, shape (n,) or (n, p)."""
+        absorbed = self.of_setups(values)
+        return np.subtract(values, absorbed, out=absorbed)
+
+    def of_setups(self, values: Floats) -> Floats:
+        """Return what centre and radius of every set-up make of columns, shape (n,) or (n, p).
 
         Centre and radius belong to a set-up, never to a run: what they absorb is the same for
         every feed, direction and repeat inside it.
-
-        Parameters
-        ----------
-        values : ndarray, shape (n,) or (n, p)
-            Columns over the rows.
         """
-        result = np.array(values, dtype=float)
+        result = np.empty(np.shape(values))
         setups, of_run = np.unique([run.meta.setup for run in self.runs], return_inverse=True)
         of_row = of_run[self.of_run]
         for setup in range(len(setups)):
             inside = np.flatnonzero(of_row == setup)
             angle = self.angle_rad[inside]
             basis = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))[0]
-            shares = basis.T @ result[inside]
-            # By blocks: a product as large as the columns would be new memory for every set-up.
-            for at in range(0, inside.size, _BLOCK):
-                block = slice(at, at + _BLOCK)
-                result[inside[block]] -= basis[block] @ shares
+            if inside[-1] - inside[0] < inside.size:
+                # Without copies, which would be new memory for every set-up.
+                together = slice(inside[0], inside[-1] + 1)
+                np.matmul(basis, basis.T @ values[together], out=result[together])
+            else:
+                result[inside] = basis @ (basis.T @ values[inside])
         return result
 
     def folds(self, group: str) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:

@@ -97,16 +97,15 @@ class Library:
         outputs = {f"t{i}": expression for i, expression in enumerate(wanted)}
         live = self.live_states(outputs)
         graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
-        tape = Tape(graph, PATH_INPUTS, {k: self.initial[k] for k in live}, list(outputs))
+        used = [name for name in PATH_INPUTS if name in graph.inputs]
+        places = [PATH_INPUTS.index(name) for name in used]
+        tape = Tape(graph, used, {k: self.initial[k] for k in live}, list(outputs))
         found = []
         for run in runs:
             tape.reset()
-            at_rows = (
-                tape.run_many(run.inputs.astype(float))[run.arc]
-                if live
-                else tape.run_many(run.inputs[run.arc].astype(float))
-            )
-            found.append(at_rows.astype(np.float32))
+            inputs = run.inputs[:, places] if live else run.inputs[np.ix_(run.arc, places)]
+            values = tape.run_many(inputs.astype(float))
+            found.append((values[run.arc] if live else values).astype(np.float32))
         return found
 
     def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:

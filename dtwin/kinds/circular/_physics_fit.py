@@ -76,9 +76,9 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
     """
     columns = columns or TermColumns(rows.runs)
     library = _search(thinned(rows, _SEARCH_EVERY), columns, progress)
-    terms = columns.of(library, rows.runs)
-    design = rows.without_setups(terms)
-    absorbed = np.subtract(terms, design, out=terms)
+    design = columns.of(library, rows.runs)
+    absorbed = rows.of_setups(design)
+    design -= absorbed
     rows, shift_s = _realigned(rows, design)
     cells = _cell_sums(rows, design, absorbed)
     chosen, front = _front(library, cells)
@@ -158,15 +158,19 @@ def predicted_fresh(fit: PhysicsFit) -> Floats:
 
 def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> _Cells:
     """Return sums over the scored rows by (feed, radius), by run where there is one such pair."""
-    labels = rows.label("feed_mm_min"), rows.label("radius_mm")
-    if all(np.unique(label).size == 1 for label in labels):
-        labels = rows.of_run, rows.of_run
-    cells = {}
-    for first, second in sorted({*zip(*(label.tolist() for label in labels), strict=True)}):
-        inside = (labels[0] == first) & (labels[1] == second) & rows.scored
-        if inside.any():
-            cells[(float(first), float(second))] = sums_of(design[inside], rows.target_um[inside], absorbed[inside])
-    return cells
+    keys = [(float(run.meta.feed_mm_min or 0.0), float(run.meta.radius_mm or 0.0)) for run in rows.runs]
+    if len(set(keys)) == 1:
+        keys = [(float(number), float(number)) for number in range(len(keys))]
+    cells: dict[tuple[float, float], Sums] = {}
+    ends = np.cumsum([run.arc.size for run in rows.runs])
+    # Run by run: copies of all scored rows would be as large as the terms themselves.
+    for key, run, end in zip(keys, rows.runs, ends, strict=True):
+        here = slice(end - run.arc.size, end)
+        scored = rows.scored[here]
+        if scored.any():
+            sums = sums_of(design[here][scored], rows.target_um[here][scored], absorbed[here][scored])
+            cells[key] = cells[key] + sums if key in cells else sums
+    return dict(sorted(cells.items()))
 
 
 def _coefficients_out_rms(cells: _Cells, axis: int, chosen: Sequence[int]) -> float:
