@@ -98,7 +98,7 @@ class Library:
         live = self.live_states(outputs)
         graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
         used = [name for name in PATH_INPUTS if name in graph.inputs]
-        places = [PATH_INPUTS.index(name) for name in used]
+        places = np.array([PATH_INPUTS.index(name) for name in used], dtype=np.intp)
         tape = Tape(graph, used, {k: self.initial[k] for k in live}, list(outputs))
         found = []
         for run in runs:
