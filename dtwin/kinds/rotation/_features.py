@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from dtwin.schema import Floats
 
@@ -28,6 +29,8 @@ _OF_NORMAL = 0.3853
 """Below it lies that part of the sizes of normal values."""
 _EVERY = 0.8
 _FEWEST_BINS = 60
+_TOLD = 0.2
+"""Part of the largest number on the diagonal of the factor of the normal equations that the least must be."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +113,7 @@ def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:
     fitted = mean
     for nearest in (True, False):
         for _ in range(_ROUNDS):
-            root = np.sqrt(weight)
-            fitted = design @ np.linalg.lstsq(design * root[:, None], mean * root, rcond=None)[0]
+            fitted = design @ _weighted(design, mean, weight)
             off = np.abs(mean - fitted)
             scale = _scale(off)
             if scale <= 0.0:
@@ -124,6 +126,21 @@ def _settled(design: Floats, mean: Floats, weight: Floats) -> Floats:
             if change < _SETTLED:
                 break
     return np.asarray(fitted)
+
+
+def _weighted(design: Floats, mean: Floats, weight: Floats) -> Floats:
+    """Return the coefficients of weighted least squares.
+
+    By the normal equations, in a third of the time, where the diagonal of their factor says that they keep ten digits: bins that
+    all lie on one side of the turn hardly tell the orders apart.
+    """
+    heavy = (design * weight[:, None]).T
+    factor, found, failed = dposv(heavy @ design, heavy @ mean)
+    if not failed and factor.diagonal().min() > _TOLD * factor.diagonal().max():
+        return np.asarray(found, dtype=np.float64)
+    used = weight > 0.0
+    root = np.sqrt(weight[used])
+    return np.asarray(np.linalg.lstsq(design[used] * root[:, None], mean[used] * root, rcond=None)[0])
 
 
 def _scale(left: Floats) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +22,7 @@ _GAP_BINS = 3
 _BACK_DEG = 20.0
 _MOST_BLOCKS = 10
 _FEWEST_HALVED, _HALVES = 4, 60
+_AT_ONCE = 500_000
 KEEP = "keep"
 """What the condition of a run states as ``features`` when local features are not to be left out."""
 
@@ -211,12 +211,12 @@ def filtered(curve_um: Floats) -> Floats:
     return np.asarray(np.fft.irfft(waves, curve_um.shape[-1], axis=-1))
 
 
-def _range(curve_um: Floats) -> float:
-    """Return the range of a curve over one turn, also between the places of a coarse grid."""
+def _range(curve_um: Floats) -> Floats:
+    """Return the ranges of curves over one turn, shape (..., bins), also between the places of a coarse grid."""
     bins = curve_um.shape[-1]
     if bins >= _COARSE_BINS:
-        return float(np.ptp(curve_um))
-    return float(np.ptp(np.fft.irfft(np.fft.rfft(curve_um), _FINE)) * _FINE / bins)
+        return np.asarray(np.ptp(curve_um, axis=-1))
+    return np.asarray(np.ptp(np.fft.irfft(np.fft.rfft(curve_um), _FINE), axis=-1) * _FINE / bins)
 
 
 def once_of(curve_um: Floats, angle_deg: Floats) -> complex:
@@ -224,55 +224,70 @@ def once_of(curve_um: Floats, angle_deg: Floats) -> complex:
     return complex(2.0 * np.mean(curve_um * np.exp(1j * np.radians(angle_deg))))
 
 
-def synchronous_um(turns: Turns, moved_um: Floats | None = None) -> tuple[Floats, Floats]:
+def synchronous_um(turns: Turns) -> tuple[Floats, Floats]:
     """Return the synchronous curve, and its residual without what comes once per turn; both of shape (bins,)."""
-    mean = filtered((turns.moved_um if moved_um is None else moved_um).mean(axis=0))
-    wave = once_of(mean, turns.angle_deg) * np.exp(-1j * np.radians(turns.angle_deg))
-    residual = mean - mean.mean() - wave.real
-    return (mean - mean.mean() if turns.axial else residual), residual
+    return _synchronous_um(turns, filtered(turns.moved_um.mean(axis=0)))
+
+
+def _synchronous_um(turns: Turns, mean_um: Floats) -> tuple[Floats, Floats]:
+    """Return what :func:`synchronous_um` does, of filtered means (..., bins) of turns."""
+    turn = np.exp(1j * np.radians(turns.angle_deg))
+    level = mean_um - mean_um.mean(axis=-1, keepdims=True)
+    once = 2.0 / mean_um.shape[-1] * (mean_um @ turn)
+    residual = level - (once[..., None] * np.conj(turn)).real
+    return (level if turns.axial else residual), residual
 
 
 def figures_of(turns: Turns) -> Figures:
     """Return the figures of a run; what they are uncertain by comes from blocks of neighbouring turns."""
     moved, read = turns.moved_um, turns.read_um
     parts = np.array_split(np.arange(turns.n), min(turns.n, _MOST_BLOCKS))
+    blocks = len(parts)
+    # Means of all turns, and of all but one block each: of every row at once.
+    means_of = np.ones((1 + blocks, turns.n))
+    for k, part in enumerate(parts):
+        means_of[1 + k, part] = 0.0
+    used = means_of.sum(axis=1)
+    means_of /= np.maximum(used, 1.0)[:, None]
 
-    def figure(of: Callable[[NDArray[np.intp]], float]) -> Value:
-        every = of(np.arange(turns.n))
-        return Value(every, _deviation(of, parts), len(parts))
-
-    def once(of: NDArray[np.intp]) -> complex:
-        return once_of(moved[of].mean(axis=0), turns.angle_deg)
+    def figure(of_all_and_without: Floats) -> Value:
+        return Value(float(of_all_and_without[0]), _deviation(of_all_and_without[1:]), blocks)
 
     # Of the readings as they are: what the drift adds within a turn belongs to it.
     total = np.ptp(read, axis=1)
-    own = np.array([once(part) for part in parts])
+    once = 2.0 / moved.shape[1] * (moved @ np.exp(1j * np.radians(turns.angle_deg)))
+    own = np.array([once[part].mean() for part in parts])
     covariance = np.full((2, 2), np.nan)
-    if len(parts) > 1:
-        covariance = np.cov(own.real, own.imag) / len(parts)
-    apart = filtered(moved) - filtered(moved.mean(axis=0))
-    rms = figure(lambda of: float(np.sqrt(np.mean((moved[of] - moved[of].mean(axis=0)) ** 2) * _unbiased(len(of)))))
+    if blocks > 1:
+        covariance = np.cov(own.real, own.imag) / blocks
+    smooth = filtered(moved)
+    apart = smooth - smooth.mean(axis=0)
+    off = moved - moved.mean(axis=0)
+    left = means_of @ np.mean(off**2, axis=1) - np.mean((means_of @ off) ** 2, axis=1)
+    unbiased = np.array([_unbiased(round(n)) for n in used])
+    rms = figure(np.sqrt(np.maximum(left, 0.0) * unbiased))
     wide = float(np.ptp(apart, axis=0).max()) if turns.n > 1 else float("nan")
     # A range draws on few turns: its scatter relative to its size is that of the RMS, and more where halves of the turns say so.
     share = rms.block_um / rms.um if rms.um else 0.0
-    scatter = max(wide * share, _range_of_halves(apart) * len(parts) ** 0.5)
+    scatter = max(wide * share, _range_of_halves(apart) * blocks**0.5)
     floor = float("nan")
     if turns.n > 1:
-        halves = filtered(moved[::2].mean(axis=0)) - filtered(moved[1::2].mean(axis=0))
+        halves = smooth[::2].mean(axis=0) - smooth[1::2].mean(axis=0)
         floor = float(np.ptp(halves)) / 2.0
     means = read.mean(axis=1)
+    synchronous, residual = _synchronous_um(turns, means_of @ smooth)
     return Figures(
         turns.n,
-        figure(lambda of: float(total[of].mean())),
-        figure(lambda of: abs(once(of))),
-        once(np.arange(turns.n)),
+        figure(means_of @ total),
+        figure(np.abs(means_of @ once)),
+        once_of(moved.mean(axis=0), turns.angle_deg),
         covariance,
-        figure(lambda of: _range(synchronous_um(turns, moved[of])[0])),
-        figure(lambda of: _range(synchronous_um(turns, moved[of])[1])),
-        Value(wide, scatter, len(parts)),
+        figure(_range(synchronous)),
+        figure(_range(residual)),
+        Value(wide, scatter, blocks),
         rms,
         float(means.mean()),
-        2.0 * float(np.std([means[p].mean() for p in parts], ddof=1)) / len(parts) ** 0.5 if len(parts) > 1 else np.nan,
+        2.0 * float(np.std([means[p].mean() for p in parts], ddof=1)) / blocks**0.5 if blocks > 1 else np.nan,
         floor,
     )
 
@@ -287,20 +302,20 @@ def _range_of_halves(apart_um: Floats) -> float:
     if turns < _FEWEST_HALVED:
         return 0.0
     rng = np.random.default_rng(0)
-    chosen = (np.sort(rng.permutation(turns)[: turns // 2]) for _ in range(_HALVES))
-    return float(np.std([np.ptp(apart_um[of], axis=0).max() for of in chosen], ddof=1))
+    chosen = np.array([rng.permutation(turns)[: turns // 2] for _ in range(_HALVES)])
+    # Few turns at once, many in halves of their own: their readings shall not take much memory.
+    together = max(1, _AT_ONCE // (chosen.shape[1] * apart_um.shape[1]))
+    ranges = [np.ptp(apart_um[chosen[k : k + together]], axis=1).max(axis=1) for k in range(0, _HALVES, together)]
+    return float(np.std(np.concatenate(ranges), ddof=1))
 
 
 def _unbiased(n: int) -> float:
     return n / (n - 1) if n > 1 else np.nan
 
 
-def _deviation(of: Callable[[NDArray[np.intp]], float], parts: list[NDArray[np.intp]]) -> float:
-    """Return the standard deviation of one block, by leaving out each block in turn."""
-    n = len(parts)
-    if n < 2:
-        return float("nan")
-    without = np.array([of(np.concatenate([p for j, p in enumerate(parts) if j != i])) for i in range(n)])
-    if not np.isfinite(without).all():
+def _deviation(without: Floats) -> float:
+    """Return the standard deviation of one block, by figures that leave out each block in turn."""
+    n = len(without)
+    if n < 2 or not np.isfinite(without).all():
         return float("nan")
     return float(np.sqrt((n - 1) * np.sum((without - without.mean()) ** 2)))
