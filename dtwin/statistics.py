@@ -81,6 +81,19 @@ def chi2_tail(chi2: float, dof: float) -> float:
     return float(special.chdtrc(dof, chi2))
 
 
+def chi2_quantile(probability: float, dof: float) -> float:
+    """Return where chi-squared has this probability below it.
+
+    Parameters
+    ----------
+    probability : float
+        Between 0 and 1.
+    dof : float
+        Degrees of freedom.
+    """
+    return float(2.0 * special.gammaincinv(dof / 2.0, probability))
+
+
 def deviation_interval(deviation: float, dof: float) -> tuple[float, float]:
     """Return the 95 % interval of a standard deviation that was estimated from a sample.
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from dtwin.errors import InputError
+from dtwin.features._spectrum import correlation
 from dtwin.features.stops import parabola_peak, stop_envelope
 from dtwin.schema import Floats
 
@@ -162,6 +162,6 @@ def _overlap_correlations(a: Floats, b: Floats, lags: NDArray[np.int64]) -> Floa
 
     x, y = over(a, first - lags, last - lags), over(b, first, last)
     square = (over(a**2, first - lags, last - lags) - x**2 / n) * (over(b**2, first, last) - y**2 / n)
-    across = correlate(b, a, method="fft")[lags + len(a) - 1] - x * y / n
+    across = correlation(b, a)[lags + len(a) - 1] - x * y / n
     moves = square > _STILL * float(a @ a) * float(b @ b)
     return np.where(moves, across / np.sqrt(np.where(moves, square, 1.0)), 0.0)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from dtwin.errors import InputError
-from dtwin.features._spectrum import above, moving_rms
+from dtwin.features._spectrum import above, correlation, moving_rms
 from dtwin.schema import Floats
 
 _ROUNDING = 1e-12
@@ -188,7 +187,7 @@ def _self_correlation(signal: Floats, lags: NDArray[np.int64]) -> Floats:
     shared = x.size - lags
     sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (x, x * x))
     first, second = sums[shared], sums[-1] - sums[lags]
-    products = correlate(x, x, method="fft")[x.size - 1 + lags] - first * second / shared
+    products = correlation(x, x)[x.size - 1 + lags] - first * second / shared
     spreads = (squares[shared] - first**2 / shared) * (squares[-1] - squares[lags] - second**2 / shared)
     size = np.sqrt(np.maximum(spreads, 0.0))
     # Less than rounding is a record that stands still.

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.optimize import brentq
 
 from dtwin.config import Home
@@ -25,7 +24,7 @@ from dtwin.pipeline.kept import kept_already, sheet_of_campaign, stamp_of, varia
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.progress import Progress
 from dtwin.schema import Floats
-from dtwin.statistics import holm
+from dtwin.statistics import chi2_quantile, holm, t_tail
 from dtwin.twins.measured import load
 
 FEWEST = 4
@@ -89,7 +88,7 @@ def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple
     one.
     """
     dof = values.size - 1
-    wanted = dof if chance is None else float(stats.chi2.ppf(chance, dof))
+    wanted = dof if chance is None else chi2_quantile(chance, dof)
 
     def mean_at(between: float) -> tuple[float, Floats]:
         weights = 1.0 / (errors**2 + between)
@@ -156,7 +155,7 @@ class _Prior:
     def p_value(self, value: float, error: float) -> float:
         """Return the chance of a size as far away, drawn like those of the sisters."""
         apart = abs(value - self.mean) / math.sqrt(self.between**2 + self.error**2 + error**2)
-        return float(2.0 * stats.t.sf(apart, self.count - 1))
+        return 2.0 * t_tail(apart, self.count - 1)
 
     def share(self, error: float) -> float:
         """Return how much of a size remains its own."""

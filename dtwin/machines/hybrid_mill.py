@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import lfilter
 
 from dtwin.errors import InputError
 from dtwin.machines import mill_drive
@@ -295,4 +294,6 @@ def _sensors(command: Command, error_um: Floats, rng: np.random.Generator) -> tu
 
 
 def _high_passed(signal: Floats, keep: float) -> Floats:
+    from scipy.signal import lfilter
+
     return np.asarray(lfilter([keep, -keep], [1.0, -keep], signal, axis=1))

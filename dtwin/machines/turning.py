@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
-from scipy.signal import butter, lfilter
 
 from dtwin.schema import Floats
 
@@ -192,6 +191,8 @@ class AccelerationChannel:
     """The accelerometer with its amplifier; filter and wander go on from call to call."""
 
     def __init__(self, sensor: Accelerometer, rng: np.random.Generator) -> None:
+        from scipy.signal import butter
+
         self.sensor, self._rng = sensor, rng
         self._b, self._a = butter(2, sensor.bandwidth_hz / (SERVO_HZ / 2.0))
         self._memory = np.zeros(2)
@@ -206,6 +207,8 @@ class AccelerationChannel:
         every : int
             Servo ticks to a sample.
         """
+        from scipy.signal import lfilter
+
         sensor, n = self.sensor, len(motion.tool_um)
         noise = sensor.noise_g_per_root_hz * np.sqrt(SERVO_HZ / 2.0) * self._rng.normal(size=n)
         felt = motion.acceleration_um_s2 / UM_S2_PER_G * sensor.gain_1 + noise

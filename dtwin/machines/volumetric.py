@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from dtwin.machines.thermal_network import BODIES, CASTINGS, Schedule, pumping, temperatures_c
@@ -325,5 +324,7 @@ def _share(lag_s: float) -> float:
 
 
 def _lagged(values: Floats, share: float) -> Floats:
+    from scipy.signal import lfilter
+
     begun = [(1.0 - share) * values[0]]
     return np.asarray(lfilter([share], [1.0, share - 1.0], values, zi=begun)[0])

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from dtwin.machines import mechanism as m_
 from dtwin.machines.controller import CobotController
@@ -54,6 +53,8 @@ def best_offsets(
     list of ndarray, each of shape (ticks, 3)
         um, before the guard.
     """
+    from scipy.signal import butter, sosfiltfilt
+
     ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / TICK_S)
     still = [np.zeros((1, 3)) for _ in begun]
     best, (left, least) = still, _left_um(begun, still, centre_mm, safety)

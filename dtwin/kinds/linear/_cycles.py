@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.optimize import minimize_scalar
 
 from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
+from dtwin.statistics import f_tail
 
 _FEWEST_CYCLES = 4
 _FAR = 8.0
@@ -210,7 +210,7 @@ def moving_zero(test: LinearTest) -> Finding | None:
     # Each target and direction has its mean.
     free = n - len(ways) * len(place) - many
     ratio = (total - kept) / many / max(kept, 1e-12) * free
-    little = 1.0 - kept / total < _WORTH or free < 1 or stats.f.sf(ratio, many, free) > _CHANCE
+    little = 1.0 - kept / total < _WORTH or free < 1 or f_tail(ratio, (many, free)) > _CHANCE
     if little or name not in _SAID or _wanders(rest):
         return None
     moves = ", ".join(f"{size:+z.3g}" for size in sizes)

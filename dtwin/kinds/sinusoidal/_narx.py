@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from dtwin.features.sine import fit_tone, lag_deg
 from dtwin.features.tone_window import HORIZON_S
@@ -52,6 +51,9 @@ class Narx:
 
         ``trace``, (2, n): command and tool; only the command is used.
         """
+        # As everywhere: importing it takes half a second, which most commands can do without.
+        from scipy.signal import lfilter
+
         command = trace[0, ::_EVERY]
         error = lfilter(self.command, np.concatenate([[1.0], -self.own]), command)
         tool = command + np.clip(np.nan_to_num(error), -_EXPLODED_UM, _EXPLODED_UM)
