@@ -1,4 +1,4 @@
-"""The published systems whose figures are computed again."""
+"""The published systems whose figures are computed again. Bodies import late: naming them needs none of their models."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from dtwin.progress import Progress
-from studies import dynamics_paper, lathe_paper, turning_paper, volumetric_paper
 
 
 @dataclass(frozen=True)
@@ -27,20 +26,28 @@ class Paper:
 
 
 def _lathe(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    from studies import lathe_paper
+
     size = lathe_paper.QUICK if quick else lathe_paper.FULL
     return lathe_paper.lathe_paper(size, seed, progress)
 
 
 def _turning(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    from studies import turning_paper
+
     return turning_paper.turning_paper(quick=quick, seed=seed, progress=progress)
 
 
 def _volumetric(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    from studies import volumetric_paper
+
     lines = volumetric_paper.volumetric_paper(seed, progress, quick=quick)
     return {"lines": [asdict(line) for line in lines]}
 
 
 def _dynamics(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    from studies import dynamics_paper
+
     size = dynamics_paper.QUICK if quick else dynamics_paper.FULL
     return dynamics_paper.dynamics_paper(size, seed, progress)
 
