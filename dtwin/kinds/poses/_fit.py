@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from dtwin.kinds.poses._effects import EFFECTS, Term
 from dtwin.kinds.poses._series import Series
@@ -55,6 +55,11 @@ class Grams:
         """Poses in each block."""
         return np.bincount(self.series.block).astype(np.float64)
 
+    @cached_property
+    def whole(self) -> Floats:
+        """Normal equations of all blocks, (m, m)."""
+        return np.asarray(self.normal.sum(axis=0))
+
     def without(self, blocks: Floats) -> Grams:
         """Return the same problem without some blocks."""
         kept = np.setdiff1d(np.arange(len(self.power)), blocks)
@@ -62,6 +67,7 @@ class Grams:
         for name in ("normal", "right", "power"):
             object.__setattr__(part, name, getattr(self, name)[kept])
         part.__dict__["count"] = self.count[kept]
+        part.__dict__.pop("whole", None)
         return part
 
     def left_elsewhere_mm(self, chosen: Sequence[int], rows: NDArray[np.bool_]) -> Floats:
@@ -73,12 +79,13 @@ class Grams:
     def told(self, chosen: Sequence[int]) -> list[int]:
         """Return those parameters that the poses can tell, the set-up's first and in the order given."""
         kept: list[int] = []
-        whole, basis = self.normal.sum(axis=0), list[int]()
+        whole, basis = self.whole, list[int]()
         # Rows of the Cholesky factor of those that are kept.
         factor = np.zeros((len(chosen), len(chosen)))
         for i in chosen:
             n = len(basis)
-            across = solve_triangular(factor[:n, :n], whole[basis, i], lower=True) if n else np.zeros(0)
+            # As solve_triangular, which looks at its arguments for longer than it takes.
+            across = dtrtrs(factor[:n, :n].T, whole[basis, i], lower=0, trans=1)[0] if n else np.zeros(0)
             own = float(whole[i, i] - across @ across)
             if i >= _SETUP and own <= _LEAST_OWN**2:
                 continue
@@ -90,18 +97,25 @@ class Grams:
 
     def left_out(self, chosen: Sequence[int]) -> Floats:
         """Return the sum of squares that is left in each block when it was held out, mm²."""
-        value = self.without_each(chosen)
-        inner = self.normal[:, chosen][:, :, chosen]
+        inner = self._inner(chosen)
+        value = self._without_each(chosen, inner)
         own = np.einsum("bi,bij,bj->b", value, inner, value)
         return np.asarray(self.power - 2.0 * np.einsum("bi,bi->b", value, self.right[:, chosen]) + own)
 
     def without_each(self, chosen: Sequence[int]) -> Floats:
         """Return the scaled parameters fitted without each block, shape (blocks, parameters)."""
-        inner = self.normal[:, chosen][:, :, chosen]
+        return self._without_each(chosen, self._inner(chosen))
+
+    def _inner(self, chosen: Sequence[int]) -> Floats:
+        at = np.array(chosen, dtype=np.intp)
+        return np.asarray(self.normal[:, at[:, None], at])
+
+    def _without_each(self, chosen: Sequence[int], inner: Floats) -> Floats:
         rest = inner.sum(axis=0) - inner
         # Setup terms may be collinear: their values do not matter, their sum does.
         rest += _NOTHING * np.trace(rest, axis1=1, axis2=2)[:, None, None] / len(chosen) * np.eye(len(chosen))
-        to = self.right[:, chosen].sum(axis=0) - self.right[:, chosen]
+        right = self.right[:, chosen]
+        to = right.sum(axis=0) - right
         return np.asarray(np.linalg.solve(rest, to[:, :, None])[:, :, 0])
 
 
@@ -122,7 +136,7 @@ def solve(grams: Grams, chosen: Sequence[int]) -> tuple[Floats, Floats]:
     The sandwich over blocks: neighbouring poses err alike, whatever is missing.
     """
     index = np.ix_(chosen, chosen)
-    inverse = np.linalg.pinv(grams.normal.sum(axis=0)[index], rcond=1e-12, hermitian=True)
+    inverse = np.linalg.pinv(grams.whole[index], rcond=1e-12, hermitian=True)
     value = inverse @ grams.right.sum(axis=0)[chosen]
     scores = np.array(
         [to[chosen] - normal[index] @ value for normal, to in zip(grams.normal, grams.right, strict=True)]
