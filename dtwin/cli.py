@@ -13,7 +13,7 @@ import typer
 
 from dtwin import __version__
 from dtwin.commands import register
-from dtwin.commands.tasks import ByTask
+from dtwin.commands.tasks import ByTask, Commands
 from dtwin.config import home, quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError
 
@@ -25,7 +25,7 @@ New here?
 Everything is kept in DTWIN_HOME, by default .dtwin in this folder.
 """
 
-app = typer.Typer(
+app = Commands(
     name="dtwin",
     cls=ByTask,
     help="Measure, model and correct the accuracy of machine tools and robots.",

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from command_here import command_here
 
 from dtwin import __version__, cli
 from dtwin.cli import app, main
+from dtwin.commands.tasks import branch_names
 from dtwin.config import home
 from dtwin.machine_record import keep_record
 
@@ -245,3 +248,17 @@ def test_a_seed_below_zero_is_refused_by_every_command() -> None:
     seeds = [p for command in _leaves(typer.main.get_command(app)) for p in command.params if p.name == "seed"]
     assert len(seeds) > 15
     assert {p.min for p in seeds} == {0}
+
+
+def test_a_branch_alone_knows_every_command_of_the_whole_tree_and_says_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = typer.main.get_command(app)
+    held = [name for branch in app.registered_groups for name in branch_names(branch)]
+    assert sorted(held) == sorted(whole.commands)  # type: ignore[attr-defined]
+    for words in (["leave-out", "--help"], ["twin", "--help"], ["twin", "fitt"], ["nonsense"], []):
+        monkeypatch.setattr(sys, "argv", ["dtwin", *words])
+        out, err = io.StringIO(), io.StringIO()
+        with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
+            whole()
+        assert command_here(*words) == (ended.value.code, out.getvalue(), err.getvalue())
