@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +21,8 @@ from dtwin.train.side_by_side import side_by_side
 
 TICK_HZ = 500.0
 _ROW_EVERY = 10
+# Runs that are read before the first of them is aligned: the memory that reading ahead takes.
+_AHEAD = 4
 _INDEX = {name: place for place, name in enumerate(STATE_FIELDS)}
 
 
@@ -71,13 +75,15 @@ class TickRun:
 def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
-    """Read runs one by one and bring them to the controller's clock.
+    """Read runs and bring them to the controller's clock, in the order of the rows.
 
     Parameters
     ----------
     progress : callable, optional
         Called with (done, total, run id).
     """
+    found: list[TickRun] = []
+    begun: deque[Future[TickRun]] = deque()
     with side_by_side() as (pool, step):
 
         def aligned(run: Run) -> TickRun:
@@ -85,12 +91,12 @@ def load_ticks(
             return _tick_run(run, campaign)
 
         # One is read while others are brought to the clock.
-        runs = [pool.submit(aligned, lake.load(row)) for row in rows]
-        found = []
-        for done, (run, row) in enumerate(zip(runs, rows, strict=True), start=1):
-            found.append(run.result())
-            if progress is not None:
-                progress(done, len(rows), str(row["run_id"]))
+        for number, row in enumerate(rows, start=1):
+            begun.append(pool.submit(aligned, lake.load(row)))
+            while begun and (len(begun) > _AHEAD or number == len(rows)):
+                found.append(begun.popleft().result())
+                if progress is not None:
+                    progress(len(found), len(rows), found[-1].meta.run_id)
     return found
 
 
