@@ -12,6 +12,8 @@ EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
 # Of more names than these a terminal shows those that are most like what was given; JSON has all.
 _MOST_NAMES, _NEAREST = 60, 12
+# Of a longer place or value, such as a name of thousands of letters in a file, a terminal shows both ends.
+_LONGEST = 400
 # What would steer a terminal: escape sequences out of a file that somebody sent.
 _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -87,6 +89,9 @@ class DtwinError(Exception):
         if len(names) > _MOST_NAMES:
             nearest = get_close_matches(self.got or "", names, n=_NEAREST, cutoff=0.0)
             fields["allowed"] = f"{', '.join(nearest)} and {len(names) - len(nearest)} more"
+        for name in ("where", "got"):
+            if len(fields.get(name, "")) > _LONGEST:
+                fields[name] = f"{fields[name][: _LONGEST // 2]} … {fields[name][-_LONGEST // 2 :]}"
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
         return printable("\n".join(lines))
 

@@ -31,3 +31,13 @@ def test_what_would_steer_a_terminal_is_not_printed() -> None:
     shown = InputError("no", got="a\x1b]0;title\x07b\x9b2J", where="one\ttwo").render()
     assert "a\ufffd]0;title\ufffdb\ufffd2J" in shown
     assert "one\ttwo" in shown
+
+
+def test_of_a_very_long_name_a_terminal_shows_both_ends() -> None:
+    error = InputError("no such file", code="x", where="a" * 1000 + "m" * 1000 + "z" * 1000, got="short")
+    said = error.render()
+    assert len(said) < 600
+    assert "at: " + "a" * 100 in said
+    assert "z" * 100 + "\n  got: short" in said
+    assert "m" not in said.split("at: ")[1]
+    assert error.as_dict()["where"] == error.where
