@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.config import Home
 from dtwin.links import state as layout
@@ -92,6 +93,17 @@ class Seen:
     def column(self, name: str) -> Floats:
         """Return one column of the rows, shape (n,)."""
         return np.asarray(self.rows[:, COLUMNS.index(name)])
+
+    def newest(self, span_s: float) -> NDArray[np.bool_]:
+        """Tell which rows are of the newest seconds of the controller's clock, shape (n,); the last one always is.
+
+        What is before a step back of that clock, as when the controller restarts, is not: its stamps are of another time.
+        """
+        stamps = self.column("stamp_s")
+        begin = np.flatnonzero(np.diff(stamps) < 0.0)[-1:] + 1
+        kept = ~(stamps < stamps[-1] - span_s)
+        kept[: int(begin.sum())] = False
+        return np.asarray(kept)
 
 
 class LiveBoard:

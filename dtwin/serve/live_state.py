@@ -51,13 +51,15 @@ def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     silent_s = now_s - seen.shown_s
     if silent_s > _SILENT_S:
         return _LiveState("silent", f"was not answered for {silent_s:z.0f} s: what is in force is not known")
-    stamps = seen.column("stamp_s")
-    reasons = seen.column("reason")[stamps >= stamps[-1] - RECENT_S].astype(int)
+    reasons = seen.column("reason")[seen.newest(RECENT_S)].astype(int)
     outside = float(np.mean(reasons == safety.OUTSIDE))
     beyond = f"outside the model's range for {100 * outside:z.0f} % of the newest {RECENT_S:z.0f} s"
-    if np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
+    # A latched guard stays so: what was before it is no longer true.
+    latched = bool(reasons[-1] == safety.LATCHED)
+    if not latched and np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
         return _LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
-    if outside >= 0.5:
+    if not latched and outside >= 0.5:
         return _LiveState("outside", f"is {beyond}, and is not corrected there", outside)
-    often = Counter(reasons[~np.isin(reasons, _CORRECTS)].tolist()).most_common(1)[0][0]
+    held = reasons[-1:] if latched else reasons[~np.isin(reasons, _CORRECTS)]
+    often = Counter(held.tolist()).most_common(1)[0][0]
     return _LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)

@@ -54,17 +54,7 @@ def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
     StoreError
         When the journal cannot be read.
     """
-    path = events_path(home, machine)
-    try:
-        lines = path.read_bytes().splitlines() if path.exists() else []
-    except OSError as error:
-        raise StoreError(
-            "the journal of the serving sessions cannot be read",
-            code="served.journal",
-            where=str(path),
-            got=error.strerror or str(error),
-        ) from error
-    return _stretches(_events(lines))
+    return _stretches(_journal_of(home, machine))
 
 
 def served_during(
@@ -127,9 +117,15 @@ def serving_now(home: Home, machine: str) -> str:
     return next((s.model_sha256 for s in served_stretches(home, machine) if s.end == _FOREVER), "")
 
 
-def never_ended(home: Home, machine: str) -> datetime | None:
-    """Return when the newest session of a machine began to correct, if nothing says that it ended; None where it did."""
-    return next((s.begin for s in served_stretches(home, machine) if s.end == _FOREVER), None)
+def never_released(home: Home, machine: str) -> datetime | None:
+    """Return when the newest session of a machine began to correct, if it was killed or nothing says how it ended; else None."""
+    begun: dict[str, datetime] = {}
+    for event in _journal_of(home, machine):
+        if _begins(event):
+            begun = {event["session"]: event["at"]}
+        elif event.get("event") in (RELEASED, NOT_RELEASED, ENDED):
+            begun.pop(event["session"], None)
+    return next(iter(begun.values()), None)
 
 
 def _told(stretch: ServedStretch) -> str:
@@ -137,23 +133,46 @@ def _told(stretch: ServedStretch) -> str:
     return f"{stretch.begin.isoformat(timespec='seconds')} to {until}"
 
 
+def _journal_of(home: Home, machine: str) -> Iterable[Mapping[str, Any]]:
+    """Return the events of a machine's sessions in the order in which they were written, each with its time as ``at``."""
+    path = events_path(home, machine)
+    try:
+        lines = path.read_bytes().splitlines() if path.exists() else []
+    except OSError as error:
+        raise StoreError(
+            "the journal of the serving sessions cannot be read",
+            code="served.journal",
+            where=str(path),
+            got=error.strerror or str(error),
+        ) from error
+    return _events(lines)
+
+
 def _events(lines: Iterable[bytes]) -> Iterable[Mapping[str, Any]]:
     for line in lines:
         try:
             document = json.loads(line)
-            yield document | {"at": datetime.fromisoformat(document["time"])}
-        except (ValueError, KeyError, TypeError):
+            at = datetime.fromisoformat(document["time"])
+            if at.tzinfo is None:
+                raise ValueError("a time without its zone")
+            yield document | {"at": at, "session": str(document.get("session"))}
+        except (ValueError, KeyError, TypeError, RecursionError):
             # The end of a line that a full disk cut off.
             continue
 
 
+def _begins(event: Mapping[str, Any]) -> bool:
+    """Tell whether a session begins to correct with an event."""
+    return event.get("event") == SERVING and event.get("mode") == "live"
+
+
 def _stretches(events: Iterable[Mapping[str, Any]]) -> list[ServedStretch]:
     done: list[ServedStretch] = []
-    going: dict[Any, ServedStretch] = {}
-    lost: dict[Any, ServedStretch] = {}
+    going: dict[str, ServedStretch] = {}
+    lost: dict[str, ServedStretch] = {}
     for event in events:
-        session, what = event.get("session"), event.get("event")
-        if what == SERVING and event.get("mode") == "live":
+        session, what = event["session"], event.get("event")
+        if _begins(event):
             # One session at a time holds the lease: another that never ended is dead.
             done += [replace(left, end=event["at"]) for left in going.values()]
             going.clear()

@@ -31,12 +31,14 @@ class Bench:
     """State of one server.
 
     ``effects_path``: folder of the user's own effects; their code is run.
+    ``cache``, ``live``: what is kept of data, and pictures of loops that run: these change all the time, and must not push out those.
     """
 
     home: Home
     access: Access
     effects_path: Path | None = None
     cache: Cache = field(default_factory=Cache)
+    live: Cache = field(default_factory=Cache)
 
     def __post_init__(self) -> None:
         """Find what an earlier server left."""

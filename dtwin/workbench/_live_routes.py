@@ -7,7 +7,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from dtwin.report.live_plots import circle_figure, correction_figure, waiting_fi
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.serve.live_state import RECENT_S, live_state
-from dtwin.serve.served_time import events_path, never_ended
+from dtwin.serve.served_time import events_path, never_released
 from dtwin.workbench._bench import bench_of
 from dtwin.workbench._pages import drawn, rendered
 
@@ -31,8 +31,10 @@ router = APIRouter()
 _NEWEST = 20
 _TAIL_BYTES = 2_000_000
 _EVENTS = ".events.jsonl"
-_SHOWN_S = 20.0
+_SHOWN_S, _DRAWN_EVERY_S = 20.0, 0.5
 _BAND = slice(COLUMNS.index("band_x_um"), COLUMNS.index("band_z_um") + 1)
+# What the page shows of every session.
+_WHOLE = {"started", "duration_s", "ended", "clamp_um", "largest_um", "reasons"}
 _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
 
 
@@ -90,7 +92,7 @@ def now(request: Request, machine: str) -> dict[str, Any]:
     if seen is None or not seen.ticks:
         return {"state": state, "ticks": 0}
     interval, age = seen.column("interval_s"), seen.column("age_s")
-    recent = seen.column("stamp_s") >= seen.column("stamp_s")[-1] - RECENT_S
+    recent = seen.newest(RECENT_S)
     interval, age = interval[recent & np.isfinite(interval)], age[recent]
     answered = seen.ticks + seen.missed
     rate_hz = 1.0 / float(interval.mean()) if len(interval) and interval.mean() > 0.0 else None
@@ -111,29 +113,41 @@ def now(request: Request, machine: str) -> dict[str, Any]:
 @router.get("/api/live/{machine}/correction")
 def correction(request: Request, machine: str) -> Response:
     """Return the corrections of the newest seconds."""
-    seen = _board(request, machine)
-    t_s = seen.column("stamp_s") - seen.column("stamp_s")[-1]
-    kept = t_s >= -_SHOWN_S
-    rows = seen.rows[kept]
-    return drawn(correction_figure(t_s[kept], rows[:, _CORRECTION], seen.clamp_um, rows[:, _BAND]))
+
+    def draw(seen: Seen) -> go.Figure:
+        rows = seen.rows[seen.newest(_SHOWN_S)]
+        t_s = rows[:, 0] - rows[-1, 0]
+        return correction_figure(t_s, rows[:, _CORRECTION], seen.clamp_um, rows[:, _BAND])
+
+    return _moving(request, machine, draw)
 
 
 @router.get("/api/live/{machine}/circle")
 def circle(request: Request, machine: str) -> Response:
     """Return the newest circle with and without the correction."""
-    seen = _board(request, machine)
-    at = COLUMNS.index("actual_x_mm")
-    position, centre, radius = np.split(seen.rows[:, at : at + 7], [3, 6], axis=1)
-    figure = circle_figure(position, centre, radius[:, 0], seen.rows[:, _CORRECTION])
-    told = "no whole circle was seen yet" if radius.any() else "this machine goes round no circle now"
-    return drawn(figure or waiting_figure(told))
+
+    def draw(seen: Seen) -> go.Figure:
+        at = COLUMNS.index("actual_x_mm")
+        position, centre, radius = np.split(seen.rows[:, at : at + 7], [3, 6], axis=1)
+        figure = circle_figure(position, centre, radius[:, 0], seen.rows[:, _CORRECTION])
+        told = "no whole circle was seen yet" if radius.any() else "this machine goes round no circle now"
+        return figure or waiting_figure(told)
+
+    return _moving(request, machine, draw)
 
 
-def _board(request: Request, machine: str) -> Seen:
-    seen = read_board(machine, bench_of(request).home)
-    if seen is None or not seen.ticks:
-        raise _none(machine)
-    return seen
+def _moving(request: Request, machine: str, draw: Callable[[Seen], go.Figure]) -> Response:
+    """Return a picture of a loop that runs: one for all pages that ask within a while, for drawing takes the loop's processors."""
+    bench = bench_of(request)
+
+    def make() -> bytes:
+        seen = read_board(machine, bench.home)
+        if seen is None or not seen.ticks:
+            raise _none(machine)
+        return bytes(drawn(draw(seen)).body)
+
+    key = (request.url.path, int(time.monotonic() / _DRAWN_EVERY_S))
+    return Response(bench.live.get(key, make), media_type="application/json")
 
 
 def _none(machine: str) -> InputError:
@@ -195,15 +209,23 @@ def sessions(home: Home) -> list[dict[str, Any]]:
         if path.name.endswith(_EVENTS):
             continue
         machine = path.stem.removeprefix("serve-")
-        lines += [{"machine": machine, **line} for line in _newest_lines(path)]
+        lines += [{"machine": machine, **line} for line in _newest_lines(path) if _is_whole(line)]
     return sorted(lines, key=lambda s: str(s.get("started", "")), reverse=True)
 
 
+def _is_whole(line: Mapping[str, Any]) -> bool:
+    """Tell whether a line of a log is a session's, not what is left of one, or of another version."""
+    timing = line.get("timing") or {"late_share": 0.0}
+    texts = isinstance(line.get("started"), str) and isinstance(line.get("ended"), str)
+    tables = isinstance(timing, dict) and isinstance(line.get("reasons"), dict)
+    return texts and tables and line.keys() >= _WHOLE and "late_share" in timing
+
+
 def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
-    """Return the machines whose newest server went away without a word, and when it began; a server that runs is none."""
+    """Return the machines whose newest server was killed, or went away without a word, and when it began; a server that runs is none."""
     paths = sorted(home.logs.glob(f"serve-*{_EVENTS}"))
     machines = [path.name.removeprefix("serve-").removesuffix(_EVENTS) for path in paths]
-    begun = {machine: never_ended(home, machine) for machine in machines if machine not in serving}
+    begun = {machine: never_released(home, machine) for machine in machines if machine not in serving}
     return {machine: at.isoformat() for machine, at in begun.items() if at is not None}
 
 
@@ -217,10 +239,12 @@ def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
     found: list[Mapping[str, Any]] = []
     for line in lines[-_NEWEST:]:
         try:
-            found.append(dict(json.loads(line)))
-        except ValueError:
+            said = json.loads(line)
+        except (ValueError, RecursionError):
             # The first line may be cut.
             continue
+        if isinstance(said, dict):
+            found.append(said)
     return found
 
 

@@ -81,7 +81,11 @@ def test_a_server_that_was_killed_is_said_to_be_gone_until_another_serves(bench:
     shown = bench.ask("/live")[1]
     assert "The server of mill-k that began to correct at 2026-03-02 08:00" in shown
     assert "No session was logged yet" not in shown
-    ended = {"time": "2026-03-02T08:01:00+00:00", "event": "released", "session": "a"}
+    killed, ended = (
+        {"time": "2026-03-02T08:01:00+00:00", "event": what, "session": "a"} for what in ("killed", "released")
+    )
+    path.write_text(f"{json.dumps(begun)}\n{json.dumps(killed)}\n", encoding="utf-8")
+    assert "The server of mill-k that began to correct at 2026-03-02 08:00" in bench.ask("/live")[1]
     path.write_text(f"{json.dumps(begun)}\n{json.dumps(ended)}\n", encoding="utf-8")
     assert "gone without a word" not in bench.ask("/live")[1]
 
@@ -117,7 +121,10 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
             "jitter_us_histogram": {"<10": 900, ">=10": 100},
         },
     }
-    log.write_text("cut off}\n" + json.dumps(session) + "\n", encoding="utf-8")
+    spoilt = ["cut off}", "5", "[1]", "{}", *(json.dumps(session | {key: None}) for key in ("started", "reasons"))]
+    spoilt.append(json.dumps({key: value for key, value in session.items() if key != "duration_s"}))
+    log.write_text("\n".join([*spoilt, json.dumps(session), ""]), encoding="utf-8")
+    assert len(json.loads(bench.ask("/api/live")[1])["sessions"]) == 1
     text = bench.ask("/live")[1]
     assert "clamped 7, slew limited 3" in text
     assert "0.40 <small>%, 3 late, 1 missed" in text

@@ -11,7 +11,14 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.serve.served_time import correction_in_force, events_path, served_during, served_stretches, serving_now
+from dtwin.serve.served_time import (
+    correction_in_force,
+    events_path,
+    never_released,
+    served_during,
+    served_stretches,
+    serving_now,
+)
 
 BEGIN = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 A, B = "a" * 64, "b" * 64
@@ -105,3 +112,20 @@ def test_a_cut_line_and_a_session_of_an_older_version_are_no_evidence(home: Home
     (stretch,) = served_stretches(home, "m")
     assert stretch.model_sha256 == ""
     assert served_stretches(home, "other") == []
+
+
+def test_a_killed_session_is_not_released_until_another_ends(home: Home) -> None:
+    journal(home, (0, "s", "serving", live()), (9, "s", "link_lost"), (10, "s", "killed"))
+    assert never_released(home, "m") == at(0)
+    journal(home, (20, "t", "serving", {"mode": "dry-run"}), (30, "t", "ended"))
+    assert never_released(home, "m") == at(0)
+    journal(home, (40, "u", "serving", live()), (50, "u", "released"))
+    assert never_released(home, "m") is None
+
+
+def test_a_line_of_the_journal_that_is_no_event_is_left_out(home: Home) -> None:
+    path = events_path(home, "m")
+    path.parent.mkdir(parents=True)
+    path.write_text('5\n[1]\n{"time": "2026-05-04T08:00:00", "event": "serving", "mode": "live"}\n', encoding="utf-8")
+    journal(home, (0, "s", "serving", live()), (60, "s", "released"))
+    assert [(s.begin, s.end) for s in served_stretches(home, "m")] == [(at(0), at(60))]
