@@ -27,8 +27,8 @@ ROLES = ("look", "measure", "train", "promote", "stop")
 """What a person may do; everybody with a token may look."""
 AUDIT = "audit.jsonl"
 _FILE, _MAX_BYTES, _LONGEST = "people.toml", 200_000, 500
-# Three texts whose every character may become six.
-_LONGEST_LINE = 6 * 3 * _LONGEST + 1000
+# Four texts whose every character may become twelve, as those beyond 16 bits do in JSON.
+_LONGEST_LINE = 12 * 4 * _LONGEST + 1000
 _FIRST = "0" * 64
 _acting: ContextVar[str] = ContextVar("acting", default="")
 

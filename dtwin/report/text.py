@@ -34,7 +34,8 @@ def _cell(value: object) -> str:
         if not math.isfinite(value):
             return "-"
         return f"{value:z.4g}" if abs(value) < 1e5 else f"{value:z.3e}"
-    return str(value)
+    # A line end in what somebody wrote would make lines of the table that say something else.
+    return " ".join(str(value).splitlines())
 
 
 def micrometres(value: float | None) -> str:

@@ -15,6 +15,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dtwin.config import Home
+from dtwin.errors import InputError
 from dtwin.own_address import is_foreign, names_this_computer
 from dtwin.people import ROLES, Person, act_as, acting, note, read_people
 from dtwin.workbench._roles import OTHERWISE, overheard, role_for
@@ -117,7 +118,10 @@ class Guarded:
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)
 
-        answer = self._refused(scope)
+        try:
+            answer = self._refused(scope)
+        except InputError:
+            answer = _refusal("the list of people is not usable", "dtwin people list says what is wrong")
         who, home = scope.get("state", {}).get("who"), self.access.home
         if answer or scope["method"] in _READING or who is None or home is None:
             await (answer or self.app)(scope, receive, send_with_headers)

@@ -104,6 +104,25 @@ def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
     assert len(audit(state)) == 5
 
 
+def test_no_text_makes_the_record_look_changed_or_a_line_that_nobody_wrote(tmp_path: Path) -> None:
+    state = Home(tmp_path / "home")
+    longest = "\U0001f600" * 600
+    note(state, longest, longest, longest, longest)
+    note(state, "GET x\n2026-01-01T00:00:00+00:00  boss  promote", "a\u2028b", "200")
+    assert len(audit(state)) == 2
+    shown = CliRunner().invoke(app, ["people", "record"], env={"DTWIN_HOME": str(state.root)}).output
+    assert len(shown.splitlines()) == 4
+
+
+def test_a_list_of_people_that_is_not_usable_is_said_to_who_comes_with_a_token() -> None:
+    state = home()
+    token = add_person(state, "lena", ["measure"])
+    lena = entered(state, token)
+    (state.root / "people.toml").write_text("people = 5\n", encoding="utf-8")
+    answer = lena.get("/machines")
+    assert (answer.status_code, "the list of people is not usable" in answer.text) == (403, True)
+
+
 def test_a_champion_may_need_two_people(monkeypatch: pytest.MonkeyPatch) -> None:
     state = home()
     registry = Registry(state)
