@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import lzma
 import re
 import secrets
 import shutil
 import stat
 import zipfile
+import zlib
 from collections.abc import AsyncIterator, Collection
 from pathlib import Path, PurePosixPath
 
@@ -18,7 +20,7 @@ MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
 _MAX_FILES = 5000
 _MAX_RATIO = 300
 _RATIO_FROM_BYTES = 10 * 1024 * 1024
-_MAX_DEPTH = 4
+_MAX_DEPTH, _MAX_PART_BYTES = 4, 200
 _CHUNK = 1024 * 1024
 _PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
 _ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a campaign folder, or all files of one with its campaign.toml"
@@ -60,6 +62,10 @@ class Trays:
         left = MAX_TRAY_BYTES - sum(p.stat().st_size for p in present)
         if len(present) >= _MAX_FILES:
             raise _too_much("files", str(len(present) + 1), str(_MAX_FILES))
+        if path.is_dir() or any(p.is_file() for p in path.parents if p.is_relative_to(folder)):
+            raise InputError(
+                "a file and a folder have one name", code="upload.name", got=repr(name[:120]), hint="rename one of them"
+            )
         path.parent.mkdir(parents=True, exist_ok=True)
         size = 0
         with path.open("wb") as file:
@@ -83,7 +89,7 @@ def safe_path(name: str) -> PurePosixPath:
     ``name``: as a browser or an archive states it.
     """
     parts = name.replace("\\", "/").split("/")
-    if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(part) for part in parts):
+    if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(p) and len(p.encode()) <= _MAX_PART_BYTES for p in parts):
         raise InputError(
             "a file has a name that is not taken",
             code="upload.name",
@@ -132,7 +138,15 @@ def _unpack(archive: Path, target: Path) -> None:
             left = MAX_UNPACKED_BYTES
             for member in members:
                 left -= _extract(opened, member, target, left)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+        OSError,
+    ) as error:
         raise InputError(
             "the archive cannot be unpacked",
             code="upload.zip",

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import asyncio
+import shutil
 import stat
 import zipfile
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -35,6 +38,7 @@ def archive(path: Path, members: dict[str, bytes], mode: int = 0) -> Path:
         "a/b/c/d/e.csv",
         "<b>.csv",
         "x" * 200,
+        "\u6f22" * 80 + ".csv",
     ],
 )
 def test_names_that_could_leave_their_folder_are_refused(name: str, tmp_path: Path) -> None:
@@ -108,3 +112,37 @@ def test_a_table_is_taken_alone_but_not_beside_a_campaign(tmp_path: Path) -> Non
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "campaign.toml").write_text("")
     assert [path.name for path in uploads.sources(tmp_path)] == ["c"]
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_archive_that_was_spoilt_on_its_way_is_said_to_be(method: int, tmp_path: Path) -> None:
+    path = tmp_path / "c.zip"
+    with zipfile.ZipFile(path, "w", method) as opened:
+        opened.writestr("c/a.csv", "1,2\n" * 1000)
+    whole = path.read_bytes()
+    refused = 0
+    for at in range(40, 60):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        try:
+            uploads.sources(tmp_path)
+        except InputError as error:
+            refused += error.code == "upload.zip"
+        shutil.rmtree(tmp_path / "c-unpacked", ignore_errors=True)
+    assert refused > 5
+
+
+def test_a_file_and_a_folder_of_one_name_are_refused(tmp_path: Path) -> None:
+    trays = uploads.Trays(tmp_path / "trays")
+
+    async def body() -> AsyncIterator[bytes]:
+        yield b"x"
+
+    async def put(*names: str) -> None:
+        tray = trays.new()
+        for name in names:
+            await trays.receive(tray, name, body())
+
+    asyncio.run(put("a/b.csv", "a/c.csv"))
+    for names in (("a/b", "a"), ("a", "a/b"), ("a/b", "a/b/c")):
+        with pytest.raises(InputError, match="one name"):
+            asyncio.run(put(*names))
