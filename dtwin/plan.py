@@ -17,6 +17,8 @@ from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
 from dtwin.units import is_number
 
 _MAX_TESTS = 100_000
+# Of mm and of mm/min.
+_SMALLEST = 1e-3
 # A ball-bar mount lets a bar swing through half a turn in a vertical plane.
 _FULL_TURNS_DEG = 720.0
 _HALF_TURN_DEG = 190.0
@@ -138,7 +140,6 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
     only with the set-up.
     """
     head, grid = _table(document, "plan", where), _table(document, "grid", where)
-    limits = document.get("limits", {})
     planes = [standard_plane(str(p), "CCW")[0] for p in _listed(grid, "plane", where)]
     radii = _numbers(grid, "radius_mm", where)
     feeds = _numbers(grid, "feed_mm_min", where)
@@ -153,7 +154,15 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
         )
     if len(planes) * len(radii) * len(feeds) * repeats > _MAX_TESTS:
         raise InputError("the grid is absurdly large", code="plan.size", where=where, allowed=f"{_MAX_TESTS} tests")
-    seed = int(head.get("seed", 1))
+    seed = head.get("seed", 1)
+    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+        raise InputError(
+            "the seed must be a whole number",
+            code="plan.seed",
+            where=f"{where} plan.seed",
+            got=str(seed)[:40],
+            allowed="0 or more",
+        )
     tests = _ordered(planes, radii, feeds, repeats, seed)
     plan = Plan(
         name=require_name(head.get("name"), "plan.name"),
@@ -161,8 +170,8 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
         tests=tuple(tests),
         directions=tuple(_directions(grid, where)),
         seed=seed,
-        max_feed_mm_min=float(limits.get("max_feed_mm_min", 15_000.0)),
-        max_radius_mm=float(limits.get("max_radius_mm", 350.0)),
+        max_feed_mm_min=_limit(document, "max_feed_mm_min", 15_000.0, where),
+        max_radius_mm=_limit(document, "max_radius_mm", 350.0, where),
         calibrated_length=bool(head.get("calibrated_length", False)),
     )
     _check_limits(plan, where)
@@ -225,13 +234,13 @@ def _check_limits(plan: Plan, where: str) -> None:
             ("radius_mm", test.radius_mm, plan.max_radius_mm),
             ("feed_mm_min", test.feed_mm_min, plan.max_feed_mm_min),
         ):
-            if not 0 < value <= limit:
+            if not _SMALLEST <= value <= limit:
                 raise InputError(
                     f"{name} is outside the machine's limits",
                     code="plan.limits",
                     where=f"{where} grid.{name}",
                     got=f"{value:g}",
-                    allowed=f"above 0, up to {limit:g}",
+                    allowed=f"{_SMALLEST:g} to {limit:g}",
                     hint="drop it from the grid, or correct [limits]",
                 )
 
@@ -241,6 +250,15 @@ def _table(document: Mapping[str, Any], name: str, where: str) -> Mapping[str, A
     if not isinstance(value, dict):
         raise InputError(f"the plan needs a [{name}] table", code="plan.table", where=where)
     return value
+
+
+def _limit(document: Mapping[str, Any], name: str, usual: float, where: str) -> float:
+    value = _table(document, "limits", where).get(name, usual) if "limits" in document else usual
+    if not is_number(value):
+        raise InputError(
+            f"{name} is not a number", code="plan.limits", where=f"{where} limits.{name}", got=repr(value)[:60]
+        )
+    return float(value)
 
 
 def _listed(grid: Mapping[str, Any], name: str, where: str) -> list[Any]:

@@ -170,7 +170,7 @@ def _typed(name: str, kind: str, value: Any, where: str) -> Any:
     else:
         right, wanted = {
             "str": (isinstance(value, str), "text"),
-            "int": (isinstance(value, int) and not isinstance(value, bool), "a whole number"),
+            "int": (isinstance(value, int) and is_number(value), "a whole number"),
             "float": (is_number(value), "a number"),
         }[kind]
         if right:

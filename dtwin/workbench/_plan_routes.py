@@ -44,7 +44,7 @@ router = APIRouter()
 _COMPARED = 3
 # Of more measuring a page does not compute what it would show: of 540 min of circles it takes 5 s and half a gigabyte.
 _LONGEST_S = 12 * 3600.0
-_LONGEST = 400
+_LONGEST, _MOST_SETTINGS = 400, 60
 Ending = Literal["toml", "zip"]
 
 
@@ -181,7 +181,9 @@ def _compared_plans(bench: Bench, machine: str) -> list[dict[str, Any]]:
 
 def _told(query: str) -> tuple[str, dict[str, str]]:
     """Return the kind of a test and the settings that the address of its form holds."""
-    told = {key: value[:_LONGEST] for key, value in parse_qsl(query, keep_blank_values=True, max_num_fields=60)}
+    if query.count("&") >= _MOST_SETTINGS:
+        raise InputError("more settings than a plan has", code="plan.setting", allowed=f"up to {_MOST_SETTINGS}")
+    told = {key: value[:_LONGEST] for key, value in parse_qsl(query, keep_blank_values=True)}
     return told.pop("kind", drafting_kinds()[0]), told
 
 

@@ -50,6 +50,7 @@ def test_a_plan_says_what_it_cannot_tell() -> None:
     [
         {"radius_mm": [-1.0]},
         {"radius_mm": [9999.0]},
+        {"radius_mm": [1e-300]},
         {"feed_mm_min": ["fast"]},
         {"feed_mm_min": [float("nan")]},
         {"plane": ["QQ"]},
@@ -63,6 +64,21 @@ def test_a_plan_says_what_it_cannot_tell() -> None:
 def test_impossible_plans_are_refused_before_anything_moves(grid: dict[str, object]) -> None:
     with pytest.raises(InputError):
         expand(document(**grid), "x")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"plan": {"name": "p", "machine": "m", "seed": -1}},
+        {"plan": {"name": "p", "machine": "m", "seed": "one"}},
+        {"limits": {"max_radius_mm": "wide"}},
+        {"limits": 5},
+        {"limits": {"max_feed_mm_min": True}},
+    ],
+)
+def test_a_seed_or_a_limit_that_is_none_is_refused(changed: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=r"seed|max_|\[limits\]"):
+        expand(document() | changed, "x")
 
 
 def test_a_broken_plan_file_is_named(tmp_path: Path) -> None:

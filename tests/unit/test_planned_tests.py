@@ -95,6 +95,12 @@ def test_a_wrong_setting_is_refused_with_its_place(home: Home, told: dict[str, s
     assert refused.value.message in html.unescape(page.text)
 
 
+def test_settings_beyond_all_reason_are_refused(home: Home) -> None:
+    for kind, told in (("volumetric", f"balls={'9' * 400}"), ("circular", "&".join(f"a{n}=1" for n in range(70)))):
+        page = browser(home).get(f"/machines/mill-7/plan?kind={kind}&{told}")
+        assert (page.status_code, "error[plan.setting]" in page.text) == (400, True)
+
+
 def test_settings_decide_what_becomes_visible_and_what_looks_alike(home: Home) -> None:
     def told(**settings: str) -> dict[str, Any]:
         return foretold(home, with_settings(draft_of(home, "mill-7", "circular"), CIRCLES | settings), Library())
