@@ -83,7 +83,7 @@ def model_figure(request: Request, machine: str, version: str, kind: str) -> Res
 def promote(request: Request, machine: str, version: str, why: _Comment) -> JSONResponse:
     """Check a version and make it champion, or put it on trial; the gates decide."""
     bench = bench_of(request)
-    registry = models.require_registry(bench.home)
+    registry = models.require_registry(bench.home, machine)
     registered = registry.version(machine, version)
 
     def work(tell: Tell) -> str:
@@ -111,7 +111,7 @@ def promote(request: Request, machine: str, version: str, why: _Comment) -> JSON
 def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
     """Go back to the previous champion and bar the present one."""
     bench = bench_of(request)
-    registry = models.require_registry(bench.home)
+    registry = models.require_registry(bench.home, machine)
 
     def work(tell: Tell) -> str:
         from dtwin.train.promotion import rollback
@@ -124,7 +124,7 @@ def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
 
 
 def _judged(bench: Bench, machine: str, version: str) -> models.Judged:
-    registry = models.require_registry(bench.home)
+    registry = models.require_registry(bench.home, machine)
     registered = registry.version(machine, version)
     # Tags change with every promotion; what they judge does not.
     stamp = json.dumps([dict(registered.tags), registered.aliases], sort_keys=True)

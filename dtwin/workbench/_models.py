@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.schema import require_name
 from dtwin.statistics import deviation_interval
 from flows.reach import running
 
@@ -59,8 +60,9 @@ def registry_of(home: Home) -> Registry | None:
     return Registry(home)
 
 
-def require_registry(home: Home) -> Registry:
-    """Return the registry."""
+def require_registry(home: Home, machine: str) -> Registry:
+    """Return the registry, to ask it for versions of a machine: the name becomes a part of its question."""
+    require_name(machine, "the machine")
     registry = registry_of(home)
     if registry is None:
         raise InputError("no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN")

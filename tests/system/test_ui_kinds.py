@@ -118,6 +118,8 @@ def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Wor
         assert 'name="effect" value="lag@front"' in shown
         assert "noise of a reading" in shown
     assert json.loads(said(bench, "/api/twins/column/waterfall"))["data"][0]["x"][0] == "no effects"
+    for figure in ("motions", "days", "map", "overlay/angle", "ranked", "encoder", "runs"):
+        assert bench.ask(f"/api/twins/column/{figure}")[0] in (400, 404), figure
     status, text = bench.act("/api/twins/column/add", json.dumps({"effect": "lag@front"}).encode())
     assert status == 202, text
     job = json.loads(text)["job"]

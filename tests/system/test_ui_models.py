@@ -93,6 +93,12 @@ def test_tags_and_aliases_that_somebody_set_in_mlflow_make_no_champion(bench: Wo
     assert '<span class="tag good">champion' not in listed
 
 
+def test_a_name_that_would_change_the_question_to_the_registry_is_refused(bench: Workbench) -> None:
+    status, text = bench.ask("/models/a'or'/1")
+    assert (status, "error[name.invalid]" in text) == (400, True)
+    assert bench.act("/api/models/a'or'/rollback")[0] == 400
+
+
 def test_nothing_is_promoted_without_the_token(bench: Workbench) -> None:
     status, _ = bench.ask("/api/models/mill-a/1/promote", method="POST", body=b"{}", origin=bench.base)
     assert status == 403
