@@ -53,7 +53,7 @@ class Comparison:
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return head and rows for pages."""
-        return ["", "um RMS, held out"], [
+        return ["", "µm RMS, held out"], [
             ["no correction", um_text(self.before_um)],
             [f"champion {self.champion}", um_text(self.champion_um)],
             [f"candidate {self.candidate}", um_text(self.candidate_um)],

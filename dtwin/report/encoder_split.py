@@ -92,7 +92,7 @@ def _figure(found: Mapping[str, Any]) -> go.Figure:
     )
     figure.update_layout(
         title="Measured error and its parts",
-        xaxis_title="um RMS",
+        xaxis_title="µm RMS",
         barmode="group",
         yaxis={"autorange": "reversed", "dtick": 1},
         height=max(360, 110 + 52 * len(names)),

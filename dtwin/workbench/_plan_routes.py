@@ -45,6 +45,8 @@ _COMPARED = 3
 # Of more measuring a page does not compute what it would show: of 540 min of circles it takes 5 s and half a gigabyte.
 _LONGEST_S = 12 * 3600.0
 _LONGEST, _MOST_SETTINGS = 400, 60
+# Of plans of hours, too, which no column of a measurement counts in.
+_UNITS = {"um_h": "um/h", **UNITS, "h": "h"}
 Ending = Literal["toml", "zip"]
 
 
@@ -217,8 +219,8 @@ def _measured(bench: Bench, machine: str, document: Mapping[str, Any]) -> str:
 
 def _field(key: str, typed: str | None, value: Any) -> dict[str, Any]:
     """Return a setting for the form: its name in words, and what stands in its field."""
-    suffix = next((end for end in UNITS if key.endswith(f"_{end}")), "")
-    words = key.removesuffix(f"_{suffix}").replace("_", " ") + (f", {shown_unit(UNITS[suffix])}" if suffix else "")
+    suffix = next((end for end in _UNITS if key.endswith(f"_{end}")), "")
+    words = key.removesuffix(f"_{suffix}").replace("_", " ") + (f", {shown_unit(_UNITS[suffix])}" if suffix else "")
     listed = isinstance(value, list)
     shown = ", ".join(_plain(part) for part in value) if listed else _plain(value)
     return {"name": key, "label": words, "value": shown if typed is None else typed, "listed": listed}

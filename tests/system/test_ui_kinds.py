@@ -101,6 +101,12 @@ def test_figures_run_along_the_path(bench: Workbench, twin: str, across: str) ->
     assert "only circles are drawn as polar plots" in text
 
 
+def test_a_machine_whose_test_has_no_day_was_tested(bench: Workbench) -> None:
+    shown = said(bench, "/machines")
+    assert "<td>not stated</td>" in shown
+    assert "<td>never</td>" not in shown
+
+
 def test_without_repeats_the_page_says_so(bench: Workbench) -> None:
     assert "Repeats are needed" in said(bench, "/twins/slide/diagnose")
 

@@ -95,6 +95,11 @@ def test_a_wrong_setting_is_refused_with_its_place(home: Home, told: dict[str, s
     assert refused.value.message in html.unescape(page.text)
 
 
+def test_settings_are_named_with_their_units(home: Home) -> None:
+    shown = browser(home).get("/machines/mill-7/plan?kind=volumetric").text
+    assert all(label in shown for label in (">every, h <", ">ball, s <", ">drift, µm/h <"))
+
+
 def test_settings_beyond_all_reason_are_refused(home: Home) -> None:
     for kind, told in (("volumetric", f"balls={'9' * 400}"), ("circular", "&".join(f"a{n}=1" for n in range(70)))):
         page = browser(home).get(f"/machines/mill-7/plan?kind={kind}&{told}")
