@@ -185,7 +185,9 @@ def try_channels(home: Home) -> dict[str, str]:
 def _settings(kind: type[_Settings], stated: object, where: str) -> _Settings:
     names = [field.name for field in fields(kind)]
     if not isinstance(stated, Mapping) or not set(stated) <= set(names):
-        raise _refused(where, str(stated)[:80], ", ".join(names))
+        # Names only: what is stated under a wrong one may be a secret.
+        unknown = ", ".join(sorted(set(stated) - set(names))) if isinstance(stated, Mapping) else str(stated)
+        raise _refused(where, unknown[:80], ", ".join(names))
     missing = [f.name for f in fields(kind) if f.default is MISSING and f.name not in stated]
     if missing:
         raise _refused(where, f"no {', '.join(missing)}", ", ".join(names))
@@ -222,9 +224,13 @@ def _host_and_port(text: str, where: str) -> tuple[str, int]:
 
 
 def _secret(variable: str, where: str) -> str:
-    value = os.environ.get(variable, "")
+    # The line end of the file that it came from is no part of it.
+    value = os.environ.get(variable, "").strip()
     if not value:
         raise _refused(where, variable or "not stated", "an environment variable that holds the secret")
+    # Libraries show a header that they refuse, and with it the secret.
+    if not value.isprintable():
+        raise _refused(where, f"{variable} holds more than one line", "one line")
     return value
 
 

@@ -222,6 +222,21 @@ def test_a_secret_that_is_not_there_is_a_failure_of_its_channel(hook: tuple[list
     assert hook[0] == []
 
 
+def test_no_secret_stands_in_what_is_said(
+    hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\ntoken_from = "HOOK_TOKEN"\n')
+    monkeypatch.setenv("HOOK_TOKEN", "hush\nhush")
+    assert "hush" not in try_channels(where)["webhook"] != ""
+    monkeypatch.setenv("HOOK_TOKEN", "hush\n")
+    assert try_channels(where) == {"webhook": ""}
+    assert hook[0][-1]["authorization"] == "Bearer hush"
+    state('[email]\nsmtp = "a.example:25"\nsender = "a@b.example"\nto = ["a@b.example"]\npassword = "hush"\n')
+    with pytest.raises(InputError) as refused:
+        channels_of(where)
+    assert refused.value.got == "password"
+
+
 def test_what_is_not_encrypted_takes_no_proxy(
     hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
