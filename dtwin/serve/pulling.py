@@ -10,6 +10,7 @@ import contextlib
 import os
 import select
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -27,7 +28,8 @@ from dtwin.schema import require_name
 from dtwin.serve.bundle_file import parse_json, read_bytes, write_json
 from dtwin.serve.delivery import KEY_FILE, LARGEST, MAC, NONCE, answer, install, question, read_key, same
 
-_EVERY_S, _PATIENCE_S, _POLITE = 5.0, 10.0, 10
+_EVERY_S, _PATIENCE_S, _LONGEST_S, _POLITE = 5.0, 10.0, 60.0, 10
+_PART = 65536
 _MAX_NOTE = 10_000
 
 
@@ -80,9 +82,15 @@ def _asked(url: str, machine: str, key: bytes) -> bytes:
     place = f"{url.rstrip('/')}/delivery/{quote(machine, safe='')}"
     nonce = token_hex(16)
     asked = urllib.request.Request(place, headers={NONCE: nonce, MAC: question(key, nonce, machine)})
+    until_s, content = time.monotonic() + _LONGEST_S, bytearray()
     try:
         with urllib.request.build_opener(_NoRedirect).open(asked, timeout=_PATIENCE_S) as reply:
-            content, signature = reply.read(LARGEST + 1), reply.headers.get(MAC, "")
+            signature = reply.headers.get(MAC, "")
+            # One that sends a byte now and then must not hold up what serves, nor hide that nothing new comes.
+            while len(content) <= LARGEST and (part := reply.read1(_PART)):
+                content += part
+                if time.monotonic() > until_s:
+                    raise TimeoutError(f"it was not all there after {_LONGEST_S:g} s")
     except urllib.error.HTTPError as error:
         with error:
             raise StoreError(
@@ -96,7 +104,7 @@ def _asked(url: str, machine: str, key: bytes) -> bytes:
         raise StoreError(
             "the other computer does not answer", code="pull.away", where=place, got=str(error)[:160]
         ) from error
-    if len(content) > LARGEST or not same(signature, answer(key, nonce, content)):
+    if len(content) > LARGEST or not same(signature, answer(key, nonce, bytes(content))):
         raise GateRefusal(
             "what was delivered is not signed with the key of this host, or was changed on its way",
             code="pull.signature",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.server
 import json
 import shutil
@@ -20,6 +21,7 @@ from virtual_robot import virtual_robot
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
+from dtwin.serve import pulling
 from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.delivery import KEY_FILE, MAC, NONCE, delivery, install, make_key
 from dtwin.serve.pointer import clear_trial, resolve
@@ -214,3 +216,30 @@ def test_a_host_that_never_fetched_anything_serves_nothing(host: Home) -> None:
     for url in ("ftp://h/x", "file:///etc/passwd", "nonsense"):
         with pytest.raises(InputError, match="address"):
             pull(url, MACHINE, host)
+
+
+def test_a_server_that_sends_a_byte_now_and_then_is_given_up(host: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = threading.Event()
+
+    class Drips(http.server.BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            with contextlib.suppress(OSError):
+                while not ended.wait(0.05):
+                    self.wfile.write(b" ")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    monkeypatch.setattr(pulling, "_LONGEST_S", 0.3)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Drips) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        # Without a limit it ends, too, but when the server does.
+        timer = threading.Timer(60.0, ended.set)
+        timer.start()
+        with pytest.raises(StoreError, match="does not answer"):
+            pull(f"http://127.0.0.1:{server.server_address[1]}", MACHINE, host)
+        timer.cancel()
+        ended.set()
+        server.shutdown()
