@@ -63,7 +63,8 @@ def to_latex(graph: Graph) -> str:
     """Return the equations as LaTeX lines of an ``aligned`` environment."""
     style = Style(
         number=_latex_number,
-        name=lambda node: r"\mathrm{" + node.name.replace("_", r"\_") + "}",
+        # A name comes with a bundle that somebody sent: nothing in it may become a command of LaTeX.
+        name=lambda node: r"\mathrm{" + re.sub(r"[^A-Za-z0-9]", r"\\_", node.name) + "}",
         operations=operations_with(
             mul=r"{0} \cdot {1}",
             div=r"\frac{{{0}}}{{{1}}}",

@@ -103,6 +103,9 @@ def test_latex_has_balanced_braces_and_every_name() -> None:
     assert latex.count("{") == latex.count("}")
     assert latex.count(r"\left") == latex.count(r"\right")
     assert r"\mathrm{radial\_error\_um}" in to_latex(path_bundle().tick_graph)
+    g = GraphBuilder()
+    spoilt = to_latex(g.graph({"y": g.apply("sin", g.input("x}\n\\input{/etc/passwd"))}))
+    assert r"\sin\left(\mathrm{x\_\_\_input\_\_etc\_passwd}\right)" in spoilt
 
 
 def test_shared_terms_do_not_multiply_the_text() -> None:
