@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -21,6 +22,7 @@ from dtwin.errors import InputError
 
 _QUESTION, _ANSWER = "desk.json", "desk.answer.json"
 DONE, REPEAT, KEEP = "done", "repeat", "keep"
+_WORD = re.compile("[a-z0-9]{1,20}")
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,13 @@ class Desk:
 def open_question(folder: Path) -> Mapping[str, Any] | None:
     """Return what is asked in a campaign folder, None when nothing is."""
     try:
-        question: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        stated: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
+        question = asdict(Question(**stated))
+        # Others may write into the folder of a campaign, and a page makes the address of a button of these words.
+        sound = all(_WORD.fullmatch(word) for word in (question["id"], *question["answers"]))
+    except (OSError, ValueError, TypeError, RecursionError):
         return None
-    return question
+    return question if sound else None
 
 
 def enter_desk(home: Home, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,3 +67,24 @@ def _answered(desk: Desk) -> str:
         assert time.monotonic() < until
         time.sleep(0.05)
     return found
+
+
+def test_a_file_that_is_no_question_shows_nothing_and_names_no_other_address(bench: Workbench, tmp_path: Path) -> None:
+    folder = tmp_path / "shop"
+    folder.mkdir()
+    enter_desk(Home(bench.home), folder)
+    question = {"run": "t001", "text": "Done?", "answers": ["done"], "pid": os.getpid(), "id": "0123456789ab"}
+    (folder / "desk.json").write_text(json.dumps(question))
+    assert len(json.loads(bench.ask("/api/measuring")[1])) == 1
+    elsewhere: list[object] = [
+        question | {"id": "../../models/mill-a/rollback#"},
+        question | {"answers": ["../../../live/mill-a/stop#"]},
+        question | {"answers": 5},
+        {"pid": os.getpid()},
+        [],
+        5,
+    ]
+    for spoilt in elsewhere:
+        (folder / "desk.json").write_text(json.dumps(spoilt))
+        assert json.loads(bench.ask("/api/measuring")[1]) == {}
+        assert "No campaign is being measured" in bench.ask("/measuring")[1]
