@@ -188,7 +188,10 @@ def read_targets(path: Path) -> list[Target]:
                 values = [float(row[name] or "nan") for name in HEAD[1:]]
                 if not all(math.isfinite(v) for v in values) or values[3] <= 0.0:
                     raise _unusable(path, f"line {number}", str(values), "finite, feed above 0")
-                targets.append(Target(str(row["name"]), np.array(values[:3]), values[3]))
+                # A name with a line end, which a spreadsheet hides, would be a target of its own in what is written.
+                if not (name := str(row["name"])).isprintable():
+                    raise _unusable(path, f"line {number}", repr(name), "a name of printable characters")
+                targets.append(Target(name, np.array(values[:3]), values[3]))
                 if len(targets) > _MOST_TARGETS:
                     raise _unusable(path, "rows", "more", f"{_MOST_TARGETS} targets")
     except (OSError, ValueError, TypeError, csv.Error) as error:

@@ -159,7 +159,14 @@ def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x\n1\n", "name,x_mm,y_mm,z_mm,feed_mm_min\n", "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,2,nan,5\n"]
+    "text",
+    [
+        "",
+        "x\n1\n",
+        "name,x_mm,y_mm,z_mm,feed_mm_min\n",
+        "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,2,nan,5\n",
+        'name,x_mm,y_mm,z_mm,feed_mm_min\n"a\nb,900,0,0,9",1,2,3,100\n',
+    ],
 )
 def test_unusable_targets_are_refused_by_name(tmp_path: Path, text: str) -> None:
     given = tmp_path / "targets.csv"
