@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -140,7 +141,7 @@ def _stamp(path: Path, is_campaign: bool) -> Stamp:
         if name.endswith(_IN_THE_MAKING):
             # Somebody records, or copies, into the folder.
             return ()
-        if not any(part.startswith(".") for part in name.split("/")) and file.is_file():
+        if not any(part.startswith(".") for part in name.split("/")):
             files += _of_file(file, name)
     return tuple(files)
 
@@ -150,4 +151,5 @@ def _of_file(path: Path, name: str) -> Stamp:
         state = path.stat()
     except OSError:
         return ()
-    return ((name, state.st_size, state.st_mtime_ns),)
+    # A pipe or a device, whatever its name: who opens it may wait, or read, for ever.
+    return ((name, state.st_size, state.st_mtime_ns),) if stat.S_ISREG(state.st_mode) else ()

@@ -51,6 +51,14 @@ def test_a_file_is_ingested_once(home: Home, inbox: Path) -> None:
     assert [row["campaign"] for row in Lake(home.lake).runs()] == ["first", "first"]
 
 
+def test_a_pipe_or_a_device_is_never_opened(home: Home, inbox: Path) -> None:
+    os.mkfifo(inbox / "pipe.b5r")
+    (inbox / "endless.csv").symlink_to("/dev/zero")
+    (inbox / "camp").mkdir()
+    os.mkfifo(inbox / "camp" / "campaign.toml")
+    assert looked(FolderWatch(inbox, home, ["mill-a"], settle_s=0.0)) == []
+
+
 def test_a_file_that_is_still_written_is_waited_for(home: Home, inbox: Path) -> None:
     """Size and time must stand still, and the reader must accept it."""
     now_s = [0.0]
