@@ -104,9 +104,20 @@ def require_units(columns: Iterable[str], where: str) -> dict[str, str]:
     Raises
     ------
     InputError
-        When a name ends with no known unit.
+        When a name ends with no known unit, or cannot be printed in one line.
     """
     units = {column: unit_of(column) for column in columns}
+    # A line end in a name would make a line of its own of what is written for a control.
+    strange = sorted(column for column in units if not column.isprintable())
+    if strange:
+        raise InputError(
+            "a measured column has a name that cannot be printed",
+            code="units.name",
+            where=where,
+            got=", ".join(map(repr, strange))[:160],
+            allowed="printable characters in one line",
+            hint="rename the column",
+        )
     unknown = sorted(column for column, unit in units.items() if unit is None)
     if unknown:
         raise InputError(

@@ -2,7 +2,8 @@ import math
 
 import pytest
 
-from dtwin.units import is_number, shown_unit
+from dtwin.errors import InputError
+from dtwin.units import is_number, require_units, shown_unit
 
 
 @pytest.mark.parametrize("value", [0, -2.5, 1e300])
@@ -21,3 +22,11 @@ def test_truth_values_text_and_what_no_float_holds_are_none(value: object) -> No
 )
 def test_units_are_shown_with_their_signs(unit: str, shown: str) -> None:
     assert shown_unit(unit) == shown
+
+
+@pytest.mark.parametrize("name", ["temperature_x\n[gcode_macro P]\n_c", "a\u2028b_um", "a\x1b[2J_um", "\u202ea_um"])
+def test_a_name_that_would_be_lines_or_signs_of_its_own_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be printed") as refused:
+        require_units(["t_s", name], "day-1.parquet")
+    assert "\n" not in str(refused.value.got)
+    assert require_units(["t_s", "temperature_Spindel vorn_c"], "x")["t_s"] == "s"
