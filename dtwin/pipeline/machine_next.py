@@ -18,6 +18,7 @@ from dtwin.physics.next_test import Knowledge, Made, Unknown, unclear
 from dtwin.physics.observations import Observations
 from dtwin.pipeline.machine_history import record_of
 from dtwin.pipeline.machine_joint import compared, newest_tests
+from dtwin.pipeline.planned_tests import draft_of
 from dtwin.plan_file import planned_document
 from dtwin.progress import Progress
 from dtwin.twins.measured import load
@@ -80,7 +81,11 @@ def machine_next(
             allowed=f"{min(_minutes(p) for p, _ in plans):z.0f} min or more, mounting included",
         )
     planned = [kind_named(p.kind).foreseen(p) for p, _ in within]
-    knowledge = Knowledge(measured, planned, known, {p.kind: p.noise_um for p, _ in within})
+    noise_um = {p.kind: p.noise_um for p, _ in within}
+    # A test without repeats has the usual noise of its kind, also of one that nothing is proposed of.
+    for kind in {test.obs.grid.kind for test in measured} - set(noise_um):
+        noise_um[kind] = planned_document(draft_of(home, machine, kind), kind).noise_um
+    knowledge = Knowledge(measured, planned, known, noise_um)
     tests = []
     for number, (plan, document) in enumerate(within):
         worth = knowledge.worth(number)

@@ -81,6 +81,14 @@ def test_what_cannot_be_proposed_is_refused_with_what_can(home: Path) -> None:
     assert "linear" in str(refused("machine", "next", "mill-7", "--kind", "lasers").allowed)
 
 
+def test_a_test_without_repeats_of_a_kind_that_is_not_proposed_counts(home: Path, tmp_path: Path) -> None:
+    said("simulate", "--machine", "turning", "--quick", "--out", str(tmp_path / "sines"))
+    said("ingest", str(tmp_path / "sines"))
+    found = said("machine", "next", "virtual-turning", "--kind", "linear")
+    assert found["measured"] == ["slow-tool-servo-linear"]
+    assert {test["kind"] for test in found["tests"]} == {"linear"}
+
+
 def test_the_page_shows_the_tests_and_gives_their_files(home: Path) -> None:
     browser = TestClient(application(Bench(Home(home), Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
     assert "/machines/mill-7/next" in browser.get("/machines/mill-7").text
