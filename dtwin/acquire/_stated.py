@@ -24,11 +24,11 @@ def _number(value: object, name: str, where: str) -> float:
 
 
 def positive(value: object, name: str, where: str) -> float:
-    """Return a number above 0 and below 10 million."""
+    """Return a number from a millionth to 10 million: of smaller and larger ones nothing could be computed."""
     number = _number(value, name, where)
-    if 0.0 < number < 1e7:
+    if 1e-6 <= number <= 1e7:
         return number
-    raise _refused(name, where, value, "a positive number")
+    raise _refused(name, where, value, "a number from 0.000001 to 10 million")
 
 
 def count(value: object, name: str, where: str) -> int:

@@ -94,6 +94,7 @@ def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
         (RUN.replace('plane = "XY"\n', ""), None, "run.plane"),
         (RUN.replace('"XY"', '"XX"'), None, "run.plane"),
         (RUN.replace("100.0", "-5.0"), None, "campaign.value"),
+        (RUN.replace("100.0", "1e-300"), None, "campaign.value"),
         (RUN.replace("100.0", "true"), None, "campaign.value"),
         (RUN.replace("100.0", "1" + "0" * 400), None, "campaign.value"),
         *(
