@@ -19,6 +19,7 @@ from mlflow.store.entities import PagedList
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
+from dtwin.schema import require_name
 from dtwin.train._registry_client import client_of
 from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
@@ -364,8 +365,8 @@ class Registry:
 
 
 def model_name(machine: str) -> str:
-    """Return the registered model's name for a machine."""
-    return f"{_PREFIX}{machine}"
+    """Return the registered model's name for a machine; it becomes a part of questions to the registry."""
+    return f"{_PREFIX}{require_name(machine, 'the machine')}"
 
 
 def _newest_first(

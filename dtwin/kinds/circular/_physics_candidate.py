@@ -128,8 +128,10 @@ def _box(rows: Rows) -> tuple[Floats, Floats]:
 
 def _extent(fit: PhysicsFit) -> tuple[float, float]:
     """Return the largest predicted error in um and its steepest change in um/s."""
-    chosen = list(fit.chosen)
-    predicted = (fit.design[:, chosen] + fit.absorbed[:, chosen]) @ fit.weights
+    # Zero for the terms that are not chosen: columns of them would be copies of nearly everything.
+    every = np.zeros(fit.design.shape[1])
+    every[list(fit.chosen)] = fit.weights
+    predicted = fit.design @ every + fit.absorbed @ every
     same_run = np.diff(fit.rows.of_run) == 0
     ticks = np.concatenate([run.arc for run in fit.rows.runs])
     dt_s = np.diff(ticks) / TICK_HZ
@@ -139,7 +141,7 @@ def _extent(fit: PhysicsFit) -> tuple[float, float]:
 
 def _findings(fit: PhysicsFit, design: Floats) -> list[str]:
     """Say which terms do nothing."""
-    share = np.std(design * fit.weights, axis=0) / max(float(np.std(fit.rows.target_um)), 1e-12)
+    share = np.std(design, axis=0) * np.abs(fit.weights) / max(float(np.std(fit.rows.target_um)), 1e-12)
     return [
         f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: nearly constant or never firing"
         for i, s in zip(fit.chosen, share, strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dtwin.config import Home
-from dtwin.errors import StoreError
+from dtwin.errors import InputError, StoreError
 from dtwin.train.registry import Registry, model_name
 
 
@@ -35,6 +35,11 @@ def test_versions_come_newest_first_with_their_aliases_and_tags(registry: Regist
     assert registry.champion("m000") == found[2]
     registry.client.create_model_version(model_name("m119"), source="file:nowhere", tags={"state": "candidate"})
     assert registry.every_version() == {"m000": found, "m119": registry.versions("m119")}
+
+
+def test_a_name_that_would_be_part_of_another_question_is_refused(registry: Registry) -> None:
+    with pytest.raises(InputError, match="not a usable name"):
+        registry.versions("a' or name LIKE '%")
 
 
 def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(registry: Registry) -> None:
