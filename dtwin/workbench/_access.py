@@ -21,6 +21,8 @@ from dtwin.people import ROLES, Person, act_as, acting, note, read_people
 from dtwin.workbench._roles import OTHERWISE, overheard, role_for
 
 _READING = ("GET", "HEAD")
+# Of a request that changes something, files for a tray aside: what is read of it is in memory at once.
+_MOST_BYTES, _FILES = 1_000_000, "/api/trays/"
 _MOVE_ON = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
     '<link rel="icon" href="data:,">'
@@ -158,6 +160,8 @@ class Guarded:
                 return _refusal("the request comes from another site", "use the workbench's page")
             if person is None:
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
+            if not scope["path"].startswith(_FILES) and not _is_short(headers):
+                return _refusal(f"the request is longer than {_MOST_BYTES} bytes, or does not say", "send less", 413)
             role = role_for(scope["path"]) or OTHERWISE
             if not person.may(role):
                 return _refusal(
@@ -187,5 +191,13 @@ class Guarded:
         return answer
 
 
-def _refusal(what: str, hint: str) -> Response:
-    return PlainTextResponse(f"refused: {what}\n  try: {hint}\n", 403)
+def _is_short(headers: Headers) -> bool:
+    """Tell whether a request says that its body is short enough to be read at once."""
+    length = headers.get("content-length", "0")
+    # Of digits without end no number is made.
+    short = length.isdecimal() and len(length) <= len(str(_MOST_BYTES)) and int(length) <= _MOST_BYTES
+    return short and "transfer-encoding" not in headers
+
+
+def _refusal(what: str, hint: str, status: int = 403) -> Response:
+    return PlainTextResponse(f"refused: {what}\n  try: {hint}\n", status)

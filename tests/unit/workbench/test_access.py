@@ -69,6 +69,19 @@ def test_reading_needs_the_token_on_a_private_server() -> None:
     assert opened.get("/campaigns").status_code == 200
 
 
+def test_a_request_that_is_long_or_does_not_say_how_long_is_not_read() -> None:
+    access = Access("127.0.0.1", 8765)
+    opened = client(access)
+    opened.cookies.set(access.cookie, access.token)
+    own = {"origin": "http://127.0.0.1:8765"}
+    assert opened.post("/api/twins", content=b"x" * 1_000_000, headers=own).status_code == 200
+    assert opened.post("/api/twins", content=b"x" * 1_000_001, headers=own).status_code == 413
+    assert opened.post("/api/twins", content=iter([b"x"]), headers=own).status_code == 413
+    assert opened.post("/api/twins", headers=own | {"content-length": "9" * 5000}).status_code == 413
+    # Files go to the disk as they come, and what receives them counts.
+    assert opened.post("/api/trays/a", content=b"x" * 1_000_001, headers=own).status_code == 200
+
+
 @pytest.mark.parametrize("path", ["//evil.example/", "///evil.example", "/\\evil.example"])
 def test_the_way_in_leads_nowhere_else(path: str) -> None:
     access = Access("127.0.0.1", 8765)
