@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -84,3 +85,19 @@ def write_text(path: Path, content: str, what: str, *, private: bool = False) ->
             partial.touch(mode=0o600)
         partial.write_text(content, encoding="utf-8")
     return path
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Append a line to a log; one that a kill or a full disk cut short is ended first, and spoils no other.
+
+    Raises ``OSError`` when not all of it could be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab+", buffering=0) as file:
+        cut = False
+        if file.seek(0, os.SEEK_END):
+            file.seek(-1, os.SEEK_END)
+            cut = file.read(1) != b"\n"
+        whole = (b"\n" if cut else b"") + line + b"\n"
+        if file.write(whole) != len(whole):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))

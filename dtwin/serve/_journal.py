@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
+from dtwin.atomic import append_line
 from dtwin.processes import end_child
 
 ENDED, KILLED, GAP = "ended", "killed", "lines_lost"
@@ -164,7 +165,7 @@ class _Writer:
     def write(self, line: bytes) -> None:
         if self.lost:
             gap = json.dumps({"time": _now(), "event": GAP, "lines": self.lost}).encode()
-            if self._append(gap + b"\n"):
+            if self._append(gap):
                 self.lost = 0
         if not self._append(line):
             self.lost += 1
@@ -172,16 +173,10 @@ class _Writer:
 
     def _append(self, line: bytes) -> bool:
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            append_line(self._path, line.rstrip(b"\n"))
         except OSError:
             return False
-        try:
-            return os.write(descriptor, line) == len(line)
-        except OSError:
-            return False
-        finally:
-            os.close(descriptor)
+        return True
 
 
 def _now() -> str:
@@ -196,7 +191,7 @@ def _main(path: Path) -> int:
     if _field(last, "event") != ENDED:
         text = "the serving process died without a word; the machine's own watchdog leads to zero"
         about = {"time": _now(), "event": KILLED, "session": _field(last, "session"), "why": text}
-        writer.write(json.dumps(about).encode() + b"\n")
+        writer.write(json.dumps(about).encode())
     return 1 if writer.was_lost else 0
 
 

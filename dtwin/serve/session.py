@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
+from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.windows import WindowContract
@@ -234,9 +235,7 @@ def _write_log(home: Home, machine: str, started: datetime, record: Mapping[str,
     }
     plain = json.loads(json.dumps(line), parse_constant=lambda word: None)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("ab", buffering=0) as file:
-            file.write(json.dumps(plain).encode() + b"\n")
+        append_line(path, json.dumps(plain).encode())
     except OSError as error:
         reason = f"not written: {error.strerror or error}"
         announce(f"the session log {path} was {reason}")

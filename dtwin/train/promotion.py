@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.kinds.registry import kind_of, machine_of_type
@@ -355,9 +356,7 @@ def _remember(
         "failed": [v.gate for v in verdicts if not v.passed],
     } | ({"despite": list(despite)} if despite else {})
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as handle:
-            handle.write(json.dumps(entry) + "\n")
+        append_line(path, json.dumps(entry).encode())
         note(home, f"{action}: version {version.version} of {version.machine}", comment, "done")
     except OSError as error:
         raise StoreError(

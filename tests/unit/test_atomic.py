@@ -1,0 +1,26 @@
+"""Files that are whole, and logs whose cut lines spoil no other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dtwin.atomic import append_line
+
+
+def test_a_line_that_was_cut_short_spoils_no_other(tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "serve.jsonl"
+    append_line(log, b"first")
+    with log.open("ab") as file:
+        file.write(b"cut sho")
+    append_line(log, b"second")
+    append_line(log, b"third")
+    assert log.read_bytes() == b"first\ncut sho\nsecond\nthird\n"
+
+
+def test_a_line_for_which_there_is_no_room_is_an_error() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no device that is always full")
+    with pytest.raises(OSError, match="No space"):
+        append_line(Path("/dev/full"), b"first")
