@@ -7,8 +7,10 @@ import re
 import secrets
 import shutil
 import stat
+import time
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import AsyncIterator, Collection
 from pathlib import Path, PurePosixPath
 
@@ -18,6 +20,8 @@ from dtwin.errors import InputError
 MAX_TRAY_BYTES = 512 * 1024 * 1024
 MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
 _MAX_FILES = 5000
+# Uploads that were begun and not ingested; those of yesterday were given up.
+_MAX_TRAYS, _GIVEN_UP_S = 50, 24 * 3600.0
 _MAX_RATIO = 300
 _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH, _MAX_PART_BYTES = 4, 200
@@ -34,10 +38,24 @@ class Trays:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        # Of each tray: several files come at once, and what they have together counts.
+        self._bytes: Counter[str] = Counter()
         shutil.rmtree(root, ignore_errors=True)
 
     def new(self) -> str:
         """Open a tray and return its name."""
+        trays = list(self.root.iterdir()) if self.root.is_dir() else []
+        for old in [tray for tray in trays if time.time() - tray.stat().st_mtime > _GIVEN_UP_S]:
+            self.drop(old.name)
+            trays.remove(old)
+        if len(trays) >= _MAX_TRAYS:
+            raise InputError(
+                "too many uploads were begun and not ingested",
+                code="upload.trays",
+                got=str(len(trays)),
+                allowed=f"{_MAX_TRAYS}; a day later they are given up",
+                hint="ingest what was dropped, or start the workbench again",
+            )
         name = secrets.token_hex(8)
         (self.root / name).mkdir(parents=True)
         return name
@@ -58,28 +76,31 @@ class Trays:
         """
         folder = self.folder(tray)
         path = folder / safe_path(name)
-        present = [p for p in folder.rglob("*") if p.is_file()]
-        left = MAX_TRAY_BYTES - sum(p.stat().st_size for p in present)
-        if len(present) >= _MAX_FILES:
-            raise _too_much("files", str(len(present) + 1), str(_MAX_FILES))
+        present = sum(p.is_file() for p in folder.rglob("*"))
+        if present >= _MAX_FILES:
+            raise _too_much("files", str(present + 1), str(_MAX_FILES))
         if path.is_dir() or any(p.is_file() for p in path.parents if p.is_relative_to(folder)):
             raise InputError(
                 "a file and a folder have one name", code="upload.name", got=repr(name[:120]), hint="rename one of them"
             )
         path.parent.mkdir(parents=True, exist_ok=True)
+        self._bytes[tray] -= path.stat().st_size if path.is_file() else 0
         size = 0
         with path.open("wb") as file:
             async for chunk in body:
                 size += len(chunk)
-                if size > left:
+                self._bytes[tray] += len(chunk)
+                if self._bytes[tray] > MAX_TRAY_BYTES:
                     file.close()
                     path.unlink()
-                    raise _too_much("bytes", f"more than {left}", f"{MAX_TRAY_BYTES} in all")
+                    self._bytes[tray] -= size
+                    raise _too_much("bytes", f"more than {MAX_TRAY_BYTES}", f"{MAX_TRAY_BYTES} in all")
                 file.write(chunk)
         return size
 
     def drop(self, tray: str) -> None:
         """Remove a tray and what is in it."""
+        self._bytes.pop(tray, None)
         shutil.rmtree(self.root / tray, ignore_errors=True)
 
 

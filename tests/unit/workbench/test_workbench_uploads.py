@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import shutil
 import stat
 import zipfile
@@ -146,3 +147,37 @@ def test_a_file_and_a_folder_of_one_name_are_refused(tmp_path: Path) -> None:
     for names in (("a/b", "a"), ("a", "a/b"), ("a/b", "a/b/c")):
         with pytest.raises(InputError, match="one name"):
             asyncio.run(put(*names))
+
+
+async def parts(*sizes: int) -> AsyncIterator[bytes]:
+    for size in sizes:
+        await asyncio.sleep(0)
+        yield b"x" * size
+
+
+def test_files_that_come_at_once_are_limited_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploads, "MAX_TRAY_BYTES", 100)
+    trays = uploads.Trays(tmp_path / "trays")
+    tray = trays.new()
+
+    async def both() -> list[int | BaseException]:
+        coming = (trays.receive(tray, f"{name}.csv", parts(30, 30)) for name in "ab")
+        return await asyncio.gather(*coming, return_exceptions=True)
+
+    came = asyncio.run(both())
+    assert sorted(type(one).__name__ for one in came) == ["InputError", "int"]
+    assert sum(p.stat().st_size for p in trays.folder(tray).iterdir()) == 60
+    # What was refused counts no more, and a file in the place of another takes its room.
+    assert asyncio.run(trays.receive(tray, "c.csv", parts(40))) == 40
+    assert asyncio.run(trays.receive(tray, "c.csv", parts(20, 20))) == 40
+
+
+def test_uploads_that_are_only_begun_are_limited_and_given_up(tmp_path: Path) -> None:
+    trays = uploads.Trays(tmp_path / "trays")
+    begun = [trays.new() for _ in range(50)]
+    with pytest.raises(InputError, match="too many uploads"):
+        trays.new()
+    os.utime(trays.folder(begun[7]), (1e9, 1e9))
+    assert trays.folder(trays.new()).is_dir()
+    with pytest.raises(InputError, match="not known here"):
+        trays.folder(begun[7])
