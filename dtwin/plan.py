@@ -143,26 +143,10 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
     planes = [standard_plane(str(p), "CCW")[0] for p in _listed(grid, "plane", where)]
     radii = _numbers(grid, "radius_mm", where)
     feeds = _numbers(grid, "feed_mm_min", where)
-    repeats = grid.get("repeats", 1)
-    if not isinstance(repeats, int) or not 1 <= repeats <= 1000:
-        raise InputError(
-            "repeats must be a whole number",
-            code="plan.repeats",
-            where=f"{where} grid.repeats",
-            got=str(repeats)[:40],
-            allowed="1 to 1000",
-        )
+    repeats = _whole("repeats", grid.get("repeats", 1), f"{where} grid", 1, 1000)
     if len(planes) * len(radii) * len(feeds) * repeats > _MAX_TESTS:
         raise InputError("the grid is absurdly large", code="plan.size", where=where, allowed=f"{_MAX_TESTS} tests")
-    seed = head.get("seed", 1)
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise InputError(
-            "the seed must be a whole number",
-            code="plan.seed",
-            where=f"{where} plan.seed",
-            got=str(seed)[:40],
-            allowed="0 or more",
-        )
+    seed = _whole("seed", head.get("seed", 1), f"{where} plan", 0)
     tests = _ordered(planes, radii, feeds, repeats, seed)
     plan = Plan(
         name=require_name(head.get("name"), "plan.name"),
@@ -250,6 +234,18 @@ def _table(document: Mapping[str, Any], name: str, where: str) -> Mapping[str, A
     if not isinstance(value, dict):
         raise InputError(f"the plan needs a [{name}] table", code="plan.table", where=where)
     return value
+
+
+def _whole(name: str, value: object, where: str, least: int, most: int | None = None) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and least <= value <= (value if most is None else most):
+        return value
+    raise InputError(
+        f"{name} must be a whole number",
+        code=f"plan.{name}",
+        where=f"{where}.{name}",
+        got=str(value)[:40],
+        allowed=f"{least} or more" if most is None else f"{least} to {most}",
+    )
 
 
 def _limit(document: Mapping[str, Any], name: str, usual: float, where: str) -> float:

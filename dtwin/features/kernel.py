@@ -149,7 +149,7 @@ def _spectral_features(
 class WindowKernel:
     """Computes the features of one window of several channels, or of several windows, without allocating.
 
-    ``n_channels``: rows of samples that are computed at once.
+    ``n_rows``: rows of samples that are computed at once.
     ``selection``: features, in the order in which they are wanted.
     ``band_hz``: half-open band [low, high) of ``band_power``.
     ``remove_mean``: whether the mean is taken out before every feature.
@@ -157,7 +157,7 @@ class WindowKernel:
 
     def __init__(
         self,
-        n_channels: int,
+        n_rows: int,
         n_samples: int,
         rate_hz: float,
         selection: Sequence[str],
@@ -178,18 +178,18 @@ class WindowKernel:
         low, high = band_hz if band_hz is not None else (0.0, 0.0)
         self.first_bin = max(1, int(np.ceil(low * n_samples / self.rate_hz - 1e-9)))
         self.past_bin = int(np.ceil(high * n_samples / self.rate_hz - 1e-9))
-        self._centred = np.zeros((n_channels, n_samples))
-        self._spectrum = np.zeros((n_channels, n_samples // 2 + 1), dtype=np.complex128)
-        self._parts = self._spectrum.view(np.float64).reshape(n_channels, -1, 2)
-        self._all = np.zeros((n_channels, len(FEATURE_NAMES)))
-        self._codes = np.zeros(n_channels, dtype=np.int64)
+        self._centred = np.zeros((n_rows, n_samples))
+        self._spectrum = np.zeros((n_rows, n_samples // 2 + 1), dtype=np.complex128)
+        self._parts = self._spectrum.view(np.float64).reshape(n_rows, -1, 2)
+        self._all = np.zeros((n_rows, len(FEATURE_NAMES)))
+        self._codes = np.zeros(n_rows, dtype=np.int64)
 
     def compute(self, flat: Floats, first: int, stride: int, out: Floats, codes: Codes) -> None:
         """Write the selected features of the samples of every row.
 
         ``flat``: row c starts at ``first + c * stride``.
-        ``out``, (channels, n_features): receives the features; always finite.
-        ``codes``, (channels,): receives the validity of each channel.
+        ``out``, (rows, n_features): receives the features; always finite.
+        ``codes``, (rows,): receives the validity of each row.
         """
         n = self.n_samples
         _time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)

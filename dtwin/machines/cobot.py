@@ -19,7 +19,7 @@ from dtwin.machines.motion import ANGLE0, KIND, LINE, LINE_FROM, RADIUS0, Circle
 from dtwin.machines.parameters import CobotParameters, load_parameters
 from dtwin.schema import Floats
 
-__all__ = ["CircleCondition", "CobotRecording", "VirtualCobot"]
+__all__ = ["CircleCondition", "CobotRecording", "RunTicks", "VirtualCobot"]
 
 TOOL_DOWN = np.diag([-1.0, 1.0, -1.0])
 """Rotation of the tool in the base frame: pointing down, turned with the work frame."""

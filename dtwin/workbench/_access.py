@@ -21,7 +21,7 @@ from dtwin.people import ROLES, Person, act_as, acting, note, read_people
 from dtwin.workbench._roles import OTHERWISE, overheard, role_for
 
 _READING = ("GET", "HEAD")
-# Of a request that changes something, files for a tray aside: what is read of it is in memory at once.
+# Of a request that changes something: what is read of it is in memory at once. Files are put into a tray, part by part.
 _MOST_BYTES, _FILES = 1_000_000, "/api/trays/"
 _MOVE_ON = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
@@ -160,7 +160,8 @@ class Guarded:
                 return _refusal("the request comes from another site", "use the workbench's page")
             if person is None:
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
-            if not scope["path"].startswith(_FILES) and not _is_short(headers):
+            is_file = scope["method"] == "PUT" and scope["path"].startswith(_FILES)
+            if not is_file and not _is_short(headers):
                 return _refusal(f"the request is longer than {_MOST_BYTES} bytes, or does not say", "send less", 413)
             role = role_for(scope["path"]) or OTHERWISE
             if not person.may(role):

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.machines._recording import RunTicks
-from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
+from dtwin.machines.cobot import CircleCondition, CobotRecording, RunTicks, VirtualCobot
 from dtwin.schema import Direction, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision

@@ -15,7 +15,7 @@ async def said(_request: object) -> PlainTextResponse:
 
 
 def client(access: Access) -> TestClient:
-    app = Starlette(routes=[Route("/{path:path}", said, methods=["GET", "POST"])])
+    app = Starlette(routes=[Route("/{path:path}", said, methods=["GET", "POST", "PUT"])])
     return TestClient(Guarded(app, access), base_url="http://127.0.0.1:8765")
 
 
@@ -79,7 +79,8 @@ def test_a_request_that_is_long_or_does_not_say_how_long_is_not_read() -> None:
     assert opened.post("/api/twins", content=iter([b"x"]), headers=own).status_code == 413
     assert opened.post("/api/twins", headers=own | {"content-length": "9" * 5000}).status_code == 413
     # Files go to the disk as they come, and what receives them counts.
-    assert opened.post("/api/trays/a", content=b"x" * 1_000_001, headers=own).status_code == 200
+    assert opened.put("/api/trays/a", content=b"x" * 1_000_001, headers=own).status_code == 200
+    assert opened.post("/api/trays/a/ingest", content=b"x" * 1_000_001, headers=own).status_code == 413
 
 
 @pytest.mark.parametrize("path", ["//evil.example/", "///evil.example", "/\\evil.example"])
