@@ -28,6 +28,11 @@ def kernel(function: _Function) -> _Function:
     return cast(_Function, njit(cache=True)(function))
 
 
+def long_kernel(function: _Function) -> _Function:
+    """Compile as :func:`kernel` what takes milliseconds: other threads run meanwhile."""
+    return cast(_Function, njit(cache=True, nogil=True)(function))
+
+
 @kernel
 def _past_joint(q_rad: float, dh: Floats, rotation: Floats, position: Floats) -> None:
     """Carry a frame, rotation (3, 3) and position (3,), past one joint; ``dh`` is its row."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -93,22 +94,22 @@ def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | No
     # Streams of a killed process; their tests are not in the manifest and are measured again.
     recover_folder(folder)
     done = _done(folder)
-    kept = sum(test.test_id in done for test in plan.tests)
-    measured = 0
+    missing = [test for test in plan.tests if test.test_id not in done]
+    kept = len(plan.tests) - len(missing)
+
+    def save(test: PlannedTest, runs: Sequence[Run]) -> None:
+        done[test.test_id] = _save(folder, plan, test, runs)
+        if progress is not None:
+            progress(len(done), len(plan.tests), test.test_id)
+
     try:
-        if kept < len(plan.tests):
+        if missing:
             bench.warm_up()
-        for number, test in enumerate(plan.tests, start=1):
-            if test.test_id not in done:
-                runs = [bench.measure(test, direction) for direction in plan.directions]
-                done[test.test_id] = _save(folder, plan, test, runs)
-                measured += 1
-            if progress is not None:
-                progress(number, len(plan.tests), test.test_id)
+        _measure(bench, missing, plan.directions, save)
     except KeyboardInterrupt as interrupt:
         _write_toml(folder, plan, bench, done)
         raise Interrupted(
-            f"{kept + measured} of {len(plan.tests)} tests are kept",
+            f"{len(done)} of {len(plan.tests)} tests are kept",
             code="campaign.interrupted",
             where=str(folder),
             hint="run the same command again to continue",
@@ -117,7 +118,25 @@ def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | No
         bench.close()
     _write_toml(folder, plan, bench, done)
     size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
-    return CampaignRun(folder, measured, kept, size)
+    return CampaignRun(folder, len(missing), kept, size)
+
+
+def _measure(
+    bench: Bench,
+    tests: Sequence[PlannedTest],
+    directions: Sequence[Direction],
+    save: Callable[[PlannedTest, Sequence[Run]], None],
+) -> None:
+    """Measure tests one after the other; each is saved while the next is measured, and no more than one waits."""
+    with ThreadPoolExecutor(1) as disk:
+        saving: Future[None] | None = None
+        for test in tests:
+            runs = [bench.measure(test, direction) for direction in directions]
+            if saving is not None:
+                saving.result()
+            saving = disk.submit(save, test, runs)
+        if saving is not None:
+            saving.result()
 
 
 def _save(folder: Path, plan: Plan, test: PlannedTest, runs: Sequence[Run]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel
+from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel, long_kernel
 from dtwin.links import state as layout
 from dtwin.machines import _joints as j_
 from dtwin.machines._joints import gravity_torque_kernel, play_kernel, transmission_kernel, wind_up_kernel
@@ -260,7 +260,7 @@ def tick_kernel(
     memory[_PATH_TIME] += tick_s * memory[_SPEED_FACTOR]
 
 
-@kernel
+@long_kernel
 def run_kernel(
     machine: Mechanism,
     segments: Floats,
