@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -29,7 +31,8 @@ from dtwin.report.text import table
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
 
-_SERVE_S = 20.0
+# 7500 ticks: the slowest in a thousand are seven of them.
+_SERVE_S = 15.0
 
 
 class _Screen(Protocol):
@@ -178,9 +181,14 @@ def _correct(
         return _stopped(registered.verdicts, "an offline gate said no")
     work.put_on_trial(version, "demo")
     screen.say(f"version {version.version} is on trial (a quarter of its clamp)")
-    serving = work.serve(version.machine, size.evidence.conditions[0], size.serve_s, seed)
+    with ThreadPoolExecutor(1) as beside:
+        # The loop waits for the wall clock in a process of its own: evidence needs one of the other processors.
+        served = beside.submit(
+            copy_context().run, work.serve, version.machine, size.evidence.conditions[0], size.serve_s, seed
+        )
+        evidence = work.evidence(version, size.evidence, seed)
+        serving = served.result()
     screen.say(_serving_text(serving))
-    evidence = work.evidence(version, size.evidence, seed)
     measured = evidence.as_dict()
     screen.say(table(*evidence_table(measured)))
     path, reason = work.make_champion(version, "demo")
@@ -217,7 +225,7 @@ def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
 
 
 def _serving_text(serving: Mapping[str, Any]) -> str:
-    head = "served over RTDE on the wall clock (trial: a quarter of the clamp)"
+    head = "served over RTDE on the wall clock (trial: a quarter of the clamp), while evidence was measured"
     return head + "\n" + table(("what", "value"), serving_numbers(serving))
 
 
@@ -226,7 +234,7 @@ def _serving_section(serving: Mapping[str, Any]) -> Section:
         "Serving on the wall clock",
         [
             "The real ur-rtde client against the virtual controller over RTDE on loopback: timing "
-            "figures come from here, error figures from the machine clock below."
+            "figures come from here, while evidence was measured; error figures from the machine clock below."
         ],
         [],
         [Table(("what", "value"), serving_numbers(serving))],
