@@ -39,6 +39,7 @@ from dtwin.kinds.linear._table_heads import (
     OTHER_TEST,
     Long,
     Wide,
+    axes_beside,
     deviation_um,
     is_deviation,
     is_opposite,
@@ -145,6 +146,7 @@ def _read(text: str, path: Path) -> PositionTable:
         every = rows_of(text)
         _require_positioning(every, path)
         plain = table_of(every)
+        _require_one_axis(axes_beside([*every[:MOST_TITLES], [row[0] for row in every]]), str(path))
         if plain is None:
             raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
         tables = [plain]
@@ -304,16 +306,21 @@ def _parted(
     body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
-        if len(axes) > 1:
-            raise InputError(
-                "the table holds several axes, or several machines",
-                code="position_table.axes",
-                where=f"{path} {heads[i].strip()}",
-                got=", ".join(axes)[:60],
-                allowed="one",
-                hint="a file for each axis",
-            )
+        _require_one_axis(axes, f"{path} {heads[i].strip()}")
     return heads, units, body
+
+
+def _require_one_axis(axes: Sequence[str], where: str) -> None:
+    """Refuse readings of several axes: they would be taken for cycles of one."""
+    if len(axes) > 1:
+        raise InputError(
+            "the table holds several axes, or several machines",
+            code="position_table.axes",
+            where=where,
+            got=", ".join(axes)[:60],
+            allowed="one",
+            hint="a file for each axis",
+        )
 
 
 def _scale(head: str, below: str, path: Path) -> float:

@@ -24,6 +24,11 @@ AXIS = re.compile(
     re.I,
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
+_OF_AXIS = re.compile(
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    re.I,
+)
+"""In a head or a title: of which axis, or of which of several alike, a column is."""
 _UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
@@ -95,6 +100,18 @@ def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bo
     """Return whether several columns of either way are called alike: cycles that are not numbered."""
     heads = {way: [names[i] for i, told, _ in cells if told == way] for way in ("forward", "reverse")}
     return len(heads["forward"]) == len(heads["reverse"]) > 1 and all(len(set(told)) == 1 for told in heads.values())
+
+
+def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the axes, or machines, that cells of one row name, as heads of columns beside each other; empty where they are of one."""
+    for row in rows:
+        named: dict[str, dict[str, str]] = {}
+        for match in (match for cell in row if (match := _OF_AXIS.search(cell)) is not None):
+            named.setdefault(match[1].lower(), {})[match[2].lower()] = match[0].strip()
+        several = next((told for told in named.values() if len(told) > 1), None)
+        if several is not None:
+            return list(several.values())
+    return []
 
 
 def is_index(head: str) -> bool:

@@ -540,6 +540,15 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
     ("text", "code"),
     [
         ("machine,target [mm],direction,deviation [µm]\nM1,0,+,1\nM1,9,+,2\nM2,0,+,3\nM2,9,+,1", "position_table.axes"),
+        (
+            "target [mm],Axis 1 fwd [µm],Axis 1 rev [µm],Axis 2 fwd [µm],Axis 2 rev [µm]\n0,1,2,1,2\n9,2,3,2,3",
+            "position_table.axes",
+        ),
+        (
+            "target [mm];SN7;;SN8;\n;fwd 1 [µm];rev 1 [µm];fwd 1 [µm];rev 1 [µm]\n0;1;2;1;2\n9;2;3;2;3",
+            "position_table.axes",
+        ),
+        ("target [mm],direction,stage 1 [µm],stage 2 [µm]\n0,+,1,2\n9,+,2,3\n0,-,1,2\n9,-,2,3", "position_table.axes"),
         ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
     ],
 )
