@@ -43,7 +43,7 @@ from dtwin.kinds.linear._table_heads import (
     deviation_um,
     is_deviation,
     is_opposite,
-    is_unit,
+    is_row_of_units,
     long_of,
     other_targets,
     scale_of,
@@ -302,7 +302,7 @@ def _parted(
 ) -> tuple[Sequence[str], Sequence[str] | None, Sequence[Sequence[str]]]:
     """Return heads, the row of units below them, and the rows of one axis, without what else is written there."""
     heads, body = rows[0], list(rows[1:])
-    units = body.pop(0) if body and all(not cell.strip() or is_unit(cell) for cell in body[0]) else None
+    units = body.pop(0) if body and is_row_of_units(body[0], target) else None
     body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})

@@ -250,7 +250,7 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
                 last = cell.strip() or last
                 filled.append(last)
             joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
-            lying = any(cell.strip()[:1].isalpha() for line in below[1:2] for cell in line[:1])
+            lying = any(cell.strip()[:1].isalpha() and not is_unit(cell) for line in below[1:2] for cell in line[:1])
             wide = wide_of(joined)
             # A number below the target's head is a target, and its row no second row of heads.
             target = below[0][wide.target : wide.target + 1] if wide is not None else []
@@ -300,6 +300,12 @@ def unit_of(head: str) -> str:
 def is_unit(cell: str) -> bool:
     """Return whether a cell holds a unit of length and nothing else."""
     return _plain_unit(cell) in LENGTHS_MM
+
+
+def is_row_of_units(row: Sequence[str], target: int) -> bool:
+    """Return whether a row below the heads holds units; beside that of the targets there may be some of times and temperatures."""
+    of_target = row[target] if target < len(row) else ""
+    return not any(map(is_number, row)) and (is_unit(of_target) or all(not c.strip() or is_unit(c) for c in row))
 
 
 def told_unit(head: str, unit: str) -> str:

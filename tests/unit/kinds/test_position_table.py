@@ -477,6 +477,22 @@ def test_cycles_that_are_not_numbered_are_counted(tmp_path: Path, heads: str) ->
         read_position_table(path)
 
 
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "Position;Zyklus 1;;Zyklus 2;\n;hin;rück;hin;rück\nmm;µm;µm;µm;µm",
+        "Zeit;Luft;Soll;hin 1;rück 1;hin 2;rück 2\nhh:mm:ss;°C;mm;µm;µm;µm;µm",
+    ],
+)
+def test_a_row_of_units_below_merged_heads_and_of_more_than_lengths(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    before = "08:00:01;20,5;" if heads.startswith("Zeit") else ""
+    path.write_text("\n".join([heads, *(f"{before}{100 * n};{n};5;{n + 1};6" for n in range(5))]), encoding="utf-8")
+    found = read_position_table(path)
+    assert found.forward_um.T.tolist() == [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]]
+    assert found.reverse_um[0].tolist() == [5, 6]
+
+
 def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Soll [mm],Ist hin 1 [mm],Ist rück 1 [mm],Abw. hin 1 [µm],Abw. rück 1 [µm]"
