@@ -53,9 +53,12 @@ _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _OTHER_DEGREES = re.compile(r"\s*(f|k|kelvin)\s*", re.I)
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
-_COLDEST_C = -60.0
+_COLDEST_C, _HOTTEST_C = -60.0, 400.0
+"""No part of a machine is colder or hotter: it is what a sensor says that is not connected, such as -127, 850 or 999.9."""
 # Of a sensor that drops out: how many readings tell where it would be, how far off it is, and how seldom.
 _AROUND, _OFF_C, _TIMES_USUAL, _MOST_LOST = 9, 10.0, 20.0, 0.1
+# Of the jump by which a sensor left: how near it comes back.
+_BACK = 0.3
 
 
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -107,14 +110,20 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         for head in _unknown(said, units, recipe)
     ]
     for name in temperatures:
-        if np.nanmax(shared[name], initial=-np.inf) < _COLDEST_C:
-            said = f"{name} reads below {_COLDEST_C:g} °C throughout: no sensor is connected, and it is left out"
+        read = shared[name]
+        if not _possible(read).any():
+            at = f"below {_COLDEST_C:g}" if np.nanmax(read, initial=-np.inf) < _COLDEST_C else f"above {_HOTTEST_C:g}"
+            said = f"{name} reads {at} °C throughout: no sensor is connected, and it is left out"
             cold.append(Finding("drift.no_sensor", "warning", said))
             del shared[name]
-        elif (lost := _lost(shared[name])).any():
-            said = f"{lost.sum()} readings of {name} leave their neighbours and come back ({shared[name][lost][0]:g} °C): the sensor dropped out, and the rows are left out"
+            continue
+        if (gone := ~np.isfinite(read)).any():
+            said = f"{name} has no reading in {gone.sum()} of {len(read)} rows, {_when(t_s, gone)}: they are left out"
+            cold.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
+        if (lost := _lost(read)).any():
+            said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
-            shared[name] = np.where(lost, np.nan, shared[name])
+            shared[name] = np.where(lost, np.nan, read)
     runs, rejects = [], []
     sense(stated.get("condition", {}), str(path))
     for name in moved:
@@ -261,16 +270,39 @@ def _require_rising(t_s: Floats, path: Path) -> None:
         )
 
 
+def _possible(temperature_c: Floats) -> NDArray[np.bool_]:
+    return np.asarray((temperature_c >= _COLDEST_C) & (temperature_c <= _HOTTEST_C))
+
+
+def _when(t_s: Floats, which: NDArray[np.bool_]) -> str:
+    """Return between which minutes of the log readings were taken."""
+    told = (t_s[which] - np.nanmin(t_s)) / 60.0
+    told = told[np.isfinite(told)]
+    return f"from {told.min():z.0f} to {told.max():z.0f} min" if told.size else "without a time"
+
+
 def _lost(temperature_c: Floats) -> NDArray[np.bool_]:
-    """Return which readings a sensor that dropped out gave, such as -127, 85 or 999.9: few, and far off those around them."""
-    there = np.flatnonzero(np.isfinite(temperature_c))
-    lost = np.zeros(len(temperature_c), dtype=bool)
-    if there.size > _AROUND:
-        read = temperature_c[there]
-        usual = float(np.median(np.abs(np.diff(read))))
-        off = np.abs(read - ndimage.median_filter(read, size=_AROUND, mode="nearest"))
-        lost[there] = off > max(_OFF_C, _TIMES_USUAL * usual)
-    return lost if lost.mean() < _MOST_LOST else np.zeros_like(lost)
+    """Return which readings a sensor that dropped out gave: of no machine, or few and far off those before and after them, such as 85."""
+    lost = np.isfinite(temperature_c) & ~_possible(temperature_c)
+    there = np.flatnonzero(_possible(temperature_c))
+    if there.size <= _AROUND:
+        return lost
+    read = temperature_c[there]
+    steps = np.diff(read)
+    limit = max(_OFF_C, _TIMES_USUAL * float(np.median(np.abs(steps))))
+    few = np.abs(read - ndimage.median_filter(read, size=_AROUND, mode="nearest")) > limit
+    jumps = np.flatnonzero(np.abs(steps) > limit)
+    # What a sensor says instead may last longer than its neighbours tell.
+    for at in jumps:
+        if few[at]:
+            # It is the way back.
+            continue
+        back = jumps[(jumps > at) & (np.abs(read[jumps + 1] - read[at]) < min(limit, _BACK * abs(steps[at])))]
+        if back.size:
+            few[at + 1 : back[0] + 1] = True
+    if few.mean() < _MOST_LOST:
+        lost[there] |= few
+    return lost
 
 
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:

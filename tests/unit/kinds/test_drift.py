@@ -326,6 +326,31 @@ def test_a_sensor_that_drops_out_and_one_in_an_unknown_unit_are_told(tmp_path: P
     assert told["drift.left_out"].startswith("air [lbf]")
 
 
+@pytest.mark.parametrize(
+    ("lost", "at", "code"),
+    [
+        ("", slice(300, 400), "drift.missing"),
+        ("850.0", slice(300, 400), "drift.dropout"),
+        ("-127.00", slice(100, 200), "drift.dropout"),
+        ("85.0", slice(100, 130), "drift.dropout"),
+    ],
+)
+def test_a_sensor_that_is_lost_for_long_is_told_and_with_it_how_many_rows(
+    tmp_path: Path, lost: str, at: slice, code: str
+) -> None:
+    warm = [f"{20.0 + 0.02 * n:.2f}" for n in range(400)]
+    warm[at] = [lost] * len(warm[at])
+    rows = [f"{n},{0.1 * n:.1f},{spindle}" for n, spindle in enumerate(warm)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time [min],probe [µm],spindle [°C]", *rows]), encoding="utf-8")
+    run = read(path)
+    assert run.n_samples == 400 - len(range(400)[at])
+    assert run.samples["temperature_spindle_c"].max() < 30.0
+    (found,) = (f for f in run.findings if f.code == code)
+    assert str(len(range(400)[at])) in found.message
+    assert f"from {at.start} to {at.stop - 1} min" in found.message
+
+
 @pytest.mark.parametrize("head", ["probe [µm]", "Messtaster 1 [µm]", "CH3 [mm]", "Gauge_um"])
 def test_a_lone_probe_beside_temperatures_is_a_log_also_below_titles(tmp_path: Path, head: str) -> None:
     path = tmp_path / "a.csv"
