@@ -64,6 +64,13 @@ _WORDS = {
         r"angle|winkel|angolo|[aá]ngulo|encoder.*(?:deg|°|rad|rev|turn)|角度|\bphi\b|\btheta\b|rotation|position.*(?:deg|°)"
     ),
 }
+_ERROR_MOTION = (
+    ("A", "asynchronous error motion", re.compile(r"\ba.?synchron")),
+    ("S", "synchronous error motion", re.compile(r"\bsynchron|\b(average|mean) error.motion")),
+    ("T", "total error motion", re.compile(r"\btotal error.motion")),
+    ("e", "once per turn", re.compile(r"\bfundamental|\bonce.per.(rev|turn)")),
+)
+"""Figures of ISO 230-7 beside the run-out, as tables over speed name them."""
 _RUNOUT = re.compile(
     r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
@@ -133,7 +140,7 @@ def column_of(head: str, unit_below: str = "") -> Column:
             return Column("")
     name = re.sub(r"[^\w.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)
-    if _RUNOUT.search(words):
+    if _RUNOUT.search(words) or figure_of(words)[0] != "TIR":
         return Column(RUNOUT, name, scale, likely=True)
     if _PATH.search(words):
         return Column(PATH)
@@ -141,6 +148,12 @@ def column_of(head: str, unit_below: str = "") -> Column:
         return Column("")
     likely = bool(_PROBE.search(words))
     return Column(PROBE, name, scale, likely) if scale or likely else Column("")
+
+
+def figure_of(name: str) -> tuple[str, str]:
+    """Return symbol and name of the figure that a column over speed holds, by its name: of error motion, else run-out."""
+    text = name.lower().replace("_", " ")
+    return next(((symbol, said) for symbol, said, word in _ERROR_MOTION if word.search(text)), ("TIR", "run-out"))
 
 
 def direction_of(name: str) -> str:

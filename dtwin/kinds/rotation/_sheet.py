@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.kind import Drawing
+from dtwin.kinds.rotation._heads import figure_of
 from dtwin.kinds.rotation._runout import groups_in, is_over_speed
 from dtwin.kinds.rotation._turns import Turns, Value, figures_of, filtered, once_of, synchronous_um, turns_of
 from dtwin.report.plots import error_figure, lacks_columns, polar_figure
@@ -46,7 +47,9 @@ def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             continue
         parts.append(Part(_title(run), (run.meta.run_id,), _figures(turns, under), sound))
     basis = "; ".join(_BASIS[form] for form, there in (("turns", parts), ("table", tables)) if there)
-    return Sheet("ISO 230-7, axes of rotation", "S" if parts else "TIR", (*parts, *tables), basis, tuple(notes))
+    told = [c.symbol for part in tables for c in part.characteristics]
+    headline = "S" if parts else "TIR" if "TIR" in told or not told else told[0]
+    return Sheet("ISO 230-7, axes of rotation", headline, (*parts, *tables), basis, tuple(notes))
 
 
 def _figures(turns: Turns, under: Circumstances) -> tuple[Characteristic, ...]:
@@ -74,8 +77,9 @@ def _characteristic(symbol: str, name: str, value: Value, under: Circumstances) 
 
 def _over_speed(run: Run, under: Circumstances, sound: bool) -> list[Part]:
     out = []
+    symbol, name = figure_of(str(run.meta.condition.get("probe", "")))
     for group in groups_in(run):
-        told = repeated("TIR", "run-out", [float(v) for v in group.runout_um])
+        told = repeated(symbol, name, [float(v) for v in group.runout_um])
         told = replace(told, contributions=(under.reading(_READING_UM),))
         out.append(Part(f"{run.meta.run_id}, {group.speed_rpm:z.5g} rpm", (run.meta.run_id,), (told,), sound))
     return out
@@ -96,8 +100,12 @@ def _over_table(run: Run) -> go.Figure:
     speed = np.array([g.speed_rpm for g in groups])
     mean = np.array([float(g.runout_um.mean()) for g in groups])
     curves = {run.meta.run_id: (speed, mean)}
+    symbol, name = figure_of(str(run.meta.condition.get("probe", "")))
     return error_figure(
-        curves, title="Run-out over speed, mean of repeats", x_title="speed, rpm", y_title="run-out, µm"
+        curves,
+        title=f"{'Run-out' if symbol == 'TIR' else 'Error motion'} over speed, mean of repeats",
+        x_title="speed, rpm",
+        y_title=f"{name}, µm",
     )
 
 

@@ -25,7 +25,7 @@ class _Rotation(Kind):
     in_one_table = True
     campaign_columns = (*columns, "speed_rpm", "runout_um")
     sheet_columns = campaign_columns
-    figures = ("TIR", "e", "S", "R", "A")
+    figures = ("TIR", "T", "e", "S", "R", "A")
     read_with = (*Kind.read_with, "instrument.columns", "condition.angle_log", "condition.speed_rpm")
     prefixed = ("A", "R")
     instead: ClassVar[Mapping[str, str]] = {

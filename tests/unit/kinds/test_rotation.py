@@ -451,6 +451,21 @@ def test_a_table_alone_is_checked_by_the_command(tmp_path: Path) -> None:
     assert "S holds the form of the target" in said
 
 
+def test_error_motion_over_speed_stands_under_its_own_name(tmp_path: Path) -> None:
+    path = tmp_path / "analyser.csv"
+    heads = "Spindle speed (RPM),TIR X (um),Fundamental X (um),Synchronous error X (um),Asynchronous error X (um),Total error motion X (um)"
+    rows = [f"{1000 * n},{2 + 0.3 * n**2},1.5,{0.3 + 0.1 * n},0.2,0.5" for n in (1, 2, 3, 4, 5) * 3]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    result = CliRunner().invoke(app, ["check", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.output)
+    symbols = {c["symbol"] for part in told["sheet"]["parts"] for c in part["characteristics"]}
+    assert symbols == {"TIR", "e", "S", "A", "T"}
+    said = " ".join(f["message"] for f in told["findings"])
+    assert "synchronous_error_x: synchronous error motion changes" in said
+    assert "synchronous_error_x: run-out" not in said
+
+
 def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
