@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
+from dtwin.kinds.linear._order import ways_in_order
 from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
     ANGLE,
@@ -45,6 +46,7 @@ from dtwin.kinds.linear._table_heads import (
     is_opposite,
     is_row_of_units,
     long_of,
+    names_no_direction,
     other_targets,
     scale_of,
     table_of,
@@ -70,12 +72,14 @@ class PositionTable:
     ``target_mm`` (targets,): ascending.
     ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
     ``by_position``: whether the table holds positions, not deviations.
+    ``in_order``: whether it names no direction, and the order of its targets told it.
     """
 
     target_mm: Floats
     forward_um: Floats
     reverse_um: Floats
     by_position: bool
+    in_order: bool = False
 
 
 def is_position_table(path: Path) -> bool:
@@ -85,7 +89,8 @@ def is_position_table(path: Path) -> bool:
     text = first_text(path, _MAX_BYTES)
     if is_assigned(text):
         return True
-    return bool(report_tables(text)) or table_of(rows_of(text)) is not None
+    rows = rows_of(text)
+    return bool(report_tables(text)) or table_of(rows) is not None or bool(names_no_direction(rows))
 
 
 def read_position_runs(
@@ -97,7 +102,13 @@ def read_position_runs(
     """
     text = decoded(table_bytes(path, _MAX_BYTES))
     table = _read(text, path)
-    return runs_of(table, path, stated, stated_figures(text, table.forward_um, table.reverse_um)), []
+    said = stated_figures(text, table.forward_um, table.reverse_um)
+    if table.in_order:
+        assumed = (
+            "the table names no direction: the order of its targets is taken for the way on which they were approached"
+        )
+        said = [*said, Finding("linear.direction_assumed", "warning", assumed)]
+    return runs_of(table, path, stated, said), []
 
 
 def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
@@ -147,15 +158,23 @@ def _read(text: str, path: Path) -> PositionTable:
         _require_positioning(every, path)
         plain = table_of(every)
         _require_one_axis(axes_beside([*every[:MOST_TITLES], [row[0] for row in every]]), str(path))
+        if plain is None and (head := names_no_direction(every)):
+            raise _no_direction(
+                path,
+                head,
+                "heads such as forward 1 [mm], reverse 1 [mm]; of a test in one direction forward 1 [mm], forward 2 [mm]",
+            )
         if plain is None:
             raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
         tables = [plain]
     readings: list[Reading] = []
+    in_order = False
     for rows in tables:
         _require_lengths(rows[:2], path)
         wide, long = wide_of(rows[0]), long_of(rows[0])
         readings += _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
-    table = matrix_of(_as_they_are(readings), path)
+        in_order = in_order or (wide is None and long is not None and long.way is None)
+    table = replace(matrix_of(_as_they_are(readings), path), in_order=in_order)
     _require_near(table, path)
     return table
 
@@ -279,15 +298,21 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
     heads, units, body = _parted(rows, long.target, path)
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
     scales = _scale(heads[long.target], below[0], path), _scale(heads[long.value], below[1], path)
+    numbered = list(enumerate(body, start=2 if units is None else 3))
+    targets = [_cell(row, long.target, f"{path} row {number}") * scales[0] for number, row in numbered]
+    ordered = ways_in_order(targets) if long.way is None else None
+    if long.way is None and ordered is None:
+        raise _no_direction(
+            path, ", ".join(heads), "a column direction; or targets in the order in which they were approached"
+        )
     out: list[Reading] = []
     seen: dict[tuple[float, str], int] = {}
-    for number, row in enumerate(body, start=2 if units is None else 3):
+    for (number, row), target, in_order in zip(numbered, targets, ordered or [""] * len(targets), strict=True):
         where = f"{path} row {number}"
         told = row[long.value].strip().lower() if long.value < len(row) else ""
         lost = told in MISSING
-        target = _cell(row, long.target, where) * scales[0]
         value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
-        way = way_of(row[long.way], ones=True) if long.way < len(row) else None
+        way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
         if way is None:
             raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
         seen[target, way] = seen.get((target, way), 0) + 1
@@ -295,6 +320,17 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         if not lost:
             out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
+
+
+def _no_direction(path: Path, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the table does not say from which side its targets were approached",
+        code="position_table.direction",
+        where=str(path),
+        got=got[:80],
+        allowed=allowed,
+        hint="docs/how-to/positioning-table.md",
+    )
 
 
 def _parted(

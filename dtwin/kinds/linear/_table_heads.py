@@ -35,9 +35,12 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(
-    r"^(i\b|[px]_?i\b|target|tgt|nominal|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)", re.I
+    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)",
+    re.I,
 )
-_SURELY_TARGET = re.compile(r"^([px]_?i\b|target|tgt|nominal|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I)
+_SURELY_TARGET = re.compile(
+    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
+)
 _INDEX = re.compile(r"i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
@@ -47,6 +50,7 @@ _REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
+_SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess)", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
 _WORDS = {
@@ -162,10 +166,10 @@ def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
 
 @dataclass(frozen=True)
 class Long:
-    """Columns of a table with one reading a row; without ``cycle`` they are counted."""
+    """Columns of a table with one reading a row; without ``cycle`` they are counted, without ``way`` their order tells it."""
 
     target: int
-    way: int
+    way: int | None
     cycle: int | None
     value: int
 
@@ -189,9 +193,44 @@ def long_of(heads: Sequence[str]) -> Long | None:
         # Two columns of places: the one that says so is the target.
         target = first(_SURELY_TARGET, way, cycle)
         value = None if target is None else first(_TARGET, way, cycle, target, *indices)
-    if way is None or target is None or value is None:
+    if way is None:
+        target, value = _plain(names)
+    if target is None or value is None:
         return None
     return Long(target, way, cycle, value)
+
+
+def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
+    """Return the columns of targets and readings of a table that names no direction, where nothing else can be meant; else None."""
+    targets, read = _without_direction(names)
+    deviations = [i for i in read if is_deviation(names[i])]
+    read = deviations if len(deviations) == 1 else read
+    return (targets[0], read[0]) if len(targets) == len(read) == 1 else (None, None)
+
+
+def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Return the columns of targets and of readings, in units of length, by heads that name no direction."""
+    told = [name.strip() for name in names]
+    lengths = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and way_of(name) is None]
+    targets = [i for i in lengths if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
+    read = [
+        i
+        for i in lengths
+        if i not in targets
+        and (_SURELY_READ.match(told[i]) or is_deviation(told[i]) or _CYCLE.match(told[i]))
+        and not _SUMS_UP.search(told[i])
+        and not (_CYCLE.match(told[i]) and not told_unit(told[i], ""))
+    ]
+    return targets, read
+
+
+def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
+    """Return the head of a column of readings in a table of one row a target that does not tell their directions; else nothing."""
+    for row in rows[:MOST_TITLES]:
+        targets, read = _without_direction(row)
+        if len(targets) == 1 and len({re.sub(r"\d+", "", row[i]) for i in read}) == 1 < len(read):
+            return row[read[0]].strip()
+    return ""
 
 
 def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:

@@ -493,6 +493,46 @@ def test_a_row_of_units_below_merged_heads_and_of_more_than_lengths(tmp_path: Pa
     assert found.reverse_um[0].tolist() == [5, 6]
 
 
+UP, DOWN = [0.0, 50.0, 100.0], [100.0, 50.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("targets", "ways"),
+    [
+        ([*UP, *DOWN, *UP, *DOWN], "forward reverse"),
+        ([*UP, *UP], "forward"),
+        ([*DOWN, *DOWN, *DOWN], "reverse"),
+        ([0.0, 100.0, 0.0, 100.0], ""),
+        ([0.0, 0.0, 0.0, 50.0, 50.0, 50.0], ""),
+        ([100.0] * 8, ""),
+    ],
+)
+def test_directions_that_are_not_named_are_told_by_the_order_of_targets(
+    tmp_path: Path, targets: list[float], ways: str
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n};{t:g};{t + 0.001:g};6000" for n, t in enumerate(targets)]
+    path.write_text("\n".join(["Time [s];Commanded [mm];Measured [mm];Feed [mm/min]", *rows]), encoding="utf-8")
+    campaign = Campaign(name="c", machine="m", kind="linear")
+    if not ways:
+        with pytest.raises(InputError, match="from which side"):
+            read_position_runs(path, campaign, {})
+        return
+    runs, _ = read_position_runs(path, campaign, {})
+    assert {str(way) for run in runs for way in run.samples["direction"]} == set(ways.split())
+    assert sum(run.n_samples for run in runs) == len(targets)
+    assert all("linear.direction_assumed" in [f.code for f in run.findings] for run in runs)
+
+
+def test_columns_of_cycles_without_a_direction_are_asked_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Soll [mm];Messung 1 [mm];Messung 2 [mm]\n0;0,001;0,002\n9;9,001;9,002\n", encoding="utf-8")
+    assert is_position_table(path)
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert (refused.value.code, refused.value.got) == ("position_table.direction", "Messung 1 [mm]")
+
+
 def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Soll [mm],Ist hin 1 [mm],Ist rück 1 [mm],Abw. hin 1 [µm],Abw. rück 1 [µm]"

@@ -1,0 +1,32 @@
+"""Directions of approach that a table does not name, from the order in which its targets were read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.kinds.linear.laser_file import sweeps
+
+_FEWEST = 2
+"""Readings of a sweep."""
+
+
+def ways_in_order(target_mm: Sequence[float]) -> list[str] | None:
+    """Return the direction of each reading; None where the order does not tell it.
+
+    Targets that begin anew after the last one were all approached from one side: the way back was not read.
+    """
+    if len(set(target_mm)) < _FEWEST:
+        return None
+    pieces = sweeps(np.array(target_mm, dtype=float))
+    long = {sign for piece, sign in pieces if piece.stop - piece.start >= _FEWEST}
+    begun_anew = [sign for piece, sign in pieces if piece.stop - piece.start < _FEWEST]
+    if len(long) == 1 and len(set(target_mm)) > _FEWEST and set(begun_anew) <= {-sign for sign in long}:
+        # Each single reading is the first of the sweep after it.
+        one = "forward" if long == {1} else "reverse"
+        last = pieces[-1][0]
+        return None if begun_anew and last.stop - last.start < _FEWEST else [one] * len(target_mm)
+    if begun_anew:
+        return None
+    return ["forward" if sign > 0 else "reverse" for piece, sign in pieces for _ in range(piece.start, piece.stop)]
