@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.kinds.linear._asked import BOTH, Ways, ways_of
-from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding
+from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
 from dtwin.kinds.linear._matrix import TARGET_MM, LinearTest, linear_test
 from dtwin.schema import Finding, Floats, Run
 
@@ -88,7 +88,8 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
     tests = [linear_test(alike, ways) for ways, alike in _by_axis(runs)]
     told = [finding for test in tests for finding in _across_cycles(test)]
     datum = [finding for test in tests if test.ways == BOTH and (finding := shifted_zero(test)) is not None]
-    return findings + (told or _drift(runs)) + datum
+    zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
+    return findings + (told or _drift(runs)) + datum + zeroed
 
 
 def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:

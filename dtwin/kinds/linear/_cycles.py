@@ -16,6 +16,8 @@ from dtwin.schema import Finding, Floats
 from dtwin.statistics import f_tail
 
 _FEWEST_CYCLES = 4
+_FEWEST_ALIKE = 3
+"""Cycles whose exact zero is no chance."""
 _FAR = 8.0
 """Robust standard deviations of all readings about those of the other cycles."""
 _APART = 5.0
@@ -132,6 +134,25 @@ def shifted_zero(test: LinearTest) -> Finding | None:
         "the figures of ISO 230-2 do not count it, and it is no error of positioning"
     )
     return Finding("linear.datum", "info", said, {"shift_um": shift, "spread_um": spread})
+
+
+def zero_of_each_cycle(test: LinearTest) -> Finding | None:
+    """Return that every cycle reads exactly 0 at one target, where the others scatter: the instrument was set to zero there each time."""
+    ways = list(dict.fromkeys(test.ways))
+    values = np.stack([test.forward_um, test.reverse_um][: len(ways)])
+    if values.shape[2] < _FEWEST_ALIKE:
+        return None
+    zero = (values == 0.0).all(axis=2)
+    targets = np.flatnonzero(zero.any(axis=0))
+    others = np.ptp(np.delete(values, targets, axis=1), axis=2)
+    if targets.size != 1 or not others.size or not (others > 0.0).all():
+        return None
+    at = f"{' and '.join(way for way, there in zip(ways, zero[:, targets[0]], strict=True) if there)} at {test.position_mm[targets[0]]:g} mm"
+    said = (
+        f"every cycle reads exactly 0 {at}: the instrument was set to zero there in each cycle; that is a datum, no accuracy: a zero that moves "
+        "from cycle to cycle (slip, lost steps) is not in the table, and what that one reading scatters by is in all others"
+    )
+    return Finding("linear.zeroed", "warning", said, {"target_mm": float(test.position_mm[targets[0]])})
 
 
 def moving_zero(test: LinearTest) -> Finding | None:

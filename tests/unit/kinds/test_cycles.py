@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings
+from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings, zero_of_each_cycle
 from dtwin.kinds.linear._matrix import LinearTest
 
 
@@ -46,6 +46,20 @@ def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str 
     right = sum((None if f is None else f.code) in codes for f in found)
     assert right >= 38
     assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
+
+
+def test_a_zero_that_is_set_in_each_cycle_is_a_datum() -> None:
+    test = made(lambda x, c: 0.0 * x - 12.5 * np.floor(c), 0)
+    assert zero_of_each_cycle(test) is None
+    zeroed = replace(
+        test, forward_um=test.forward_um - test.forward_um[0], reverse_um=test.reverse_um - test.forward_um[0]
+    )
+    found = zero_of_each_cycle(zeroed)
+    assert found is not None
+    assert "forward at 0 mm" in found.message
+    # A display that shows whole steps reads 0 at many targets.
+    coarse = replace(test, forward_um=np.zeros_like(test.forward_um))
+    assert zero_of_each_cycle(coarse) is None
 
 
 @pytest.mark.parametrize("way", ["forward", "reverse"])
