@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dtwin.acquire._readings import usable
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
+from dtwin.acquire.table_dialect import is_comment
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
@@ -141,7 +142,7 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
     source = _source(path)
     with source.open("rb") if isinstance(source, Path) else source as file:
         head = file.readline(_LONGEST_HEAD)
-        while head.startswith(b"#") and comments < _MOST_COMMENTS:
+        while is_comment(head.decode("latin-1")) and comments < _MOST_COMMENTS:
             comments += 1
             head = file.readline(_LONGEST_HEAD)
     european = b";" in head and b"," not in head

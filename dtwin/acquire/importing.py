@@ -23,7 +23,7 @@ from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
-from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, mark_of, rows_of
+from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.atomic import make_folder, write_text, write_toml
 from dtwin.config import Home
@@ -143,7 +143,7 @@ def look(path: Path, home: Home, decimal: str = "") -> Looked:
     rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
     body = rows[begin + (1 if units is None else 2) :]
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     return Looked(
         heads,
         None if units is None else tuple(units),

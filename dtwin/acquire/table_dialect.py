@@ -30,6 +30,8 @@ _MINUS = {ord("\u2212"): "-", ord("\u2013"): "-"}
 _PARTED = re.compile("(?<=\\d)['\u2019\u00a0\u2009\u202f ](?=\\d{3}(?!\\d))")
 _HUNDREDS = re.compile(r"[+-]?[1-9]\d\d")
 _SEPARATOR = re.compile(r'\A"?sep=."?[;,\t]*\r?\n', re.I)
+_COMMENT = re.compile(r"\s*#(?!([;,])\s*[^;,\s][^;,]*\1)")
+"""A line of remarks; where heads follow the mark at once, it is the head of a column that counts."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -66,6 +68,11 @@ def decoded(data: bytes) -> str:
     return _SEPARATOR.sub("", data.decode(encoding_of(data), errors="replace"), count=1)
 
 
+def is_comment(line: str) -> bool:
+    """Return whether a line is a remark and no row."""
+    return _COMMENT.match(line) is not None
+
+
 def mark_of(lines: list[str]) -> str:
     """Return what parts the columns: semicolons or tabs when half of the first lines have them, else commas."""
     first = lines[:_SNIFFED_LINES]
@@ -78,7 +85,7 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
     semicolons or tabs part the columns.
     """
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     mark = mark_of(lines)
     try:
         rows = list(csv.reader(lines, delimiter=mark))

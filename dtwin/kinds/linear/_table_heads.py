@@ -41,7 +41,7 @@ _TARGET = re.compile(
 _SURELY_TARGET = re.compile(
     r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
 )
-_INDEX = re.compile(r"i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
+_INDEX = re.compile(r"#$|i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)

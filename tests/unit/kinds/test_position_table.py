@@ -427,7 +427,9 @@ def test_directions_in_other_languages_and_signs_before_units(
     assert set(found.reverse_um.ravel()) == {5.0}
 
 
-@pytest.mark.parametrize("heads", ["i,Xi [mm]", "Pos No.,Nominal (mm)", "Point Nr,P_i [mm]", "Nr.,Position"])
+@pytest.mark.parametrize(
+    "heads", ["i,Xi [mm]", "#,Target [mm]", "Pos No.,Nominal (mm)", "Point Nr,P_i [mm]", "Nr.,Position"]
+)
 def test_a_column_that_counts_is_no_target(tmp_path: Path, heads: str) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{n + 1},{100 * n},{n},5,{n},5" for n in range(5)]
