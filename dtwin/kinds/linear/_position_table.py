@@ -253,6 +253,9 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
         readings = [(r[0], r[1], sweeps[r[1]].index(r[2]) + 1, r[3], r[4]) for r in readings]
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
+    if len(targets) == 1 < cycles:
+        one = "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions"
+        raise wrong_form(one, path, f"{targets[0]:g} mm, {len(readings)} readings")
     if len(targets) < 2 or not 1 <= cycles <= 1000:
         raise wrong_form("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
     place = {target: i for i, target in enumerate(targets)}

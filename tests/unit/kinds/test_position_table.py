@@ -607,6 +607,7 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
             "position_table.axes",
         ),
         ("target [mm],direction,stage 1 [µm],stage 2 [µm]\n0,+,1,2\n9,+,2,3\n0,-,1,2\n9,-,2,3", "position_table.axes"),
+        ("target [mm],direction,reading [mm]\n9,+,9.001\n9,-,9.004\n9,+,9.002\n9,-,9.003", "position_table.form"),
         ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
     ],
 )
