@@ -22,6 +22,11 @@ _SMALL_MM = 10.0
 _WILD = 12.0
 _ROUNDS, _MOST_KEPT, _LISTED = 10, 0.8, 8
 _ALIKE = 0.05
+_MUCH_MM = 2.0
+"""Of a reflector beside the commanded point, rather than of a robot."""
+_NO_ORIENTATION = (
+    "does the reflector sit on the commanded point: without target_qx … target_qw its place on the tool is not found"
+)
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
 
@@ -56,7 +61,11 @@ def judge_poses(run: Run) -> list[Finding]:
     if 0.0 < commanded_mm < _SMALL_MM:
         said = f"the poses span {commanded_mm:z.3g} mm, less than a robot is judged by: metres under a name of millimetres?"
         return [Finding("poses.units", "error", said, {"span_mm": commanded_mm})]
-    return [*_spoilt(run, series), *_commanded(run, series), *_repeats(series)]
+    aside = []
+    if typical > _MUCH_MM and not joints_of(run).size and "target_qx_1" not in run.samples:
+        said = f"{typical:z.3g} mm are left by the frame alone, much for a robot; {_NO_ORIENTATION}"
+        aside = [Finding("poses.reflector", "warning", said, {"median_mm": typical})]
+    return [*_spoilt(run, series), *_commanded(run, series), *aside, *_repeats(series)]
 
 
 def _why(run: Run) -> str:
@@ -71,7 +80,8 @@ def _why(run: Run) -> str:
         mirrored = series_of_targets(target, np.tile(np.eye(3), (len(target), 1, 1)), measured * _MIRROR).error_mm
         if np.median(np.linalg.norm(mirrored, axis=1)) < _FAR_MM:
             return "; one of both frames is left-handed: turn the sign of one axis"
-        return "; do the rows of both belong together?"
+        untold = "" if "target_qx_1" in run.samples else f", and {_NO_ORIENTATION}"
+        return f"; do the rows of both belong together{untold}?"
     tried: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
         ("joints are radians under a name of degrees", np.degrees),
         ("joints are degrees under a name of radians", np.radians),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -357,6 +358,22 @@ def test_what_keeps_commanded_and_measured_places_apart_is_said(
     table.write_text("\n".join(["a title", *lines]), encoding="utf-8")
     (found,) = (f.message for f in judge_run(first_run(folder)) if f.severity == "error")
     assert said in found
+
+
+@pytest.mark.parametrize(("size", "severity"), [(0.2, "warning"), (2.0, "error")])
+def test_a_reflector_beside_the_commanded_point_without_orientations_is_said(
+    tmp_path: Path, size: float, severity: str
+) -> None:
+    whole = first_run(without_joints(tmp_path / "c", "quaternion"))
+    # As if the tool were shorter or longer: what it adds turns with the pose.
+    measured = np.stack([whole.samples[f"measured_{a}_mm"] for a in "xyz"], axis=1)
+    turned = Rotation.from_quat(np.stack([whole.samples[f"target_q{a}_1"] for a in "xyzw"], axis=1))
+    frame = Rotation.from_euler("xyz", [20.0, -40.0, 100.0], degrees=True)
+    measured += frame.apply(turned.apply([0.0, 20.0 * (size - 1.0), 90.0 * (size - 1.0)]))
+    samples = {name: column for name, column in whole.samples.items() if not name.startswith("target_q")}
+    run = replace(whole, samples=samples | {f"measured_{a}_mm": measured[:, i] for i, a in enumerate("xyz")})
+    (found,) = (f for f in judge_run(run) if "target_qx" in f.message)
+    assert (found.severity, found.code == "poses.reflector") == (severity, severity == "warning")
 
 
 def test_a_quaternion_that_is_none_is_refused_with_its_pose(tmp_path: Path) -> None:
