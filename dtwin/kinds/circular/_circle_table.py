@@ -59,9 +59,14 @@ _BESIDE = re.compile(
     re.I,
 )
 """What a head says whose column is no deviation of a run, though it names a direction."""
-_COMMANDED = re.compile(r"\b(cmd|command(ed)?|soll|nominal|target|demand(ed)?|programmed)\b|^soll", re.I)
+_COMMANDED = re.compile(
+    r"\b(cmd|command(ed)?|soll(position|wert)?|nominal|target|demand(ed)?|programmed)\b|^soll", re.I
+)
 """Of a control's log: coordinates that were commanded stand beside the actual ones."""
-_COORDINATE = re.compile(r"^(actual |ist|pos(ition)? )?([xyz])([ _]?(actual|act|ist|pos|position))?$", re.I)
+_COORDINATE = re.compile(
+    r"^(actual |ist|istposition |istwert |pos(ition)? )?([xyz])1?([ _]?(actual|act|ist|istposition|istwert|pos|position))?$",
+    re.I,
+)
 
 
 @dataclass(frozen=True)

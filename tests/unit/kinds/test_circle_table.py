@@ -242,10 +242,16 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
     assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
 
 
-def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "time [s],X cmd [mm],Y cmd [mm],X act [mm],Y act [mm]",
+        "Zeit [s],X1 Sollposition [mm],Y1 Sollposition [mm],X1 Istposition [mm],Y1 Istposition [mm]",
+    ],
+)
+def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: Path, heads: str) -> None:
     x, y = 150.0 * np.cos(np.radians(ANGLE)), 150.0 * np.sin(np.radians(ANGLE))
     grow = 1.0 + error_um(ANGLE, 0.0) / 150e3
-    heads = "time [s],X cmd [mm],Y cmd [mm],X act [mm],Y act [mm]"
     (run,) = read(tmp_path / "a.csv", table(heads, ANGLE, x, y, grow * x, grow * y))
     assert set(run.samples) == {"t_s", "angle_deg", "deviation_um"}
     assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 0.0), abs=0.05)
