@@ -15,6 +15,8 @@ from dtwin.schema import Finding, Floats, Run, SignalGroup
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
 _SAME_RADIUS = 0.01
 _MAX_DEVIATION_UM = 2_500.0
+# A zero is off by so many times what readings differ by.
+_MANY_TIMES = 2.0
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 # Of run-in and run-out beside the turn that is evaluated.
@@ -110,6 +112,13 @@ def _reading(run: Run) -> list[Finding]:
                 {"largest_um": largest},
             )
         )
+    shift, spread = float(np.mean(deviation)), float(np.ptp(deviation))
+    if spread > 0.0 and abs(shift) > _MANY_TIMES * spread:
+        said = (
+            f"all deviations are off by {shift:+z.4g} µm, alike to within {spread:z.3g} µm: a datum, such as an instrument whose length is not "
+            "calibrated, or a radius other than the one stated; G does not count it, Fmax, Fmin and D do"
+        )
+        findings.append(Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread}))
     rate = run.meta.sample_rate_hz
     limit = max(8, int(_STUCK_S * rate)) if np.isfinite(rate) else 20
     length, value = _longest_constant(deviation)
