@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import json
 import os
 import sys
@@ -71,6 +72,15 @@ def _options(
 ) -> None:
     if context.invoked_subcommand in _FOLLOW_THEMSELVES or {"--help", "-h"} & set(sys.argv):
         return
+    told = os.environ.get("DTWIN_HOME", "")
+    if "://" in told:
+        raise InputError(
+            "the home is a folder, not an address",
+            code="home.folder",
+            where="DTWIN_HOME",
+            got=f"{told.partition('://')[0][:20]}://",
+            hint="a home on a shared store: dtwin home move --store ADDRESS, docs/how-to/share-a-home.md",
+        )
     state = home()
     if state.root.exists() and not state.root.is_dir():
         raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
@@ -84,6 +94,9 @@ def _options(
 def main() -> None:
     """Run the command line; a user's mistake ends in a message, never a traceback."""
     quiet_environment()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A terminal of few letters has no µ; what it cannot show is told as on stderr.
+        sys.stdout.reconfigure(errors="backslashreplace")
     # Also at the end: what a first command made is for its owner alone.
     with contextlib.ExitStack() as ending:
         ending.callback(home().tightened)

@@ -224,17 +224,30 @@ def test_what_makes_no_sense_is_refused_and_nothing_hangs(
     assert f"error[{code}]" in capsys.readouterr().err
 
 
-def test_a_home_that_is_a_file_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("where", ["home", "s3://name:secret@bucket/dtwin"])
+def test_a_home_that_is_a_file_or_an_address_is_refused(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "home"
     file.write_text("")
-    monkeypatch.setenv("DTWIN_HOME", str(file))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DTWIN_HOME", where)
     monkeypatch.setattr(sys, "argv", ["dtwin", "runs"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code not in (0, None)
-    assert "error[home.folder]" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "error[home.folder]" in said
+    assert "secret" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["home"]
+
+
+def test_a_terminal_of_few_letters_gets_no_traceback() -> None:
+    few = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}
+    command = [sys.executable, "-m", "dtwin", "effects", "show", "backlash"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=few)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\\xb5m" in done.stdout
 
 
 def _leaves(command: Any) -> Iterator[Any]:
