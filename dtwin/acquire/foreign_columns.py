@@ -44,7 +44,7 @@ _GRAD = "grad"
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
 _HEADS = (
-    (re.compile(r"^(t|time|zeit|elapsed( time)?|time elapsed|messzeit)$", re.I), "t", "s"),
+    (re.compile(r"^(t|time|zeit|elapsed( time)?|time elapsed|messzeit|time ?stamp|epoch|unix ?time)$", re.I), "t", "s"),
     (re.compile(r"^(path )?(angle|winkel|phi|[φθ])$", re.I), "angle", "deg"),
     (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),

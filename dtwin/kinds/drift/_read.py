@@ -41,7 +41,7 @@ _NO_PROBE = re.compile(
     r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear", re.I
 )
 _STAMP = re.compile(
-    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|(local |utc )?time|(uhr)?zeit|clock)",
+    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|epoch|unix[ _]?time|(local |utc )?time|(uhr)?zeit|clock)",
     re.I,
 )
 _FORM = re.compile(r"\s*[\[(]\s*(utc|local|[hdmsyt:./ -]*[:./-][hdmsyt:./ -]*)\s*[\])]\s*$", re.I)

@@ -273,6 +273,8 @@ def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
         ("Date", [f"{46351.58541 + n / 1440:.8f}" for n in range(60)]),
         ("timestamp", [f"{1_795_000_000 + 60 * n}" for n in range(60)]),
         ("timestamp", [f"{(1_795_000_000 + 60 * n) * 1000}" for n in range(60)]),
+        ("epoch", [f"{1_795_000_000 + 60 * n}" for n in range(60)]),
+        ("timestamp_ms", [f"{(1_795_000_000 + 60 * n) * 1000}" for n in range(60)]),
         ("time [d]", [f"{0.58541 + n / 1440:.8f}" for n in range(60)]),
         ("Time", [f"{1 + n // 1440}/12/2026 14:{n:02d}:05" for n in range(60)]),
         ("Time [hh:mm:ss]", [f"{n // 60}:{n % 60:02d}:00" for n in range(60)]),
