@@ -38,10 +38,12 @@ class LinearTest:
 
 
 def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse")) -> LinearTest:
-    """Put the readings of runs into matrices.
+    """Put the readings of runs into matrices, in the order of the runs' times and repeats.
 
     ``ways``: of both matrices; twice the same of runs in one direction only.
     """
+    # By their names the tenth comes before the second.
+    runs = sorted(runs, key=lambda run: (run.meta.started or "", run.meta.setup, run.meta.repeat))
     columns = [_by_target(run, way) for way in ways for run in runs]
     anywhere, times = np.unique(np.concatenate([numbers for numbers, _ in columns]), return_counts=True)
     targets = anywhere[times == len(columns)]

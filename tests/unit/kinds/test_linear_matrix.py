@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dtwin.kinds.linear._matrix import linear_test
@@ -29,3 +31,14 @@ def test_runs_with_no_target_in_common_are_judged_without_an_exception() -> None
     found = linear_test(runs)
     assert (found.position_mm.size, found.forward_um.shape, found.left_out) == (0, (0, 2), 4)
     assert isinstance(kind_named("linear").judge_campaign(runs), list)
+
+
+def test_cycles_stand_in_the_order_of_their_repeats_not_of_their_names() -> None:
+    rng = np.random.default_rng(0)
+    moved = []
+    for number in (1, 10, 11, 2, 3, 4, 5, 6, 7, 8, 9):
+        run = swept(number, [5.0, 24.0, 43.0], [43.0, 24.0, 5.0])
+        lost = -12.5 * number + rng.normal(0.0, 0.3, 6)
+        moved.append(replace(run, samples={**run.samples, "error_um": run.samples["error_um"] + lost}))
+    assert np.allclose(np.diff(linear_test(moved).forward_um, axis=1), -12.5, atol=2.0)
+    assert [f.code for f in kind_named("linear").judge_campaign(moved)] == ["linear.slip"]
