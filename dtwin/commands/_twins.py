@@ -109,13 +109,21 @@ def diagnose_twin(
     name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
-    from dtwin.report.twin_of_kind import report_of
+    from dtwin.pipeline.findings import moving_findings
+    from dtwin.report.twin_of_kind import report_of, said_by_runs
 
     twin, diagnosis = _twins_with(name, effects_path).diagnose(name, seed=seed)
-    result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **diagnosis.as_dict()}
+    moving = moving_findings(home(), twin.campaign)
+    result = {
+        "twin": name,
+        "version": twin.version,
+        "campaign": twin.campaign,
+        **diagnosis.as_dict(),
+        "runs_say": moving,
+    }
     if html is not None:
         _write_page(html, name, [report_of(result).diagnosis_section(name, result)])
-    emit(result, lambda: report_of(result).diagnosis_text(name, result), as_json=as_json)
+    emit(result, lambda: report_of(result).diagnosis_text(name, result) + said_by_runs(moving), as_json=as_json)
 
 
 @app.command("add")
@@ -159,19 +167,22 @@ def restore_version(
 @app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
-    from dtwin.report.twin_of_kind import discovery_text
+    from dtwin.pipeline.findings import moving_findings
+    from dtwin.report.twin_of_kind import discovery_text, said_by_runs
     from dtwin.twins.verbs import LEAST_SHARE
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
+    moving = moving_findings(home(), twins.newest(name).campaign)
     payload = {
         "twin": name,
         "added": [twin.action.removeprefix("add ") for twin in made],
         "groups": [list(group) for group in groups],
         "history": twins.history(name),
         "final": said.as_dict(),
+        "runs_say": moving,
     }
-    emit(payload, lambda: discovery_text(payload, LEAST_SHARE), as_json=as_json)
+    emit(payload, lambda: discovery_text(payload, LEAST_SHARE) + said_by_runs(moving), as_json=as_json)
 
 
 @app.command("learn")

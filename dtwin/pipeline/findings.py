@@ -1,4 +1,4 @@
-"""What is noteworthy about runs of the lake; nothing here reads samples."""
+"""What is noteworthy about runs of the lake; only :func:`moving_findings` reads samples."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
-from dtwin.acquire.quality import judge_campaign
+from dtwin.acquire.quality import judge_campaign, without_samples
+from dtwin.config import Home
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import meta_of
+from dtwin.lake.store import Lake
 from dtwin.schema import Finding, Run
 
 SEVERITIES = ("error", "warning", "info")
@@ -24,6 +27,20 @@ def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """Return what is noteworthy about a campaign as a whole."""
     used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
     return [*judge_campaign(used), *amendment_findings(rows)]
+
+
+def moving_findings(home: Home, campaign: str) -> list[dict[str, Any]]:
+    """Return what samples of all runs together say against any model of a campaign of the lake: cycles that slip, spoilt readings.
+
+    Circles say nothing of that sort together; what they lack, a diagnosis says itself.
+    """
+    lake = Lake(home.lake)
+    rows = lake.runs(campaign)
+    if not rows or kind_named(rows[0]["kind"]).goes_round:
+        return []
+    light = [without_samples(lake.load(row, signals=False)) for row in rows]
+    found = [f for f in judge_campaign(light) if f.severity != "info" and not f.code.startswith("campaign.")]
+    return [finding.as_dict() for finding in found]
 
 
 def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dtwin.kinds.registry import kind_named
@@ -35,6 +35,11 @@ def discovery_text(payload: Mapping[str, Any], least_share: float) -> str:
     if small:
         lines.append(f"not added: {', '.join(small)}: below {100.0 * least_share:z.0f} % of that, as laws may be off")
     return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
+
+
+def said_by_runs(findings: Sequence[Mapping[str, Any]]) -> str:
+    """Return lines of what the runs of a campaign say against any model: an effect beside them may be but another name of it."""
+    return "".join(f"\nthe runs themselves say: {found['message']}" for found in findings)
 
 
 def report_of(document: Mapping[str, Any]) -> TwinReport:

@@ -617,3 +617,30 @@ def test_readings_of_several_machines_or_targets_in_a_row_are_not_mixed(tmp_path
     with pytest.raises(InputError) as refused:
         read_position_table(path)
     assert refused.value.code == code
+
+
+def test_what_the_runs_say_of_slip_stands_beside_what_a_twin_calls_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    rng = np.random.default_rng(0)
+    rows = [
+        f"{c + 1},{t:g},{way},{-12.5 * c + (4.0 if way == '-' else 0.0) + rng.normal(0.0, 0.3):.2f}"
+        for c in range(5)
+        for way in "+-"
+        for t in np.arange(0.0, 301.0, 50.0)[:: 1 if way == "+" else -1]
+    ]
+    path = tmp_path / "slips.csv"
+    path.write_text("\n".join(["cycle,target [mm],direction,error [µm]", *rows]), encoding="utf-8")
+
+    def told(*words: str) -> str:
+        result = CliRunner().invoke(app, list(words))
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    told("ingest", str(path), "--axis", "X", "--machine", "router")
+    told("twin", "fit", "slips", "--effects", "", "--name", "router")
+    for verb in ("diagnose", "discover"):
+        assert "the runs themselves say: cycles differ: the zero moves by -12.5" in told("twin", verb, "router")
+    (found,) = json.loads(told("twin", "diagnose", "router", "--json"))["runs_say"]
+    assert found["code"] == "linear.slip"
