@@ -41,6 +41,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "a": ("a", 1.0),
 }
 _GRAD = "grad"
+_VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
 _HEADS = (
@@ -89,6 +90,27 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
         hint="dtwin check FILE reads the forms of instruments",
     )
+
+
+def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
+    """Return the rows of a table with one row of heads where they stand in two, as under merged cells; other rows as they are.
+
+    A head that is empty and has a word above it says so; a merged cell's word goes on until the next one.
+    """
+    try:
+        begin = header_row(rows, path)
+    except InputError:
+        return list(rows)
+    above, heads = rows[begin - 1] if begin else [], rows[begin]
+    said = [cell.strip() for cell in above]
+    merged = len(above) == len(heads) and sum(map(bool, said)) > 1 and not any(map(_VALUE.search, said))
+    if not merged or not any(word and not head.strip() for word, head in zip(said, heads, strict=True)):
+        return list(rows)
+    joined, last = [], ""
+    for word, head in zip(said, heads, strict=True):
+        last = word or last
+        joined.append(f"{last} {head.strip()}".strip())
+    return [*rows[: begin - 1], joined, *rows[begin + 1 :]]
 
 
 def _has_gaps(row: Sequence[str]) -> bool:

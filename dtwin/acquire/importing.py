@@ -20,7 +20,7 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
-from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number
+from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
@@ -163,7 +163,7 @@ def _seen(
     """Return rows, the row of heads, the heads, what is remembered for them, and the decimal sign that is told or remembered."""
     refused: InputError | None = None
     for sign in (decimal,) if decimal else ("", *DECIMALS):
-        rows = rows_of(text, sign)
+        rows = [list(row) for row in joined_heads(rows_of(text, sign), path)]
         try:
             begin = header_row(rows, path)
         except InputError as error:

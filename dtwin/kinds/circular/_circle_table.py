@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row
+from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -155,6 +155,7 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
     if rows and all(len(row) == 1 for row in rows):
         # Parted by blanks, which may stand before a unit, too.
         rows = [re.sub(r"\s+(?=[\[(])", "", row[0]).split() for row in rows]
+    rows = [list(row) for row in joined_heads(rows, path)]
     begin = header_row(rows, path)
     heads = [cell.strip() for cell in rows[begin]]
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None

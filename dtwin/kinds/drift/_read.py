@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import all_units, columns_of, header_row
+from dtwin.acquire.foreign_columns import all_units, columns_of, header_row, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -117,8 +117,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             cold.append(Finding("drift.no_sensor", "warning", said))
             del shared[name]
             continue
-        if (gone := ~np.isfinite(read)).any():
-            said = f"{name} has no reading in {gone.sum()} of {len(read)} rows, {_when(t_s, gone)}: they are left out"
+        if (gone := ~np.isfinite(read) & np.isfinite(t_s)).any():
+            said = f"{name} has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
             cold.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
         if (lost := _lost(read)).any():
             said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
@@ -195,6 +195,7 @@ def _parted(
     rows: Sequence[Sequence[str]], path: Path
 ) -> tuple[Sequence[str], Sequence[str] | None, list[Sequence[str]]]:
     """Return heads, which may stand below titles, units below them, and rows of as many cells."""
+    rows = joined_heads(rows, path)
     try:
         begin = header_row(rows, path)
     except InputError:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.foreign_columns import joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -62,7 +63,7 @@ def is_rotation_file(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MOST_BYTES)
-    return is_log(text) or _headed(rows_of(text), {}) is not None
+    return is_log(text) or _headed(joined_heads(rows_of(text), path), {}) is not None
 
 
 def is_log(text: str) -> bool:
@@ -80,7 +81,9 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
     Raises ``InputError`` when there is no probe, a unit is not told, or no row holds numbers.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
-    return _from_log(text, recipe, path, needed) if is_log(text) else _from_table(rows_of(text), recipe, path, needed)
+    if is_log(text):
+        return _from_log(text, recipe, path, needed)
+    return _from_table(joined_heads(rows_of(text), path), recipe, path, needed)
 
 
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:

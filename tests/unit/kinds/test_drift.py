@@ -17,11 +17,11 @@ from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
 from dtwin.kinds.drift._model import Series, Term, additions, fitted, idle, missing, series_of, steady
-from dtwin.kinds.drift._read import is_drift_log
+from dtwin.kinds.drift._read import is_drift_log, read_drift
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.schema import Run, RunMeta
+from dtwin.schema import Campaign, Run, RunMeta
 
 HEAD = """[campaign]
 name = "log"
@@ -351,6 +351,19 @@ def test_a_sensor_that_is_lost_for_long_is_told_and_with_it_how_many_rows(
     (found,) = (f for f in run.findings if f.code == code)
     assert str(len(range(400)[at])) in found.message
     assert f"from {at.start} to {at.stop - 1} min" in found.message
+
+
+def test_heads_below_merged_ones_are_joined_and_a_row_without_a_time_is_no_lost_sensor(tmp_path: Path) -> None:
+    heads = ["Zeit;Temperatur;;Verlagerung;", ";Spindel 1;Bett;X;Z", "[min];[°C];[°C];[µm];[µm]"]
+    rows = [f"{n};{20 + 0.1 * n:.1f};21;0,{n % 3};{n}" for n in range(60)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*heads, *rows, "Max;;;;59"]), encoding="utf-8")
+    campaign = Campaign("a", "m", "drift", "", {})
+    across, along = read_drift(path, campaign, {})[0]
+    assert (across.meta.run_id, along.meta.run_id) == ("verlagerung_x", "verlagerung_z")
+    assert along.samples["temperature_temperatur_spindel_1_c"][-1] == pytest.approx(25.9)
+    assert along.samples["t_s"][-1] == pytest.approx(59 * 60.0)
+    assert [f.code for f in along.findings] == []
 
 
 @pytest.mark.parametrize("head", ["probe [µm]", "Messtaster 1 [µm]", "CH3 [mm]", "Gauge_um"])

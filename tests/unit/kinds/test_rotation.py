@@ -537,6 +537,16 @@ def test_units_in_a_row_below_the_heads_are_read_though_the_words_alone_are_know
     assert run.samples["runout_um"].tolist() == pytest.approx([3.0, 4.0])
 
 
+def test_heads_below_merged_ones_are_joined(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = ["Drehzahl;Rundlauf;;Planlauf;", ";vorn;hinten;vorn;hinten", "1/min;µm;µm;µm;µm"]
+    path.write_text("\n".join([*heads, *(f"{1000 * n};{n};2;3;4" for n in range(1, 6))]), encoding="utf-8")
+    assert is_rotation_file(path)
+    runs, _ = read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
+    told = {run.meta.run_id: run.samples["runout_um"][0] for run in runs}
+    assert told == {"rundlauf_vorn": 1.0, "rundlauf_hinten": 2.0, "planlauf_vorn": 3.0, "planlauf_hinten": 4.0}
+
+
 def test_run_out_beside_an_angle_is_a_displacement(tmp_path: Path) -> None:
     (run,) = read(tmp_path, table({"t [s]": TIME, "Drehwinkel [Umdrehungen]": ANGLE / 360.0, "Rundlauf [µm]": UM}))
     assert np.ptp(run.samples["angle_deg"]) == pytest.approx(np.ptp(ANGLE), abs=0.01)
