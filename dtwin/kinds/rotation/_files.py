@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,11 @@ _MOST_TITLES = 20
 _MOST_PROBES = 64
 _UNIX_S = 1e9
 _LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
+_REPEAT = re.compile(
+    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
+    re.I,
+)
+"""In the head of a column: which of several readings of one probe it holds."""
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
 
 
@@ -114,6 +119,33 @@ def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
     return column_of(name) if name else Column("")
 
 
+def _repeats_below(
+    heads: Sequence[str], columns: list[Column], probes: Sequence[int], body: Sequence[Sequence[str]]
+) -> tuple[list[Column], list[int], list[Sequence[str]]]:
+    """Return a table whose columns of one probe, ``run 1``, ``run 2``, stand as rows below each other: they are repeats."""
+    alike: dict[str, list[int]] = {}
+    for n in probes:
+        if columns[n].role == RUNOUT and _REPEAT.search(heads[n]):
+            alike.setdefault(_REPEAT.sub("", heads[n]), []).append(n)
+    first = {group[0]: group for group in alike.values() if len(group) > 1}
+    if not first:
+        return columns, list(probes), list(body)
+    others = {n for group in first.values() for n in group[1:]}
+    named = [
+        replace(c, name=_REPEAT.sub("", c.name).strip("_") or c.name) if n in first else c
+        for n, c in enumerate(columns)
+    ]
+    out: list[Sequence[str]] = []
+    for k in range(max(map(len, first.values()))):
+        for row in body:
+            cells = [cell if k == 0 or n not in probes else "" for n, cell in enumerate(row)]
+            for n, group in first.items():
+                if n < len(cells):
+                    cells[n] = _cell(row, group[k]) if k < len(group) else ""
+            out.append(cells)
+    return named, [n for n in probes if n not in others], out
+
+
 def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
     headed = _headed(rows, recipe)
     if headed is None:
@@ -129,6 +161,8 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         probes = [n for n in probes if columns[n].role == RUNOUT]
     single = {role: n for n, c in reversed(list(enumerate(columns))) if (role := c.role) in (TIME, ANGLE, PULSE, SPEED)}
     body = list(rows[first:])
+    if by_speed and TIME not in single:
+        columns, probes, body = _repeats_below(heads, columns, probes, body)
     told = {n: _values(body, n, columns[n].factor) for n in (*single.values(), *probes) if n != single.get(TIME)}
     clock = np.arange(len(body), dtype=np.float64)
     started = ""

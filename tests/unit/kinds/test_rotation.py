@@ -547,6 +547,27 @@ def test_heads_below_merged_ones_are_joined(tmp_path: Path) -> None:
     assert told == {"rundlauf_vorn": 1.0, "rundlauf_hinten": 2.0, "planlauf_vorn": 3.0, "planlauf_hinten": 4.0}
 
 
+@pytest.mark.parametrize(
+    ("heads", "probes"),
+    [
+        ("speed [rpm];TIR run 1 [µm];TIR run 2 [µm]", {"tir": 10}),
+        ("speed [rpm];Run-out, trial 1 (µm);Run-out, trial 2 (µm)", {"run-out": 10}),
+        ("speed [rpm];run-out 1 [µm];run-out 2 [µm]", {"run-out_1": 5, "run-out_2": 5}),
+        ("speed [rpm];run-out front [µm];run-out rear [µm]", {"run-out_front": 5, "run-out_rear": 5}),
+    ],
+)
+def test_columns_of_runs_are_repeats_and_others_are_probes(tmp_path: Path, heads: str, probes: dict[str, int]) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(f"{1000 * n};{n},1;{n},2" for n in range(1, 6))]), encoding="utf-8")
+    runs, rejects = read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
+    assert {run.meta.run_id: run.n_samples for run in runs} == probes
+    assert rejects == []
+    speeds = runs[0].samples["speed_rpm"]
+    assert runs[0].samples["runout_um"] == pytest.approx(
+        speeds / 1000.0 + np.where(np.arange(len(speeds)) < 5, 0.1, 0.2)
+    )
+
+
 def test_run_out_beside_an_angle_is_a_displacement(tmp_path: Path) -> None:
     (run,) = read(tmp_path, table({"t [s]": TIME, "Drehwinkel [Umdrehungen]": ANGLE / 360.0, "Rundlauf [µm]": UM}))
     assert np.ptp(run.samples["angle_deg"]) == pytest.approx(np.ptp(ANGLE), abs=0.01)
