@@ -21,8 +21,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     """Return a campaign of one run: a table that lies alone, and what is told of it.
 
     ``path``: ``.csv`` or ``.parquet``.
-    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine``, ``axis`` and ``screw_pitch_mm``. Direction and
-    campaign may be left away: the angle runs one way, the file has a name.
+    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine``, ``axis``, ``instrument`` and ``screw_pitch_mm``.
+    Direction and campaign may be left away: the angle runs one way, the file has a name.
     """
     kind = kind_of_table(path)
     needed = kind_named(kind).stated
@@ -41,6 +41,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             + " --machine NAME",
         )
     stray = [] if kind_named(kind).goes_round else [n for n in ("plane", "radius_mm") if told.get(n) is not None]
+    if told.get("instrument") is not None and "condition.instrument" not in kind_named(kind).read_with:
+        stray.append("instrument")
     if stray:
         raise InputError(
             f"the table is taken for one of a {kind} test, which has no {' and no '.join(stray)}",
@@ -55,8 +57,8 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
         angle = read_columns(path, kind)[0]["angle_deg"]
         # Of most steps, not of the ends: an angle that wraps ends where it began.
         run["direction"] = "CW" if angle.size > 1 and np.median(np.diff(angle)) < 0.0 else "CCW"
-    if told.get("axis") is not None:
-        run["condition"] = {"axis": told["axis"]}
+    if condition := {name: told[name] for name in ("axis", "instrument") if told.get(name) is not None}:
+        run["condition"] = condition
     name = told.get("campaign") or safe_name(path.stem)
     pitch_mm = told.get("screw_pitch_mm")
     geometry = {} if pitch_mm is None else {"screw_pitch_mm": pitch_mm}

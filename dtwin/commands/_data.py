@@ -29,6 +29,9 @@ Pitch = Annotated[
     float | None,
     typer.Option(help="Of a positioning table: travel in a turn of the screw, mm; else as the machine's record says."),
 ]
+Instrument = Annotated[
+    str | None, typer.Option(help="Of a report with readings of several: which, as the report calls it.")
+]
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
 Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
@@ -72,6 +75,7 @@ def check(
     direction: Direction = None,
     axis: Axis = None,
     pitch: Pitch = None,
+    instrument: Instrument = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -84,7 +88,7 @@ def check(
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch, instrument=instrument)
     limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
@@ -111,6 +115,7 @@ def ingest(
     direction: Direction = None,
     axis: Axis = None,
     pitch: Pitch = None,
+    instrument: Instrument = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -124,7 +129,7 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument)
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -239,6 +244,7 @@ def told_of(
     machine: str | None,
     campaign: str | None = None,
     pitch: float | None = None,
+    instrument: str | None = None,
 ) -> dict[str, Any]:
     """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
     from dtwin.machine_record import read_record
@@ -250,6 +256,7 @@ def told_of(
         "feed_mm_min": feed,
         "direction": direction,
         "axis": axis,
+        "instrument": instrument,
         "screw_pitch_mm": pitch if record is None else record.axes.get(axis or "", {}).get("pitch_mm"),
         "setup": setup,
         "repeat": repeat,

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._order import ways_in_order
-from dtwin.kinds.linear._report_tables import one_instrument, report_tables, stated_figures
+from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
+from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
     ANGLE,
     AXIS,
@@ -55,31 +56,13 @@ from dtwin.kinds.linear._table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.schema import Campaign, Run
 from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
 # Of the travel: no linear axis errs by so much.
 _LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
-_PERIOD_S = 1.0
-
-
-@dataclass(frozen=True)
-class PositionTable:
-    """A positioning test.
-
-    ``target_mm`` (targets,): ascending.
-    ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
-    ``by_position``: whether the table holds positions, not deviations.
-    ``in_order``: whether it names no direction, and the order of its targets told it.
-    """
-
-    target_mm: Floats
-    forward_um: Floats
-    reverse_um: Floats
-    by_position: bool
-    in_order: bool = False
 
 
 def is_position_table(path: Path) -> bool:
@@ -101,44 +84,9 @@ def read_position_runs(
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
     """
     text = decoded(table_bytes(path, _MAX_BYTES))
-    table = _read(text, path)
-    said = stated_figures(text, table.forward_um, table.reverse_um)
-    if table.in_order:
-        assumed = (
-            "the table names no direction: the order of its targets is taken for the way on which they were approached"
-        )
-        said = [*said, Finding("linear.direction_assumed", "warning", assumed)]
+    table = _read(text, path, str(stated.get("condition", {}).get("instrument", "")))
+    said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     return runs_of(table, path, stated, said), []
-
-
-def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
-    """Return the cycles of a table as runs; ``said`` stands with each."""
-    first = int(stated.get("repeat", 1))
-    cycles = table.forward_um.shape[1]
-    finding = Finding(
-        "clock.assumed",
-        "info",
-        f"the table has no clock; cycles one after the other and a reading every {_PERIOD_S:g} s are assumed",
-    )
-    targets = table.target_mm
-    position = np.concatenate([targets, targets[::-1]])
-    direction = np.array(["forward"] * len(targets) + ["reverse"] * len(targets), dtype=object)
-    runs = []
-    for cycle in range(cycles):
-        error = np.concatenate([table.forward_um[:, cycle], table.reverse_um[::-1, cycle]])
-        t_s = (cycle * len(error) + np.arange(len(error))) * _PERIOD_S
-        good = np.isfinite(error)
-        if not good.any():
-            continue
-        meta = RunMeta(run_id=str(cycle + 1), kind="linear", repeat=first + cycle, sample_rate_hz=1.0 / _PERIOD_S)
-        columns = {"t_s": t_s, "position_mm": position, "direction": direction, "error_um": error}
-        if table.by_position:
-            columns["read_mm"] = position + error / UM_PER_MM
-        samples = {name: values[good] for name, values in columns.items()}
-        runs.append(Run(meta, samples, source=str(path), findings=(*said, finding)))
-    if not runs:
-        raise wrong_form("the table holds no reading", path, "targets alone")
-    return runs
 
 
 def read_position_table(path: Path) -> PositionTable:
@@ -149,10 +97,13 @@ def read_position_table(path: Path) -> PositionTable:
     return _read(decoded(table_bytes(path, _MAX_BYTES)), path)
 
 
-def _read(text: str, path: Path) -> PositionTable:
+def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
+    """Read a text; ``instrument``: of a report of several."""
     if is_assigned(text):
+        of_one_instrument([], instrument, path)
         return matrix_of(assigned_readings(text, path), path)
-    tables = [table.rows for table in one_instrument(report_tables(text), path)]
+    report = of_one_instrument(report_tables(text), instrument, path)
+    tables = [table.rows for table in report]
     if not tables:
         every = rows_of(text)
         _require_positioning(every, path)
@@ -167,16 +118,22 @@ def _read(text: str, path: Path) -> PositionTable:
         if plain is None:
             raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
         tables = [plain]
-    readings: list[Reading] = []
+    read: list[list[Reading]] = []
     in_order = False
     for rows in tables:
         _require_lengths(rows[:2], path)
         wide, long = wide_of(rows[0]), long_of(rows[0])
-        readings += _from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else []
+        read.append(_from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else [])
         in_order = in_order or (wide is None and long is not None and long.way is None)
-    table = replace(matrix_of(_as_they_are(readings), path), in_order=in_order)
+    # A single pass of its own beside repeated cycles is another test.
+    several = [any(reading[2] > 1 for reading in readings) for readings in read]
+    kept = [readings for readings, more in zip(read, several, strict=True) if more or not any(several)]
+    single = zip(report, read, several, strict=bool(report))
+    left_out = dict.fromkeys(t.title for t, readings, more in single if readings and not more and any(several))
+    table = matrix_of(_as_they_are([reading for readings in kept for reading in readings]), path)
     _require_near(table, path)
-    return table
+    name = report[0].read_with if report else ""
+    return replace(table, in_order=in_order, read_with=name, left_out=tuple(left_out))
 
 
 def _require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._matrix import other_formulas_um
-from dtwin.kinds.linear._table_heads import is_deviation, is_index, long_of, names_target, unit_of, way_of, wide_of
+from dtwin.kinds.linear._table_heads import (
+    OWN_SENSOR,
+    is_deviation,
+    is_index,
+    long_of,
+    names_target,
+    unit_of,
+    way_of,
+    wide_of,
+)
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
 from dtwin.units import LENGTHS_MM, UM_PER_MM
@@ -30,14 +40,20 @@ _FIGURES = {
 }
 # Of a figure: what a report may lose by rounding its readings.
 _ROUNDED = 0.005
+_DIFFERENCE = re.compile(r"\bdiff", re.I)
+_CYCLES = re.compile(r"cycle|zyklus|\b(run|lauf)\b", re.I)
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """A table of readings: its head, in words that a plain table has, and its rows; ``read_with`` as the report calls it."""
+    """A table of readings: its head, in words that a plain table has, and its rows.
+
+    ``read_with``, ``title``: the instrument, as its columns call it, and the heading above.
+    """
 
     rows: Sequence[Sequence[str]]
     read_with: str
+    title: str = ""
 
 
 def report_tables(text: str) -> list[ReportTable]:
@@ -52,9 +68,8 @@ def report_tables(text: str) -> list[ReportTable]:
         if number and "|" in line and _RULE.match(line) and "|" in lines[number - 1]:
             body = _cells(_until_no_table(lines[number + 1 :]))
             heads = [cell.strip() for cell in lines[number - 1].strip().strip("|").split("|")]
-            told = _told_by_heading(heads, body, above[::-1])
-            if told is not None:
-                tables.append(told)
+            title = next((heading for heading in above[::-1] if heading), "")
+            tables += [replace(table, title=title) for table in _told_by_heading(heads, body, above[::-1])]
     return tables
 
 
@@ -68,24 +83,54 @@ def _cells(lines: Sequence[str]) -> list[list[str]]:
     return rows_of("\n".join("\t".join(c.strip() for c in line.strip().strip("|").split("|")) for line in lines))
 
 
-def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[str]) -> ReportTable | None:
-    """Return a table with the direction or the target that the nearest heading says; None when it holds no readings."""
+def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[str]) -> list[ReportTable]:
+    """Return a table for each instrument, with the direction or the target that the nearest heading says; none without readings."""
     if not any(map(names_target, heads)):
         target = next((m[1] for heading in above if (m := _TARGET_TOLD.search(heading))), None)
         if target is None or not {"forward", "reverse"} <= {way_of(head) for head in heads}:
-            return None
+            return []
         heads, body = ["target mm", *heads], [[target.replace(",", "."), *row] for row in body]
     read = [i for i, head in enumerate(heads) if not names_target(head) and not is_index(head)]
     back = any(way_of(heads[i]) == "reverse" for i in read)
     values = [i for i in read if (way_of(heads[i]) if back else re.search(r"\d", heads[i]))]
     label = ", ".join(sorted({_name(heads[i]) for i in values}))
     way = next((way for heading in above if (way := way_of(heading))), None)
+    if way is not None and not back and (beside := _beside(heads, body, way)):
+        return beside
     # Without columns of the way back, pos in a head is a position.
     if way is not None and not back and len(values) > 1 and long_of(heads) is None:
         heads = [_numbered(head, way) if i in values else head for i, head in enumerate(heads)]
     if wide_of(heads) is None and long_of(heads) is None:
-        return None
-    return ReportTable([heads, *body], label)
+        return []
+    return [ReportTable([heads, *body], label)]
+
+
+def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> list[ReportTable]:
+    """Return what instruments read beside each other, one row a target or a target and cycle, all on one way; else none."""
+    target = min(
+        (i for i, head in enumerate(heads) if names_target(head)), key=lambda i: not unit_of(heads[i]), default=None
+    )
+    cycle = next((i for i, head in enumerate(heads) if _CYCLES.search(head)), None)
+    read = [
+        i
+        for i, head in enumerate(heads)
+        if i not in (target, cycle) and unit_of(head) and not is_index(head) and not _DIFFERENCE.search(head)
+    ]
+    names = [_name(heads[i]) for i in read]
+    if target is None or not names or len(set(names)) < len(names) or long_of(heads) is not None:
+        return []
+    rows = [row for row in body if max(read) < len(row) and is_number(row[target])]
+    head = [f"target [{unit_of(heads[target])}]", "direction", *([] if cycle is None else ["cycle"])]
+    return [
+        ReportTable(
+            [
+                [*head, f"actual [{unit_of(heads[i])}]"],
+                *([row[target], way, *([] if cycle is None else [row[cycle]]), row[i]] for row in rows),
+            ],
+            name,
+        )
+        for i, name in zip(read, names, strict=True)
+    ]
 
 
 def _numbered(head: str, way: str) -> str:
@@ -97,22 +142,31 @@ def _numbered(head: str, way: str) -> str:
 def _name(head: str) -> str:
     """Return what a head says beside direction, cycle and unit: what was read, or with what."""
     words = re.findall(r"[^\W_]+", head.removesuffix("]").removesuffix(unit_of(head)))
-    return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() != "i")
+    return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() not in ("i", "j"))
 
 
-def one_instrument(tables: Sequence[ReportTable], path: Path) -> Sequence[ReportTable]:
-    """Return the tables; refuse those of several instruments: their readings would be taken for one test."""
-    names = sorted({table.read_with for table in tables})
-    if len(names) > 1:
+def of_one_instrument(tables: Sequence[ReportTable], wanted: str, path: Path) -> list[ReportTable]:
+    """Return the tables of an instrument; refuse those of several without a choice: their readings would be taken for one test.
+
+    ``wanted``: its name, in any case; empty where none is asked for.
+    """
+    names = sorted({table.read_with for table in tables}, key=str.lower)
+    chosen = [name for name in names if not wanted or name.lower() == wanted.lower()]
+    example = next((name for name in names if name and not OWN_SENSOR.search(name)), next(iter(names), ""))
+    if len(chosen) != 1 and (tables or wanted):
         raise InputError(
-            "the report holds readings of several instruments",
+            f"the file holds no readings that it calls {wanted[:40]}"
+            if wanted
+            else "the report holds readings of several instruments",
             code="position_table.instruments",
             where=str(path),
-            got=", ".join(name or "one without a name" for name in names)[:120],
-            allowed="tables of one",
-            hint="copy the tables of one instrument with their headings into a file of their own: one campaign an instrument",
+            got=", ".join(name or "one without a name" for name in names)[:120] or "a table that names no instrument",
+            allowed="one of them, one campaign each" if names else "the table without a choice",
+            hint=f'--instrument "{example}", or condition = {{ instrument = "{example}" }} in the [[run]]'
+            if names
+            else "leave the instrument away",
         )
-    return tables
+    return [table for table in tables if table.read_with in chosen]
 
 
 def stated_figures(text: str, forward_um: Floats, reverse_um: Floats) -> list[Finding]:

@@ -21,7 +21,8 @@ from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading
-from dtwin.kinds.linear._position_table import matrix_of, runs_of
+from dtwin.kinds.linear._position_runs import runs_of
+from dtwin.kinds.linear._position_table import matrix_of
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 

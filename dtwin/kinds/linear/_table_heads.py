@@ -49,6 +49,8 @@ _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", 
 _REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
+OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
+"""What reads for the control itself."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 _SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess)", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)

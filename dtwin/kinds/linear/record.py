@@ -40,7 +40,7 @@ class _Linear(Kind):
     campaign_columns = columns
     sheet_columns = columns
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
-    read_with = (*Kind.read_with, "instrument.length_unit", "instrument.reading_period_s")
+    read_with = (*Kind.read_with, "instrument.length_unit", "instrument.reading_period_s", "condition.instrument")
     always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {

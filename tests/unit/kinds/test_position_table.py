@@ -18,6 +18,7 @@ from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
+from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
 ROOT = Path(__file__).parents[3]
@@ -644,3 +645,80 @@ def test_what_the_runs_say_of_slip_stands_beside_what_a_twin_calls_it(
         assert "the runs themselves say: cycles differ: the zero moves by -12.5" in told("twin", verb, "router")
     (found,) = json.loads(told("twin", "diagnose", "router", "--json"))["runs_say"]
     assert found["code"] == "linear.slip"
+
+
+def report_of_passes(cycles: int = 2, backward: bool = True) -> str:
+    """One table for each way, an encoder and a laser beside each other in it, and a single pass of other targets below."""
+    lines = ["# motion test"]
+    for way, values, off in (("Forward", FORWARD, 0.0), ("Backward", REVERSE, 0.0)):
+        lines += [
+            f"# {way} sequence",
+            "",
+            "i (pos id) | Cycle (j) | Tgt Pos [mm] | Encoder Act [mm] | ILD2300 [mm] | Diff [mm]",
+        ]
+        lines += ["--- | --- | --- | --- | --- | ---"]
+        for (i, c), um in np.ndenumerate(values[:, :cycles] + off):
+            read = f"{TARGETS[i] + 0.0002:.4f} | {TARGETS[i] + um / 1000.0:.4f} | {um / 1000.0:.4f}"
+            lines += [
+                f"{i + 1} | {c + 1} | {TARGETS[i]:.3f} | {read}"
+                if way == "Forward" or backward
+                else f"{i + 1} | {c + 1} | | | |"
+            ]
+        lines += [""]
+    lines += [
+        "## Accuracy, Positive Direction",
+        "",
+        "Test | Setpoint [mm] | Encoder Act [mm] | ILD2300 [mm]",
+        "--- | --- | --- | ---",
+    ]
+    lines += [
+        f"{n} | {n * 10}.0 | {n * 10}.0002 | {'Out of range' if n == 1 else f'{n * 10}.0100'}" for n in range(1, 8)
+    ]
+    return "\n".join([*lines, "Accuracy | - | 0.0002 | 0.0100", ""])
+
+
+def test_instruments_beside_each_other_are_read_by_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "report.md"
+    path.write_text(report_of_passes(), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.got == "Encoder Act, ILD2300"
+    assert refused.value.hint is not None
+    assert '--instrument "ILD2300"' in refused.value.hint
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "ild2300"}})
+    assert [round(float(um), 6) for um in runs[0].samples["error_um"]] == [*FORWARD[:, 0], *REVERSE[::-1, 0]]
+    told = {f.code: f.message for f in runs[0].findings}
+    assert set(told) == {"linear.single_pass", "clock.assumed"}
+    assert "Accuracy, Positive Direction" in told["linear.single_pass"]
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "laser"}})
+    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "Encoder Act, ILD2300")
+
+
+def test_what_the_axis_own_sensor_reads_is_no_accuracy(tmp_path: Path) -> None:
+    path = tmp_path / "report.md"
+    path.write_text(report_of_passes(backward=False), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "Encoder Act"}})
+    assert {f.code for f in runs[0].findings} == {"linear.own_sensor", "linear.single_pass", "clock.assumed"}
+    assert set(runs[0].samples["direction"]) == {"forward"}
+
+
+def test_a_single_pass_in_a_file_of_its_own_is_a_test(tmp_path: Path) -> None:
+    path = tmp_path / "report.md"
+    path.write_text("# " + report_of_passes().partition("## ")[2], encoding="utf-8")
+    assert is_position_table(path)
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "ILD2300"}})
+    assert [list(run.samples["position_mm"]) for run in runs] == [[20.0, 30.0, 40.0, 50.0, 60.0, 70.0]]
+    assert np.allclose(runs[0].samples["error_um"], 10.0)
+
+
+def test_an_instrument_is_told_of_a_report_that_names_it_only(tmp_path: Path) -> None:
+    path = tmp_path / "plain.csv"
+    path.write_text(wide("{way} {c} [um]", 1000.0, False), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        check_source(path, told={"axis": "X", "instrument": "laser"})
+    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "a table that names no instrument")
+    path.write_text("t_s,angle_deg,deviation_um\n" + "\n".join(f"{n},{n},0.5" for n in range(360)), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        check_source(path, told={"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0, "instrument": "laser"})
+    assert (refused.value.code, refused.value.got) == ("ingest.kind", "instrument laser")

@@ -1,0 +1,86 @@
+"""A positioning test that was read from a table: its cycles as runs, and what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.linear._assignments import wrong_form
+from dtwin.kinds.linear._table_heads import OWN_SENSOR
+from dtwin.schema import Finding, Floats, Run, RunMeta
+from dtwin.units import UM_PER_MM
+
+_PERIOD_S = 1.0
+_LISTED = 4
+
+
+@dataclass(frozen=True)
+class PositionTable:
+    """A positioning test.
+
+    ``target_mm`` (targets,): ascending.
+    ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
+    ``by_position``: whether the table holds positions, not deviations.
+    ``in_order``: whether it names no direction, and the order of its targets told it.
+    ``read_with``: the instrument, where columns of a report name it.
+    ``left_out``: titles of its tables of a single pass, beside those of several cycles.
+    """
+
+    target_mm: Floats
+    forward_um: Floats
+    reverse_um: Floats
+    by_position: bool
+    in_order: bool = False
+    read_with: str = ""
+    left_out: tuple[str, ...] = ()
+
+
+def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
+    """Return the cycles of a table as runs; ``said`` stands with each."""
+    first = int(stated.get("repeat", 1))
+    cycles = table.forward_um.shape[1]
+    finding = Finding(
+        "clock.assumed",
+        "info",
+        f"the table has no clock; cycles one after the other and a reading every {_PERIOD_S:g} s are assumed",
+    )
+    targets = table.target_mm
+    position = np.concatenate([targets, targets[::-1]])
+    direction = np.array(["forward"] * len(targets) + ["reverse"] * len(targets), dtype=object)
+    runs = []
+    for cycle in range(cycles):
+        error = np.concatenate([table.forward_um[:, cycle], table.reverse_um[::-1, cycle]])
+        t_s = (cycle * len(error) + np.arange(len(error))) * _PERIOD_S
+        good = np.isfinite(error)
+        if not good.any():
+            continue
+        meta = RunMeta(run_id=str(cycle + 1), kind="linear", repeat=first + cycle, sample_rate_hz=1.0 / _PERIOD_S)
+        columns = {"t_s": t_s, "position_mm": position, "direction": direction, "error_um": error}
+        if table.by_position:
+            columns["read_mm"] = position + error / UM_PER_MM
+        samples = {name: values[good] for name, values in columns.items()}
+        runs.append(Run(meta, samples, source=str(path), findings=(*said, finding)))
+    if not runs:
+        raise wrong_form("the table holds no reading", path, "targets alone")
+    return runs
+
+
+def said_of(table: PositionTable) -> Iterator[Finding]:
+    """Yield what was assumed, left out, or is not what a reader may take it for."""
+    if table.in_order:
+        assumed = (
+            "the table names no direction: the order of its targets is taken for the way on which they were approached"
+        )
+        yield Finding("linear.direction_assumed", "warning", assumed)
+    if table.left_out:
+        titles = "; ".join(title[:60] for title in table.left_out[:_LISTED])
+        several = f"tables of several cycles are read, and those of a single pass beside them are left out: {titles}"
+        yield Finding("linear.single_pass", "warning", f"{several}. In a file of their own they are a test, too")
+    if OWN_SENSOR.search(table.read_with):
+        own = f"the readings are those of {table.read_with}, by its name a sensor of the axis itself"
+        follows = "they show how the control follows its own sensor, not where the axis is: no accuracy"
+        yield Finding("linear.own_sensor", "warning", f"{own}: {follows}. Measure against an instrument")
