@@ -115,7 +115,7 @@ def _reading(run: Run) -> list[Finding]:
     shift, spread = float(np.mean(deviation)), float(np.ptp(deviation))
     if spread > 0.0 and abs(shift) > _MANY_TIMES * spread:
         said = (
-            f"all deviations are off by {shift:+z.4g} µm, alike to within {spread:z.3g} µm: a datum, such as an instrument whose length is not "
+            f"all deviations are off by {shift:+z.1f} µm, alike to within {spread:z.3g} µm: a datum, such as an instrument whose length is not "
             "calibrated, or a radius other than the one stated; G does not count it, Fmax, Fmin and D do"
         )
         findings.append(Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread}))

@@ -130,7 +130,7 @@ def shifted_zero(test: LinearTest) -> Finding | None:
     if abs(shift) < _MANY_TIMES * spread:
         return None
     said = (
-        f"all readings are off by {shift:+z.4g} µm, alike to within {spread:z.2g} µm: a datum, the zero of instrument or axis; "
+        f"all readings are off by {shift:+z.1f} µm, alike to within {spread:z.3g} µm: a datum, the zero of instrument or axis; "
         "the figures of ISO 230-2 do not count it, and it is no error of positioning"
     )
     return Finding("linear.datum", "info", said, {"shift_um": shift, "spread_um": spread})

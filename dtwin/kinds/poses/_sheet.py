@@ -122,7 +122,7 @@ def _taken_away(run: Run, series: Series) -> str:
         written_mm = np.linalg.norm(means_of(measured_of(run) - axes(run, "target"), series.poses.place), axis=1)
         # Farther off is the frame of an instrument, not that of the robot.
         if "error_x_mm" in run.samples or written_mm.max() < _OTHER_FRAME_MM:
-            said += f"; as the file has its errors, AP is {1000.0 * written_mm.max():z.4g} µm"
+            said += f"; as the file has its errors, AP is {1000.0 * written_mm.max():z.0f} µm"
     if poses < _FEW_POSES:
         numbers = _NUMBERS[series.taken_away]
         many = "1 pose is" if poses == 1 else f"{poses} poses are"
