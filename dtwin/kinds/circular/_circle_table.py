@@ -34,6 +34,12 @@ SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
 _MAX_BYTES = 64 * 1024**2
 _FEWEST = 36
 """Rows of a circle."""
+_TOLD_ABOVE = (
+    ("radius_mm", re.compile(r"\bradius\b\W*(\d+(?:[.,]\d+)?)\s*mm\b(?!\s*/)", re.I)),
+    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*mm\s*/\s*min", re.I)),
+)
+"""Conditions as titles above the heads tell them."""
+_SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
 _MOST_OFF = 0.1
@@ -99,8 +105,10 @@ def read_circle_runs(
 
     Raises ``InputError`` when a unit or condition is missing, or the rows do not go round.
     """
-    columns, body = _table(rows_of(decoded(table_bytes(path, _MAX_BYTES))), path)
+    lines = rows_of(decoded(table_bytes(path, _MAX_BYTES)))
+    columns, body = _table(lines, path)
     form = _form_of(columns)
+    _require_as_titled(lines[: len(lines) - len(body)], stated, path)
     _require_one_meaning(columns, path)
     _require_one_table(columns, body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
@@ -219,6 +227,18 @@ def _require_one_table(columns: Sequence[Column], body: Sequence[Sequence[str]],
             ", ".join(other),
             "a file for each, or columns beside each other",
         )
+
+
+def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:
+    """Refuse a radius or a feed that is not the one which the titles of the table tell."""
+    for name, form in _TOLD_ABOVE:
+        titles = (" ".join(row) for row in above)
+        found = next((match for title in titles if (match := form.search(title)) is not None), None)
+        told = stated.get(name)
+        if found is not None and told and abs(float(found[1].replace(",", ".")) - told) > _SAME * told:
+            raise _wrong(
+                "the titles of the table tell another condition", path, found[0], f"{name} {told:g}, as it is told"
+            )
 
 
 def _bare(column: Column) -> str:

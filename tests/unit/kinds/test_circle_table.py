@@ -257,6 +257,16 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
     assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 0.0), abs=0.05)
 
 
+@pytest.mark.parametrize("title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min"])
+def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
+    text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
+    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min"
+    (run,) = read(tmp_path / "a.csv", f"{right}\n{text}")
+    assert run.meta.direction == "CCW"
+    with pytest.raises(InputError, match="another condition"):
+        read(tmp_path / "a.csv", f"{title}\n{text}")
+
+
 def test_a_second_table_below_the_first_is_refused(tmp_path: Path) -> None:
     first = table("angle [deg],cw [µm]", ANGLE[::-1], error_um(ANGLE, -1.0))
     with pytest.raises(InputError, match="second table"):
