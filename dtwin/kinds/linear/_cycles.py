@@ -93,7 +93,7 @@ def spoilt_finding(test: LinearTest) -> Finding | None:
     if not found:
         return None
     told = "; ".join(
-        f"cycle {s.cycle + 1} {s.way} at {test.position_mm[s.target]:g} mm: {s.off_um:+z.3g} µm from the other "
+        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} mm: {s.off_um:+z.3g} µm from the other "
         f"{test.forward_um.shape[1] - 1}, which agree within {s.span_um:.2g} µm"
         for s in found[:6]
     )
@@ -201,8 +201,8 @@ def moving_zero(test: LinearTest) -> Finding | None:
     tried("slip", "", [cycle], 0)
     between = [(cycle >= at).astype(float) for at in range(1, cycles)]
     tried("jumps", "cycle to cycle", between, 0)
-    for number, step in enumerate(between, start=2):
-        tried("jump", f"cycle {number}", [step], 1)
+    for number, step in enumerate(between, start=1):
+        tried("jump", f"cycle {test.cycle(number)}", [step], 1)
     for way in [test.first] if test.first else list(orders):
         within = orders[way][:, :, None] + cycle
         tried("slip", "", [within], 0)
@@ -301,7 +301,7 @@ def _places(at: Sequence[float], within: Floats, test: LinearTest) -> str:
         way, target, cycle = (
             int(i) for i in np.argwhere(within >= time - 1e-9)[np.argmin(within[within >= time - 1e-9])]
         )
-        told.append(f"cycle {cycle + 1} {test.ways[way]} at {test.position_mm[target]:g} mm")
+        told.append(f"cycle {test.cycle(cycle)} {test.ways[way]} at {test.position_mm[target]:g} mm")
     return ", ".join(told)
 
 

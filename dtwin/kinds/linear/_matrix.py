@@ -25,6 +25,7 @@ class LinearTest:
     ``pitch_mm``: travel in one turn of the screw.
     ``first``: direction that each run began with; empty where the clock is assumed.
     ``ways``: directions of both matrices; twice the same of runs that have one only.
+    ``repeats``: what the runs are called; empty where they are counted.
     """
 
     position_mm: Floats
@@ -35,6 +36,11 @@ class LinearTest:
     axis: str = "Z"
     first: str = "forward"
     ways: tuple[str, str] = ("forward", "reverse")
+    repeats: tuple[int, ...] = ()
+
+    def cycle(self, index: int) -> int:
+        """Return the number of a cycle, from 0, as people know it: its repeat, also where others were left out."""
+        return self.repeats[index] if self.repeats else index + 1
 
 
 def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse")) -> LinearTest:
@@ -49,6 +55,7 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
     targets = anywhere[times == len(columns)]
     matrix = np.stack([errors[np.isin(numbers, targets, assume_unique=True)] for numbers, errors in columns], axis=1)
     pitch = runs[0].meta.condition.get("screw_pitch_mm")
+    repeats = tuple(run.meta.repeat for run in runs)
     return LinearTest(
         position_mm=targets * TARGET_MM,
         forward_um=matrix[:, : len(runs)],
@@ -58,6 +65,7 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
         axis=str(runs[0].meta.condition.get("axis", "Z")),
         first=_first(runs),
         ways=ways,
+        repeats=repeats if len(set(repeats)) == len(repeats) else (),
     )
 
 

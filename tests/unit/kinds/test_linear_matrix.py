@@ -42,3 +42,15 @@ def test_cycles_stand_in_the_order_of_their_repeats_not_of_their_names() -> None
         moved.append(replace(run, samples={**run.samples, "error_um": run.samples["error_um"] + lost}))
     assert np.allclose(np.diff(linear_test(moved).forward_um, axis=1), -12.5, atol=2.0)
     assert [f.code for f in kind_named("linear").judge_campaign(moved)] == ["linear.slip"]
+
+
+def test_a_cycle_keeps_its_number_where_another_is_left_out() -> None:
+    rng = np.random.default_rng(0)
+    runs = []
+    for number in (1, 3, 4, 5, 6):
+        run = swept(number, [5.0, 24.0, 43.0, 62.0], [62.0, 43.0, 24.0, 5.0])
+        error_um = run.samples["error_um"] + rng.normal(0.0, 0.3, 8)
+        error_um[2] += 50.0 * (number == 4)
+        runs.append(replace(run, samples={**run.samples, "error_um": error_um}))
+    (found,) = kind_named("linear").judge_campaign(runs)
+    assert "cycle 4 forward at 43 mm" in found.message
