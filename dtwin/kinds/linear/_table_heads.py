@@ -52,7 +52,7 @@ OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|re
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-_SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess)", re.I)
+_SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
 _WORDS = {

@@ -527,13 +527,15 @@ def test_directions_that_are_not_named_are_told_by_the_order_of_targets(
     assert all("linear.direction_assumed" in [f.code for f in run.findings] for run in runs)
 
 
-def test_columns_of_cycles_without_a_direction_are_asked_for_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("head", ["Messung 1 [mm]", "1 [mm]"])
+def test_columns_of_cycles_without_a_direction_are_asked_for_it(tmp_path: Path, head: str) -> None:
     path = tmp_path / "a.csv"
-    path.write_text("Soll [mm];Messung 1 [mm];Messung 2 [mm]\n0;0,001;0,002\n9;9,001;9,002\n", encoding="utf-8")
+    heads = f"Soll [mm];{head};{head.replace('1', '2')}"
+    path.write_text(f"{heads}\n0;0,001;0,002\n9;9,001;9,002\n", encoding="utf-8")
     assert is_position_table(path)
     with pytest.raises(InputError) as refused:
         read_position_table(path)
-    assert (refused.value.code, refused.value.got) == ("position_table.direction", "Messung 1 [mm]")
+    assert (refused.value.code, refused.value.got) == ("position_table.direction", head)
 
 
 def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
