@@ -16,7 +16,7 @@ from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Effect
 from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.library import Library
-from dtwin.pipeline.kept import kept, stamp_of
+from dtwin.pipeline.kept import kept, kept_already, stamp_of
 from dtwin.progress import Progress
 from dtwin.report.joint import joint_lines
 from dtwin.twins.measured import load
@@ -73,12 +73,26 @@ def compared(
 
     ``chosen``: their rows of the lake's table of runs, by name.
     """
-    stamp = " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(library)
     made: dict[str, Any] = kept(
-        home, "joint", machine, stamp, lambda: _compared(home, machine, list(chosen), library, progress)
+        home,
+        "joint",
+        machine,
+        _stamp(chosen, library),
+        lambda: _compared(home, machine, list(chosen), library, progress),
     )
     # What happened may be recorded after the tests were compared.
     return {**made, "lines": joint_lines(made, library, events_of(home, machine))}
+
+
+def is_compared(home: Home, machine: str, library: Mapping[str, Effect]) -> bool:
+    """Whether what the newest tests of a machine find is kept, so that it takes no diagnosis to say it."""
+    chosen = newest_tests(Lake(home.lake).runs(left_out=True, machine=machine), machine)
+    return not chosen or kept_already(home, "joint", machine, _stamp(chosen, library)) is not None
+
+
+def _stamp(chosen: Mapping[str, _Rows], library: Mapping[str, Effect]) -> str:
+    """Return what changes with the tests, and with the effects that may be in them."""
+    return " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(library)
 
 
 def _compared(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -14,18 +14,20 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.machine_record import EVENTS, keep_record, record_with, with_event
 from dtwin.pipeline.machine_history import machine_overviews
-from dtwin.pipeline.machine_joint import machine_joint
+from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.joint import title_of
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip
+from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, download, drawn, rendered
 from dtwin.workbench._plan_routes import planned_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
+_TITLES = {"together": "Tests of {} together", "next": "Next test of {}"}
 
 
 class EventTold(BaseModel):
@@ -78,22 +80,24 @@ def machine_page(request: Request, name: str) -> Response:
 @router.post("/api/machines/{name}/together")
 def compare_tests(request: Request, name: str) -> JSONResponse:
     """Diagnose the newest test of each sort and compare them."""
-    bench = bench_of(request)
+    return _worked_out(bench_of(request), name, "together", machine_joint)
 
-    def work(tell: Any) -> str:
-        machine_joint(bench.home, name, library=bench.library)
-        return f"/machines/{name}/together"
 
-    return accepted(bench.jobs.start(f"Tests of {name} together", work))
+@router.post("/api/machines/{name}/next")
+def find_next(request: Request, name: str) -> JSONResponse:
+    """Diagnose the newest test of each sort and find which test tells most after them."""
+    return _worked_out(bench_of(request), name, "next", machine_next)
 
 
 @router.get("/machines/{name}/together")
 def together(request: Request, name: str) -> Response:
     """Show what the tests of a machine say together."""
     bench = bench_of(request)
+    if not is_compared(bench.home, name, bench.library):
+        return _not_diagnosed(request, name, "together")
     diagnosis = machine_joint(bench.home, name, library=bench.library)
     groups = {t["campaign"]: [[title_of(n, bench.library) for n in g] for g in t["found"]] for t in diagnosis["tests"]}
-    title = f"Tests of {name} together"
+    title = _TITLES["together"].format(name)
     return rendered(request, "together.html", title=title, machine=name, found=diagnosis, groups=groups)
 
 
@@ -101,8 +105,10 @@ def together(request: Request, name: str) -> Response:
 def next_page(request: Request, name: str) -> Response:
     """Show which test tells most for its time."""
     bench = bench_of(request)
+    if not is_compared(bench.home, name, bench.library):
+        return _not_diagnosed(request, name, "next")
     advice = machine_next(bench.home, name, library=bench.library)
-    return rendered(request, "next.html", title=f"Next test of {name}", found=advice)
+    return rendered(request, "next.html", title=_TITLES["next"].format(name), found=advice)
 
 
 @router.get("/machines/{name}/next/{test}.{ending}")
@@ -165,7 +171,7 @@ def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
     bench = bench_of(request)
     bench.history(name)
 
-    def work(tell: Any) -> str:
+    def work(tell: Tell) -> str:
         with_event(bench.home, name, told.what, told.on, told.note)
         return f"/machines/{name}"
 
@@ -185,12 +191,28 @@ def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONRespon
     return _stated(bench_of(request), name, "Tests", {"test_every_days": told.days})
 
 
+def _worked_out(bench: Bench, name: str, what: str, make: Callable[..., Any]) -> JSONResponse:
+    """Do what takes a diagnosis of each test as work of its own, and go to its page."""
+
+    def work(tell: Tell) -> str:
+        tell("diagnose the newest test of each sort")
+        make(bench.home, name, library=bench.library, progress=lambda done, total, of: tell(f"{done} of {total}, {of}"))
+        return f"/machines/{name}/{what}"
+
+    return accepted(bench.jobs.start(_TITLES[what].format(name), work))
+
+
+def _not_diagnosed(request: Request, name: str, what: str) -> Response:
+    """Offer to diagnose the newest tests, for a page that says what they find."""
+    return rendered(request, "undiagnosed.html", title=_TITLES[what].format(name), machine=name, what=what)
+
+
 def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JSONResponse:
     """Write the record of a machine with what is stated; tables are joined."""
     # What is not usable is refused at once; the work before this one may change the record still.
     record_with(bench.home, name, stated)
 
-    def work(tell: Any) -> str:
+    def work(tell: Tell) -> str:
         keep_record(bench.home, name, stated)
         return f"/machines/{name}"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 import tomllib
 import zipfile
 from pathlib import Path
@@ -90,8 +91,20 @@ def test_a_test_without_repeats_of_a_kind_that_is_not_proposed_counts(home: Path
 
 
 def test_the_page_shows_the_tests_and_gives_their_files(home: Path) -> None:
-    browser = TestClient(application(Bench(Home(home), Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    address = "http://127.0.0.1:8765"
+    access = Access("127.0.0.1", 8765)
+    browser = TestClient(application(Bench(Home(home), access)), base_url=address, headers={"Origin": address})
+    browser.get("/", params={"token": access.token})
     assert "/machines/mill-7/next" in browser.get("/machines/mill-7").text
+    # A diagnosis takes longer than a page may.
+    (home / "kept/joint/mill-7.json").unlink(missing_ok=True)
+    for what in ("next", "together"):
+        assert f'data-post="/api/machines/mill-7/{what}"' in browser.get(f"/machines/mill-7/{what}").text
+    assert not (home / "kept/joint/mill-7.json").exists()
+    job = browser.post("/api/machines/mill-7/next", json={}).json()["job"]
+    while (work := browser.get(f"/api/jobs/{job}").json())["state"] in ("waiting", "running"):
+        time.sleep(0.05)
+    assert work["address"] == "/machines/mill-7/next", work
     page = browser.get("/machines/mill-7/next").text
     tests = said("machine", "next", "mill-7")["tests"]
     assert all(test["name"] in page for test in tests)
