@@ -84,7 +84,8 @@ def nightly(
         Time for which a file must stand still; what does not within a minute is left to the next night.
     """
     channels = channels_of(home)
-    arrived = [] if folder is None else _taken_in(home, folder, settle_s)
+    seen = None if folder is None else FolderWatch(folder, home, settle_s=settle_s, note_at_once=False)
+    arrived = [] if seen is None else _taken_in(seen, settle_s)
 
     def done(job: Job) -> FleetRun:
         told = None if progress is None else partial(progress, job.name)
@@ -95,10 +96,13 @@ def nightly(
     day = today or datetime.now(UTC).date()
     night.alerts = sorted_alerts([*_of_work(night, folder), *_of_machines(home, machines, day, looked_at)])
     night.told = tell(home, night.alerts, channels, today)
+    # A night that is cut short before tells the next time what it refused.
+    if seen is not None and arrived:
+        seen.note()
     return night
 
 
-def _taken_in(home: Home, folder: Path, settle_s: float) -> list[WatchEvent]:
+def _taken_in(seen: FolderWatch, settle_s: float) -> list[WatchEvent]:
     """Return what became of all that stands still in a folder."""
     arrived: list[WatchEvent] = []
     until = time.monotonic() + _LONGEST_WAIT_S
@@ -107,7 +111,7 @@ def _taken_in(home: Home, folder: Path, settle_s: float) -> list[WatchEvent]:
         time.sleep(seconds)
         return time.monotonic() > until
 
-    watch(FolderWatch(folder, home, settle_s=settle_s), arrived.append, wait, every_s=min(1.0, settle_s), once=True)
+    watch(seen, arrived.append, wait, every_s=min(1.0, settle_s), once=True)
     return arrived
 
 

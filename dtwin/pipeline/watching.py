@@ -59,31 +59,51 @@ class FolderWatch:
         Machines that may be ingested, besides those that the lake knows already.
     settle_s : float
         Time for which a file must stand still before it is read.
+    note_at_once : bool
+        Note what was seen when it was told; else when :meth:`note` is called.
     """
 
-    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = _SETTLE_S) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        home: Home,
+        machines: Collection[str] = (),
+        settle_s: float = _SETTLE_S,
+        note_at_once: bool = True,
+    ) -> None:
         self._arrivals = Arrivals(folder, settle_s, lambda path: path.suffix.lower() in _ALONE)
         self._home, self._named = home, frozenset(machines)
         self._file = _state_file(home, folder)
         self._known: dict[str, dict[str, Any]] = _read(self._file)
-        self._gone = False
+        self._gone, self._at_once = False, note_at_once
 
     @property
     def idle(self) -> bool:
         """Whether nothing that was seen is still being written."""
         return not self._arrivals.moving
 
-    def look(self) -> list[WatchEvent]:
-        """Look once, and return what is new since the last look."""
+    def look(self) -> Iterator[WatchEvent]:
+        """Look once, and yield what is new since the last look; it is noted after that, so that a kill tells it again."""
         try:
             arrived = self._arrivals.look()
         except OSError as error:
             told = not self._gone
             self._gone = True
             reason = f"the folder cannot be read now: {error.strerror or error}; looking again"
-            return [WatchEvent(str(self._arrivals.folder), "not reachable", reason)] * told
+            if told:
+                yield WatchEvent(str(self._arrivals.folder), "not reachable", reason)
+            return
         self._gone = False
-        return [event for arrival in arrived if (event := self._taken(arrival)) is not None]
+        for arrival in arrived:
+            event = self._taken(arrival)
+            if event is not None:
+                yield event
+                if self._at_once:
+                    self.note()
+
+    def note(self) -> None:
+        """Keep what was seen: another watch says no more of it."""
+        write_text(self._file, json.dumps(self._known, indent=1), "the state of the watch")
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -120,7 +140,6 @@ class FolderWatch:
             "machine": machine,
             "campaign": event.campaign,
         }
-        write_text(self._file, json.dumps(self._known, indent=1), "the state of the watch")
         return event
 
     def _judged(self, arrival: Arrival, digest: str) -> tuple[WatchEvent, str]:

@@ -290,3 +290,20 @@ def test_a_night_takes_in_diagnoses_and_lists_what_is_late_and_failed(
     assert not again.diagnosed.done
     assert [alert.key for alert in again.alerts] == ["overdue:mill-0"]
     assert len(hook[0]) == 1
+
+
+def test_a_file_that_was_refused_on_a_night_that_was_killed_is_told_the_next_night(
+    tmp_path: Path, hook: tuple[list[dict[str, Any]], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = state(f'[webhook]\nurl = "http://127.0.0.1:{hook[1]}/alerts"\n')
+    arriving = tmp_path / "arriving"
+    arriving.mkdir()
+    (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")
+    with monkeypatch.context() as killed:
+        killed.setattr("dtwin.fleet._nightly.tell", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
+    for alerts in (["failed:spoilt.b5r"], []):
+        night = nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
+        assert [alert.key for alert in night.alerts] == alerts
+    assert len(hook[0]) == 1
