@@ -31,10 +31,12 @@ def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) 
 
 
 def clean(value: Any) -> Any:
-    """Return the value with NaN and infinities as null, which JSON knows."""
+    """Return the value with NaN and infinities as null, which JSON knows, and no size that the runs do not tell."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
+        if value.get("identifiable") is False:
+            value = {**value, "value": None, "uncertainty": None}
         return {str(k): clean(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [clean(v) for v in value]

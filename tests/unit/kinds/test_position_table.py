@@ -724,3 +724,22 @@ def test_an_instrument_is_told_of_a_report_that_names_it_only(tmp_path: Path) ->
     with pytest.raises(InputError) as refused:
         check_source(path, told={"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0, "instrument": "laser"})
     assert (refused.value.code, refused.value.got) == ("ingest.kind", "instrument laser")
+
+
+def test_a_drift_that_a_table_without_a_clock_does_not_tell_is_no_number_in_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    file = tmp_path / "axis.csv"
+    rows = [(way, cycle, 50.0 * i) for cycle in (1, 2, 3) for way in ("forward", "reverse") for i in range(9)]
+    errors = np.random.default_rng(1).normal(0.0, 0.3, len(rows))
+    lines = [f"{at},{cycle},{way},{um + 0.01 * at}" for (way, cycle, at), um in zip(rows, errors, strict=True)]
+    file.write_text("\n".join(["target_mm,cycle,direction,error_um", *lines]), encoding="utf-8")
+    invoked = CliRunner().invoke(app, ["ingest", str(file), "--axis", "X", "--machine", "m"], catch_exceptions=False)
+    assert invoked.exit_code == 0, invoked.output
+    told = ["twin", "fit", "axis", "--effects", "thermal_drift", "--name", "t"]
+    text = CliRunner().invoke(app, told, catch_exceptions=False).stdout
+    assert re.search(r"shift x +not told", text), text
+    shown = json.loads(CliRunner().invoke(app, [*told, "--json"], catch_exceptions=False).stdout)
+    (drift,) = [p for p in shown["parameters"] if p["name"] == "shift_x"]
+    assert (drift["value"], drift["uncertainty"], drift["identifiable"]) == (None, None, False)
