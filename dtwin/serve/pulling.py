@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import socket
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -29,7 +31,6 @@ from dtwin.serve.bundle_file import parse_json, read_bytes, write_json
 from dtwin.serve.delivery import KEY_FILE, LARGEST, MAC, NONCE, answer, install, question, read_key, same
 
 _EVERY_S, _PATIENCE_S, _LONGEST_S, _POLITE = 5.0, 10.0, 60.0, 10
-_PART = 65536
 _MAX_NOTE = 10_000
 
 
@@ -82,36 +83,71 @@ def _asked(url: str, machine: str, key: bytes) -> bytes:
     place = f"{url.rstrip('/')}/delivery/{quote(machine, safe='')}"
     nonce = token_hex(16)
     asked = urllib.request.Request(place, headers={NONCE: nonce, MAC: question(key, nonce, machine)})
-    until_s, content = time.monotonic() + _LONGEST_S, bytearray()
     try:
-        with urllib.request.build_opener(_NoRedirect).open(asked, timeout=_PATIENCE_S) as reply:
-            signature = reply.headers.get(MAC, "")
-            # One that sends a byte now and then must not hold up what serves, nor hide that nothing new comes.
-            while len(content) <= LARGEST and (part := reply.read1(_PART)):
-                content += part
-                if time.monotonic() > until_s:
-                    raise TimeoutError(f"it was not all there after {_LONGEST_S:g} s")
-    except urllib.error.HTTPError as error:
-        with error:
-            raise StoreError(
-                "the other computer delivers nothing",
-                code="pull.refused",
-                where=place,
-                got=f"{error.code} {error.read(300).decode(errors='replace').strip()}",
-                hint="its key must be this host's, its home must have the machine",
-            ) from error
+        with _limited(time.monotonic() + _LONGEST_S) as opener:
+            try:
+                with opener.open(asked, timeout=_PATIENCE_S) as reply:
+                    signature, content = reply.headers.get(MAC, ""), reply.read(LARGEST + 1)
+            except urllib.error.HTTPError as error:
+                with error:
+                    said = error.read(300).decode(errors="replace").strip()
+                raise StoreError(
+                    "the other computer delivers nothing",
+                    code="pull.refused",
+                    where=place,
+                    got=f"{error.code} {said}",
+                    hint="its key must be this host's, its home must have the machine",
+                ) from error
     except (OSError, HTTPException, ValueError) as error:
         raise StoreError(
             "the other computer does not answer", code="pull.away", where=place, got=str(error)[:160]
         ) from error
-    if len(content) > LARGEST or not same(signature, answer(key, nonce, bytes(content))):
+    if len(content) > LARGEST or not same(signature, answer(key, nonce, content)):
         raise GateRefusal(
             "what was delivered is not signed with the key of this host, or was changed on its way",
             code="pull.signature",
             where=place,
             hint=f"compare {KEY_FILE} of both computers",
         )
-    return bytes(content)
+    return content
+
+
+@contextlib.contextmanager
+def _limited(until_s: float) -> Iterator[urllib.request.OpenerDirector]:
+    """Yield what opens an address, and cut its connection at a time: a server may send a byte now and then for ever.
+
+    Raises ``TimeoutError`` at the end when the time is over: what was read may be whole by chance only.
+    """
+    sockets: list[socket.socket] = []
+
+    def cut() -> None:
+        for connected in sockets:
+            with contextlib.suppress(OSError):
+                connected.shutdown(socket.SHUT_RDWR)
+
+    class Told(urllib.request.AbstractHTTPHandler):
+        def do_open(self, http_class: Any, req: Any, **more: Any) -> Any:
+            class Connection(http_class):
+                def connect(self) -> None:
+                    super().connect()
+                    sockets.append(self.sock)
+
+            return super().do_open(Connection, req, **more)
+
+    plain = type("Plain", (Told, urllib.request.HTTPHandler), {})
+    secure = type("Secure", (Told, urllib.request.HTTPSHandler), {})
+    timer = threading.Timer(until_s - time.monotonic(), cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield urllib.request.build_opener(_NoRedirect, plain, secure)
+    except (OSError, HTTPException):
+        if time.monotonic() < until_s:
+            raise
+    finally:
+        timer.cancel()
+    if time.monotonic() >= until_s:
+        raise TimeoutError(f"it was not all there after {_LONGEST_S:g} s")
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):

@@ -37,6 +37,7 @@ from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
 from dtwin.workbench._access import Access, Guarded
 from dtwin.workbench._bench import Bench
+from dtwin.workbench._connections import Connection
 from dtwin.workbench._pages import refused
 
 _WARMED_TWINS = 3
@@ -99,7 +100,12 @@ def run(
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
     config = uvicorn.Config(
-        application(bench), log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=3
+        application(bench),
+        http=Connection,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=3,
     )
     _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
 

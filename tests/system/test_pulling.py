@@ -218,13 +218,25 @@ def test_a_host_that_never_fetched_anything_serves_nothing(host: Home) -> None:
             pull(url, MACHINE, host)
 
 
-def test_a_server_that_sends_a_byte_now_and_then_is_given_up(host: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "begun",
+    [
+        "",
+        "HTTP/1.1 100 Continue\r\nA: ",
+        "HTTP/1.1 200 OK\r\nA: ",
+        "HTTP/1.1 200 OK\r\n\r\n",
+        "HTTP/1.1 403 No\r\n\r\n",
+    ],
+    ids=("nothing", "go on", "head", "body", "refusal"),
+)
+def test_a_server_that_sends_a_byte_now_and_then_is_given_up(
+    host: Home, monkeypatch: pytest.MonkeyPatch, begun: str
+) -> None:
     ended = threading.Event()
 
     class Drips(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.send_response(200)
-            self.end_headers()
+            self.wfile.write(begun.encode())
             with contextlib.suppress(OSError):
                 while not ended.wait(0.05):
                     self.wfile.write(b" ")
@@ -238,7 +250,7 @@ def test_a_server_that_sends_a_byte_now_and_then_is_given_up(host: Home, monkeyp
         # Without a limit it ends, too, but when the server does.
         timer = threading.Timer(60.0, ended.set)
         timer.start()
-        with pytest.raises(StoreError, match="does not answer"):
+        with pytest.raises(StoreError, match="delivers nothing" if "403" in begun else "does not answer"):
             pull(f"http://127.0.0.1:{server.server_address[1]}", MACHINE, host)
         timer.cancel()
         ended.set()

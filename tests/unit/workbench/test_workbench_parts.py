@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import asyncio
 import io
+import socket
 import subprocess
 import sys
 import threading
@@ -12,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import uvicorn
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
@@ -21,9 +24,11 @@ from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
 from dtwin.twins.measured import pure_rms_um
+from dtwin.workbench import _connections
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench._cache import Cache
+from dtwin.workbench._connections import Connection
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._numbers import decimal
@@ -211,3 +216,38 @@ _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", _BEGUN, str(tmp_path)], capture_output=True, text=True, timeout=60)
     assert ended.stderr.strip() == "pandas: True"
+
+
+def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing, a head that comes byte by byte, and one after an answer."""
+    monkeypatch.setattr(_connections, "_PATIENCE_S", 0.4)
+
+    async def slow(scope: Any, receive: Any, send: Any) -> None:
+        await asyncio.sleep(1.0)
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
+        await send({"type": "http.response.body", "body": b"ok"})
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        config = uvicorn.Config(slow, http=Connection, lifespan="off", log_level="error", timeout_keep_alive=600)
+        server = uvicorn.Server(config)
+        serving = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
+        serving.start()
+        whole = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
+        for asked, answered in ((b"", False), (b"GET / HTTP/1.1\r\n", False), (whole, True)):
+            with socket.create_connection(listening.getsockname(), timeout=60.0) as client:
+                client.sendall(asked)
+                if answered:
+                    assert client.recv(4096).startswith(b"HTTP/1.1 200")
+                client.settimeout(0.05)
+                for _ in range(1200):  # Without a limit it goes on.
+                    try:
+                        if client.recv(4096) == b"":
+                            break
+                    except TimeoutError:
+                        client.sendall(asked and b"x")
+                    except ConnectionError:
+                        break
+                else:
+                    pytest.fail(f"open still: {asked!r}")
+        server.should_exit = True
+        serving.join(60.0)
