@@ -127,7 +127,7 @@ class MTConnectRecorder(OpenAndClose):
         held = self._sink()
         asked = {"from": self._next, "count": self._count}
         try:
-            header, observed = self._streams(self._patiently("sample", asked))
+            header, observed = self._patiently("sample", asked)
         except OutOfRange:
             self._go_on(held)
             return
@@ -142,7 +142,7 @@ class MTConnectRecorder(OpenAndClose):
 
     def _go_on(self, held: Held) -> None:
         """Go on with what holds now, after an agent that counts anew or no longer has what is next; tell the gap."""
-        header, observed = self._streams(self._patiently("current"))
+        header, observed = self._patiently("current")
         held.lose(header.created_s, _RESTARTED if header.instance != self._instance else _OVERRUN)
         held.take(replace_time(one, header.created_s) for one in observed)
         self._next, self._instance, self._known_s = header.next, header.instance, header.created_s
@@ -166,15 +166,19 @@ class MTConnectRecorder(OpenAndClose):
         """Return a time by the clock as it was at the beginning; an answer may hold times of before and after it was set."""
         return min((time_s - self._set_s, time_s - self._before_s), key=lambda told_s: abs(told_s - self._known_s))
 
-    def _patiently(self, what: str, query: dict[str, Any] | None = None) -> bytes:
-        """Return an answer; the agent keeps what is observed while it cannot be reached."""
-        until_s = time.monotonic() + self._patience_s
+    def _patiently(self, what: str, query: dict[str, Any] | None = None) -> tuple[Header, list[Observed]]:
+        """Return what an answer holds; the agent keeps what is observed while it cannot be reached, or a page stands in its place."""
+        until_s, said = time.monotonic() + self._patience_s, False
         while True:
             try:
-                return self._answer(what, query)
-            except DeviceError as error:
-                if error.code != "mtconnect.absent" or time.monotonic() >= until_s:
+                return self._streams(self._answer(what, query))
+            except (DeviceError, InputError) as error:
+                spoilt = error.code == "mtconnect.document" or str(error.code).startswith("xml.")
+                if not (spoilt or error.code == "mtconnect.absent") or time.monotonic() >= until_s:
                     raise
+                if spoilt and not said:
+                    self._sink().say(f"the agent's answer was none: {error.message}; it is asked again")
+                    said = True
                 time.sleep(self._poll_s)
 
     def _answer(self, what: str, query: dict[str, Any] | None = None) -> bytes:

@@ -172,16 +172,41 @@ def test_a_clock_that_is_set_meanwhile_makes_no_values_and_no_end(
     assert [e.text for r in readings for e in r.events if "clock" in e.text] != []
 
 
-def test_an_agent_that_is_not_ready_yet_is_waited_for(agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("status", "body", "told"),
+    [
+        (503, b"<html>starting</html>", 0),
+        (200, b"<html><body>Sign in</body></html>", 1),
+        (200, b"<!DOCTYPE html><p>Sign in<br>", 1),
+        (200, b'<?xml version="1.0"?><MTConnectStreams><Header nextSequ', 1),
+        (200, b"", 1),
+    ],
+    ids=("starting", "page", "old page", "cut off", "nothing"),
+)
+def test_an_agent_that_is_not_ready_yet_is_waited_for(
+    agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch, status: int, body: bytes, told: int
+) -> None:
     agent.observe("xpos", "1.0", 0.0)
     with recorder(url, patience_s=30.0) as device:
         device.start()
-        answer, refused = agent.answer, [b"<html>starting</html>"] * 3
-        monkeypatch.setattr(agent, "answer", lambda path: (503, refused.pop()) if refused else answer(path))
+        answer, refused = agent.answer, [body] * 3
+        monkeypatch.setattr(agent, "answer", lambda path: (status, refused.pop()) if refused else answer(path))
         agent.now_s = BEGUN_S + 0.5
-        assert len(column(until(device, 0.5), "xact_mm")) >= 5
+        readings = until(device, 0.5)
         device.stop()
+    assert len(column(readings, "xact_mm")) >= 5
     assert refused == []
+    assert len([e.text for r in readings for e in r.events if "asked again" in e.text]) == told
+
+
+def test_an_agent_in_whose_place_a_page_stays_is_said(agent: Agent, url: str) -> None:
+    with recorder(url) as device:
+        device.start()
+        until(device, 0.0)
+        agent.body = b"<html><body>Sign in</body></html>"
+        with pytest.raises(DeviceError) as caught:
+            until(device, 5.0)
+    assert caught.value.code == "mtconnect.document"
 
 
 def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
