@@ -131,8 +131,10 @@ class Held:
         del self._waiting[:place]
         self._given += n
         columns = {name: table[:, k].copy() for k, name in enumerate((STAMP, *self._columns))}
-        events = tuple(self._events)
-        self._events.clear()
+        # Nobody keeps a reading that is empty.
+        events = tuple(self._events) if n or lost else ()
+        if events:
+            self._events.clear()
         return Reading(columns, lost, self._why if lost else "", events)
 
     def _lost(self) -> int:

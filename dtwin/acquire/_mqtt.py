@@ -26,6 +26,7 @@ _MAX_BYTES = 100_000
 _MOST_WAITING = 200_000
 _AWAY = "the broker could not be reached"
 _BEHIND_S = 0.5
+_ABSENT = object()
 
 
 class MqttRecorder(OpenAndClose):
@@ -83,6 +84,7 @@ class MqttRecorder(OpenAndClose):
         self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
         self._running, self._away_s, self._refused = False, math.nan, 0
         self._newest_s = self._monotonic_s = math.nan
+        self._spoilt: set[str] = set()
 
     def open(self) -> None:
         """Connect and subscribe."""
@@ -145,6 +147,7 @@ class MqttRecorder(OpenAndClose):
         """Begin with the first message."""
         self._require_open()
         self._held.restart()
+        self._spoilt.clear()
         self._newest_s = self._monotonic_s = self._away_s = math.nan
         self._running = True
 
@@ -219,25 +222,37 @@ class MqttRecorder(OpenAndClose):
     def _observed(self, came_s: float, topic: str, payload: bytes) -> tuple[list[Observed], bool]:
         """Return the observations of a message, and whether a part of it was refused."""
         keys = [k for k in (*self._columns, *self._events) if k.partition("#")[0] == topic]
-        if len(payload) > _MAX_BYTES:
-            return [], True
         try:
-            content = _content(payload)
+            content = None if len(payload) > _MAX_BYTES else _content(payload)
+        except (ValueError, RecursionError):
+            content = None
+        try:
             time_s = came_s if not self._sender_time else _time_of(content, self._sender_time, topic)
-        except (ValueError, RecursionError, DeviceError):
-            return [], True
+        except (ValueError, DeviceError):
+            # What is no JSON has no time of its own: it is as new as what is known.
+            time_s = -math.inf if isinstance(content, dict) else self._known_s()
+            if math.isinf(time_s):
+                return [], True
         observed, wrong = [], False
         for key in keys:
             value = _member(content, key.partition("#")[2])
             if key in self._columns:
                 number = _number(value)
                 wrong = wrong or number is None
-                if number is not None:
-                    observed.append(Observed(self._columns[key], time_s, number))
-            elif value is not None:
+                if value is not _ABSENT:
+                    observed.append(Observed(self._columns[key], time_s, math.nan if number is None else number))
+                    self._tell(self._columns[key], payload, number)
+            elif value is not None and value is not _ABSENT:
                 text = "" if value is False else "on" if value is True else str(value)[:200]
                 observed.append(Observed(self._events[key], time_s, text, key in self._alarms))
         return observed, wrong
+
+    def _tell(self, column: str, payload: bytes, number: float | None) -> None:
+        """Say once of each column that what came for it was no number."""
+        if number is None and column not in self._spoilt:
+            self._spoilt.add(column)
+            got = payload[:40].decode("utf-8", "replace")
+            self._held.say(f"{column}: what came was no number ({got}): missing until the next one")
 
     def _absent(self, got: str) -> DeviceError:
         return DeviceError(
@@ -264,9 +279,11 @@ def _content(payload: bytes) -> Any:
 
 
 def _member(content: Any, path: str) -> Any:
-    """Return a member of JSON by its names with points between; None when there is none."""
+    """Return a member of JSON by its names with points between; ``_ABSENT`` when a message of JSON says nothing of it."""
     for name in path.split(".") if path else ():
-        content = content.get(name) if isinstance(content, dict) else None
+        if isinstance(content, dict) and name not in content:
+            return _ABSENT
+        content = content[name] if isinstance(content, dict) else None
     return content
 
 

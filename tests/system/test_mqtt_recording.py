@@ -94,7 +94,8 @@ def test_members_of_json_by_the_clock_of_the_sender(tmp_path: Path) -> None:
     # A mapping is no number: the topic names no member of it.
     assert np.isnan(found["spindle_c"]).all()
     assert refused.code == "mqtt.refused"
-    events_of = [e for r in readings for e in r.events]
+    said, *events_of = (e for r in readings for e in r.events)
+    assert said.text.startswith("spindle_c: what came was no number")
     assert [(e.name, e.text, e.alarm) for e in events_of] == [
         ("program", "O1", False),
         ("drive", "hot", True),
@@ -110,11 +111,38 @@ def test_plain_numbers_by_the_clock_of_this_computer(tmp_path: Path) -> None:
         publish("mill/x", "1.25")
         publish("mill/x", "not a number")
         publish("mill/x", b"\xff\xfe")
+        publish("mill/x", "1.25")
         publish("other", "9")
-        found, _ = until(device, lambda c: len(c["x_mm"]) >= 5)
+        found, _ = until(device, lambda c: np.isfinite(c["x_mm"]).sum() >= 5)
         assert device.check()[0].numbers == {"messages": 2.0}
-    assert set(found["x_mm"]) == {1.25}
+    assert set(found["x_mm"][np.isfinite(found["x_mm"])]) == {1.25}
     assert before - 0.1 <= found["timestamp_s"][0] <= time.time()
+
+
+@pytest.mark.parametrize("wrong", ["ERR", "null", "NaN", '{"at": %f, "x": null}'])
+@pytest.mark.parametrize("clock", ["receiver", "sender"])
+def test_what_is_no_number_is_missing_until_the_next_and_said(tmp_path: Path, wrong: str, clock: str) -> None:
+    changes = {"clock": "sender", "time": "at", "columns": {"mill#x": "x_mm"}} if clock == "sender" else {}
+    topic, now_s = ("mill" if clock == "sender" else "mill/x"), time.time()
+
+    def number(value: float, later_s: float) -> Any:
+        return {"at": now_s + later_s, "x": value} if clock == "sender" else value
+
+    with running_broker(tmp_path) as port, machine(port) as publish, recorder(port, **changes) as device:
+        device.start()
+        publish(topic, number(1.0, 0.0))
+        first, before = until(device, lambda c: len(c["x_mm"]) >= 5)
+        publish(topic, wrong % (now_s + 1.0) if "%f" in wrong else wrong)
+        missing, then = until(device, lambda c: bool(np.isnan(c["x_mm"]).any()))
+        publish(topic, number(3.0, 3.0))
+        _, after = until(device, lambda c: c["x_mm"].size > 0 and c["x_mm"][-1] == 3.0)
+        (finding,) = device.check()
+    assert set(first["x_mm"]) == {1.0}
+    assert set(missing["x_mm"][np.isnan(missing["x_mm"]).argmax() :].astype(str)) == {"nan"}
+    assert finding.numbers == {"messages": 1.0}
+    said = [e.text for r in (*before, *then, *after) for e in r.events if e.name == "recording"]
+    (text,) = said
+    assert text.startswith("x_mm: what came was no number")
 
 
 def test_a_broker_that_comes_back_leaves_a_gap(tmp_path: Path) -> None:
