@@ -73,6 +73,8 @@ def _answers(pairs: list[str]) -> dict[str, str]:
 
 
 def _text(understood: Understood, out: Path | None) -> str:
+    from dtwin.report.text import counted
+
     as_dict = understood.as_dict()
     lines = [f"{understood.path.name}: {understood.encoding}, columns parted by {as_dict['parted_by']}"]
     if understood.skipped:
@@ -97,7 +99,7 @@ def _text(understood: Understood, out: Path | None) -> str:
     if understood.runs:
         rows = sum(n for _, n in understood.runs)
         lines.append(
-            f"  {len(understood.runs)} runs, {rows} rows: {', '.join(name for name, _ in understood.runs)[:120]}"
+            f"  {counted(len(understood.runs), 'run')}, {counted(rows, 'row')}: {', '.join(name for name, _ in understood.runs)[:120]}"
         )
     lines.append(
         "nothing is written; --out FOLDER makes a campaign of it"

@@ -19,7 +19,7 @@ from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
-from dtwin.report.text import table
+from dtwin.report.text import counted, table
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.tolerances import Limits, limits_from
@@ -231,7 +231,7 @@ def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
 def render_check(result: dict[str, Any]) -> str:
     """Return the result of :func:`check_source` as text for a terminal."""
     runs = result["runs"]
-    lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
+    lines = [f"{result['source']}: machine {result['machine']}, {counted(len(runs), 'run')}"]
     lines += ["", *sheet_lines(result["sheet"])] if "sheet" in result else []
     kind = kind_named(result["kind"])
     if len(runs) <= _MAX_DETAILED and not kind.in_one_table:

@@ -38,6 +38,11 @@ def _cell(value: object) -> str:
     return " ".join(str(value).splitlines())
 
 
+def counted(number: int, what: str) -> str:
+    """Return how many there are: ``1 run``, ``2 runs``."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def micrometres(value: float | None) -> str:
     """Return micrometres for people: two decimals, below a tenth three digits that count."""
     if value is None or not math.isfinite(value):

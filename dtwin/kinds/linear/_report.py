@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.kinds.linear._check import phases_of
 from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.physics.linear import linear_figures
-from dtwin.report.text import table
+from dtwin.report.text import counted, table
 from dtwin.schema import Floats, Run
 
 _MAX_HARMONIC = 5
@@ -99,7 +99,7 @@ def positioning_lines(result: Mapping[str, Any]) -> list[str]:
     if not result["targets"]:
         return ["no target was read in every run from both sides: no figures"]
     lines = [
-        f"{result['runs']} runs, {result['targets']} targets from {result['from_mm']:z.3f} to "
+        f"{counted(result['runs'], 'run')}, {counted(result['targets'], 'target')} from {result['from_mm']:z.3f} to "
         f"{result['to_mm']:z.3f} mm"
         + ("" if not result["left_out_targets"] else f", {result['left_out_targets']} left out")
         + _phases(result)

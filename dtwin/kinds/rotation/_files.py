@@ -51,6 +51,7 @@ class Reading:
     ``channels``: ``angle_deg``, ``pulse_1``, ``speed_rpm`` where they are there.
     ``probes``: displacements or, ``by_speed``, run-outs in µm, by the probe's name.
     ``apart``: whether each channel has stamps of its own.
+    ``timed``: whether there is a time; else rows are counted.
     ``started``: ISO 8601 time of the first reading, empty when the file does not tell.
     """
 
@@ -155,7 +156,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     _require(columns, heads, path, needed)
     roles = {c.role for c in columns}
     # Run-out beside an angle is read at each place of the turn.
-    by_speed = TIME not in roles or (RUNOUT in roles and not roles & {ANGLE, PULSE})
+    by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
     probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
     if by_speed and any(columns[n].role == RUNOUT for n in probes):
         probes = [n for n in probes if columns[n].role == RUNOUT]

@@ -22,22 +22,25 @@ RADIAL = "radial"
 # Metres are no probe's.
 _LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
 _RAD_DEG = math.degrees(1.0)
-_PER_MINUTE = (
-    "rpm",
-    "1/min",
-    "/min",
-    "min-1",
-    "1_min",
-    "u/min",
-    "upm",
-    "umdr/min",
-    "rev/min",
-    "r/min",
-    "tr/min",
-    "giri/min",
-    "g/min",
-    "转/分",
-)
+_TURNS_RPM = dict.fromkeys(
+    (
+        "rpm",
+        "1/min",
+        "/min",
+        "min-1",
+        "1_min",
+        "u/min",
+        "upm",
+        "umdr/min",
+        "rev/min",
+        "r/min",
+        "tr/min",
+        "giri/min",
+        "g/min",
+        "转/分",
+    ),
+    1.0,
+) | {"krpm": 1000.0}
 """Units that nothing but a speed of rotation has."""
 _FACTORS: Mapping[str, Mapping[str, float]] = {
     TIME: TIMES_S,
@@ -47,9 +50,9 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
     | dict.fromkeys(
         ("rev", "revs", "revolutions", "turn", "turns", "umdrehung", "umdrehungen", "umdr", "tours", "giri"), 360.0
     ),
-    SPEED: dict.fromkeys(_PER_MINUTE, 1.0)
+    SPEED: _TURNS_RPM
     | dict.fromkeys(("hz", "rps", "rev/s", "r/s", "u/s", "tr/s", "1/s", "s-1"), 60.0)
-    | {"krpm": 1000.0, "rad/s": _RAD_DEG / 6.0}
+    | {"rad/s": _RAD_DEG / 6.0}
     | dict.fromkeys(("deg/s", "deg_s", "°/s"), 1.0 / 6.0),
     PULSE: {"1": 1.0, "v": 1.0},
 }
@@ -128,8 +131,8 @@ def column_of(head: str, unit_below: str = "") -> Column:
     # Of "run-out in µm" the last word is none of the name.
     words = re.sub(r"\s+in$", "", words)
     if told not in _LENGTH_UM:
-        if told in _PER_MINUTE:
-            return Column(SPEED, factor=1.0, likely=True)
+        if told in _TURNS_RPM:
+            return Column(SPEED, factor=_TURNS_RPM[told], likely=True)
         for role, word in _WORDS.items():
             if word.search(words) or word.search(text):
                 return Column(
@@ -170,7 +173,8 @@ def is_turning(columns: list[Column]) -> bool:
     if SPEED in roles and RUNOUT in roles:
         return True
     probes = [c for c in columns if c.role in (PROBE, RUNOUT) and c.likely and c.factor]
-    if TIME not in roles or not probes:
+    if not probes:
         return False
     # x, y and z beside a speed may be positions of axes.
-    return bool(roles & {ANGLE, PULSE}) or (SPEED in roles and not all(_LETTER.fullmatch(c.name) for c in probes))
+    at_speed = SPEED in roles and not all(_LETTER.fullmatch(c.name) for c in probes)
+    return (at_speed or bool(roles & {ANGLE, PULSE})) if TIME in roles else (at_speed and ANGLE in roles)

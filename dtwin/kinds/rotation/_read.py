@@ -76,15 +76,21 @@ def _over_speed(reading: Reading, path: Path) -> list[Run]:
             )
         samples = {"t_s": probe.t_s, SPEED: rpm, "runout_um": probe.value}
         condition = {"probe": name, "sense": direction_of(name), "form": OVER_SPEED}
-        said = () if reading.timed else (_no_clock(),)
+        said = () if reading.timed else (_no_clock("its rows are taken to have been measured in their order"),)
         meta = RunMeta(run_id=_safe(name), kind="rotation", condition=condition, started=reading.started)
         runs.append(Run(meta, samples, source=str(path), findings=said))
     return runs
 
 
-def _no_clock() -> Finding:
-    said = "the table has no clock: its rows are taken to have been measured in their order"
-    return Finding("clock.assumed", "info", said)
+def _no_clock(assumed: str) -> Finding:
+    return Finding("clock.assumed", "info", f"the table has no clock: {assumed}")
+
+
+def _timed(reading: Reading, angle: Channel, rpm: float) -> tuple[Reading, Channel]:
+    """Return a reading without time, and its angle, with the times at which an axis of constant speed has these angles."""
+    t_s = np.maximum.accumulate(np.abs(angle.value - angle.value[0])) / (6.0 * rpm)
+    probes = {n: Channel(np.interp(p.t_s, angle.t_s, t_s), p.value) for n, p in reading.probes.items()}
+    return replace(reading, probes=probes), Channel(t_s, angle.value)
 
 
 def _with_angle_of(reading: Reading, other: Reading) -> Reading:
@@ -106,6 +112,9 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
             allowed=f"condition.speed_rpm above 0 and below {_MOST_RPM:g}",
         )
     angle, origin, findings = _angle(reading, path)
+    if angle is not None and not reading.timed:
+        reading, angle = _timed(reading, angle, _speed(reading, told, path))
+        findings.append(_no_clock("times are the angle over the speed that is told"))
     runs = []
     for name, probe in reading.probes.items():
         t, x, said = probe.t_s, probe.value, list(findings)
@@ -168,10 +177,10 @@ def _speed(reading: Reading, told: object, path: Path) -> float:
     if is_number(speed) and 0.0 < speed < _MOST_RPM:
         return float(speed)
     raise InputError(
-        "neither angle, nor pulses, nor a speed are told",
+        "a speed is not told, and there is no time, or neither angle nor pulses",
         code="rotation.angle",
         where=str(path),
-        allowed="a column angle [deg], pulse, or speed [rpm]; or condition = { speed_rpm = 1200 } in the run",
+        allowed="a column speed [rpm], or condition = { speed_rpm = 1200 } in the run; or time, and angle [deg] or pulse",
     )
 
 

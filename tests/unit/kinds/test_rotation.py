@@ -366,6 +366,7 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"speed [rpm]": TIME, "run-out [tenths]": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
         (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
+        (table({"angle_deg": ANGLE, "radial_um": UM}), "rotation.angle"),
         (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.pulses"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": UM}, form=lambda v: "x"), "rotation.time"),
         ("t_s,angle_deg,radial_um\n1,2,x\n2,3,x\n3,4,x\n", "table.no_rows"),
@@ -521,6 +522,7 @@ def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> 
         ("转速 [r/min]", 1.0, "径向跳动 [µm]"),
         ("omega [rad/s]", np.pi / 30.0, "TIR [um]"),
         ("speed [krpm]", 1e-3, "TIR [micron]"),
+        ("krpm", 1e-3, "TIR [micron]"),
     ],
 )
 def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per_rpm: float, runout: str) -> None:
@@ -572,6 +574,27 @@ def test_run_out_beside_an_angle_is_a_displacement(tmp_path: Path) -> None:
     (run,) = read(tmp_path, table({"t [s]": TIME, "Drehwinkel [Umdrehungen]": ANGLE / 360.0, "Rundlauf [µm]": UM}))
     assert np.ptp(run.samples["angle_deg"]) == pytest.approx(np.ptp(ANGLE), abs=0.01)
     assert "displacement_um" in run.samples
+
+
+@pytest.mark.parametrize("turn_deg", [360.0, 1e9])
+def test_angle_and_displacement_need_no_time_where_the_speed_is_told(tmp_path: Path, turn_deg: float) -> None:
+    heads = {"angle [deg]": ANGLE % turn_deg, "radial [um]": UM}
+    (timed,) = read(tmp_path, table({"t_s": TIME, **heads}))
+    rpm = np.ptp(ANGLE) / 6.0 / np.ptp(TIME)
+    path = tmp_path / "a.csv"
+    path.write_text(table({**heads, "speed [krpm]": 0.0 * UM + rpm / 1000.0}), encoding="utf-8")
+    assert is_rotation_file(path)
+    (run,) = read(tmp_path, path.read_text(encoding="utf-8"))
+    assert run.samples["angle_deg"] == pytest.approx(timed.samples["angle_deg"], abs=0.01)
+    assert np.ptp(run.samples["t_s"]) == pytest.approx(np.ptp(TIME), rel=1e-3)
+    assert "clock.assumed" in {finding.code for finding in run.findings}
+    path.write_text(table(heads), encoding="utf-8")
+    assert not is_rotation_file(path)
+    (stated,), _ = read_rotation(path, Campaign("c", "m", "rotation"), {"condition": {"speed_rpm": rpm}})
+    assert np.ptp(stated.samples["t_s"]) == pytest.approx(np.ptp(TIME), rel=1e-3)
+    path.write_text(table({**heads, "speed [krpm]": 0.0 * UM + rpm / 1000.0}), encoding="utf-8")
+    shown = CliRunner().invoke(app, ["check", str(path)])
+    assert "a.csv: machine unknown, 1 run\n" in shown.stdout
 
 
 def test_a_code_for_no_reading_is_left_out_and_a_keyway_is_not(tmp_path: Path) -> None:
