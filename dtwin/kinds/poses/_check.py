@@ -19,6 +19,8 @@ from dtwin.schema import Finding, Floats, Run
 _FEWEST = 20
 _FAR_MM = 50.0
 _SMALL_MM = 10.0
+# Millimetres of error that no robot is as good as; metres under their name look so.
+_EXACT_MM = 1e-3
 _WILD = 12.0
 _ROUNDS, _MOST_KEPT, _LISTED = 10, 0.8, 8
 _ALIKE = 0.05
@@ -58,13 +60,16 @@ def judge_poses(run: Run) -> list[Finding]:
         said = f"commanded poses and measured points do not belong together: {typical:z.0f} mm apart after {series.taken_away}"
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
     commanded_mm = float(np.ptp(axes(run, "target"), axis=0).max()) if "target_x_mm" in run.samples else 0.0
+    aside: list[Finding] = []
     if 0.0 < commanded_mm < _SMALL_MM:
         said = f"the poses span {commanded_mm:z.3g} mm, less than a robot is judged by: metres under a name of millimetres?"
-        return [Finding("poses.units", "error", said, {"span_mm": commanded_mm})]
-    aside = []
+        if typical < _EXACT_MM:
+            said += f" Errors of {1e3 * typical:z.2g} µm are less than a robot's, too"
+            return [Finding("poses.units", "error", said, {"span_mm": commanded_mm})]
+        aside.append(Finding("poses.units", "warning", said, {"span_mm": commanded_mm}))
     if typical > _MUCH_MM and not joints_of(run).size and "target_qx_1" not in run.samples:
         said = f"{typical:z.3g} mm are left by the frame alone, much for a robot; {_NO_ORIENTATION}"
-        aside = [Finding("poses.reflector", "warning", said, {"median_mm": typical})]
+        aside.append(Finding("poses.reflector", "warning", said, {"median_mm": typical}))
     return [*_spoilt(run, series), *_commanded(run, series), *aside, *_repeats(series)]
 
 

@@ -624,6 +624,23 @@ def test_all_places_in_metres_under_names_of_millimetres_decide_nothing(tmp_path
     assert found.code == "poses.units"
 
 
+def test_a_test_within_a_few_millimetres_is_judged_and_the_unit_is_asked_for(tmp_path: Path) -> None:
+    folder = without_joints(tmp_path / "c", "position")
+    told = (folder / "campaign.toml").read_text("utf-8").replace('_m"', '_mm"')
+    (folder / "campaign.toml").write_text(told, encoding="utf-8")
+    rng = np.random.default_rng(0)
+    heads = (folder / "poses.csv").read_text("utf-8").splitlines()[0]
+    names = [told.partition('"' + head + '" = "')[2].partition('"')[0] for head in heads.split(",")]
+    target = np.tile(rng.uniform(0.0, 4.0, (30, 3)), (30, 1))
+    held = {"target": target, "measured": target + rng.normal(0.0, 0.02, target.shape)}
+    columns = [held[n.partition("_")[0]][:, "xyz".index(n.split("_")[1])] if n else target[:, 0] for n in names]
+    rows = [",".join(f"{v:.6f}" for v in row) for row in np.stack(columns, axis=1)]
+    (folder / "poses.csv").write_text("\n".join([heads, *rows]), encoding="utf-8")
+    found = judge_run(first_run(folder))
+    assert [f.severity for f in found if f.code == "poses.units"] == ["warning"]
+    assert "error" not in {f.severity for f in found}
+
+
 def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
     folder = without_joints(tmp_path / "c", "position")
     heads, *rows = (folder / "poses.csv").read_text("utf-8").splitlines()
