@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from dtwin.errors import InputError
 from dtwin.kinds.linear.laser_file import sweeps
 
 _FEWEST = 2
@@ -30,3 +32,15 @@ def ways_in_order(target_mm: Sequence[float]) -> list[str] | None:
     if begun_anew:
         return None
     return ["forward" if sign > 0 else "reverse" for piece, sign in pieces for _ in range(piece.start, piece.stop)]
+
+
+def no_direction(path: Path, got: str, allowed: str) -> InputError:
+    """Return the refusal of a table whose directions nothing tells."""
+    return InputError(
+        "the table does not say from which side its targets were approached",
+        code="position_table.direction",
+        where=str(path),
+        got=got[:80],
+        allowed=allowed,
+        hint="docs/how-to/positioning-table.md",
+    )

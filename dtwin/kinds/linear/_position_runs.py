@@ -26,6 +26,7 @@ class PositionTable:
     ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
     ``by_position``: whether the table holds positions, not deviations.
     ``in_order``: whether it names no direction, and the order of its targets told it.
+    ``joined_um``: by how much targets that are taken as one differ from it at most.
     ``read_with``: the instrument, where columns of a report name it.
     ``left_out``: titles of its tables of a single pass, beside those of several cycles.
     """
@@ -35,6 +36,7 @@ class PositionTable:
     reverse_um: Floats
     by_position: bool
     in_order: bool = False
+    joined_um: float = 0.0
     read_with: str = ""
     left_out: tuple[str, ...] = ()
 
@@ -48,6 +50,9 @@ def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: S
         "info",
         f"the table has no clock; cycles one after the other and a reading every {_PERIOD_S:g} s are assumed",
     )
+    if table.joined_um:
+        text = f"targets that differ by up to {table.joined_um:z.2g} µm are taken as one, their mean; deviations are from each one's own"
+        said = [*said, Finding("targets.joined", "info", text, {"off_um": table.joined_um})]
     targets = table.target_mm
     position = np.concatenate([targets, targets[::-1]])
     direction = np.array(["forward"] * len(targets) + ["reverse"] * len(targets), dtype=object)

@@ -30,7 +30,8 @@ from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
-from dtwin.kinds.linear._order import ways_in_order
+from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
+from dtwin.kinds.linear._order import no_direction, ways_in_order
 from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
@@ -110,7 +111,7 @@ def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
         plain = table_of(every)
         _require_one_axis(axes_beside([*every[:MOST_TITLES], [row[0] for row in every]]), str(path))
         if plain is None and (head := names_no_direction(every)):
-            raise _no_direction(
+            raise no_direction(
                 path,
                 head,
                 "heads such as forward 1 [mm], reverse 1 [mm]; of a test in one direction forward 1 [mm], forward 2 [mm]",
@@ -208,6 +209,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     numbers = sorted(number for found in sweeps.values() for number in found)
     if all(sweeps.values()) and numbers == list(range(1, len(numbers) + 1)):
         readings = [(r[0], r[1], sweeps[r[1]].index(r[2]) + 1, r[3], r[4]) for r in readings]
+    readings, joined_um = with_joined_targets(readings)
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
     if len(targets) == 1 < cycles:
@@ -228,7 +230,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
             )
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
-    return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position)
+    return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position, joined_um=joined_um)
 
 
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
@@ -238,15 +240,19 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
     again = other_targets(heads, wide.target)
     out = []
     seen: Counter[float] = Counter()
-    for number, row in enumerate(body, start=2 if units is None else 3):
-        where = f"{path} row {number}"
-        if any(SUMMARY.fullmatch(row[i].strip()) for i in (wide.cycle, wide.target) if i is not None and i < len(row)):
-            continue
-        target = _cell(row, wide.target, where) * scale[wide.target]
+    summed = [i for i in (wide.cycle, wide.target) if i is not None]
+    numbered = [
+        (f"{path} row {number}", row)
+        for number, row in enumerate(body, start=2 if units is None else 3)
+        if not any(SUMMARY.fullmatch(row[i].strip()) for i in summed if i < len(row))
+    ]
+    targets = [_cell(row, wide.target, where) * scale[wide.target] for where, row in numbered]
+    one = joined_targets(targets)
+    for (where, row), target in zip(numbered, targets, strict=True):
         if any(i < len(row) and row[i].strip() and row[i].strip() != row[wide.target].strip() for i in again):
             raise wrong_form("two columns of targets do not agree: a row is one target", Path(where), str(row)[:80])
-        seen[target] += 1
-        counted = seen[target] if wide.cycle is None else _cycle(row, wide.cycle, where)
+        seen[one[target]] += 1
+        counted = seen[one[target]] if wide.cycle is None else _cycle(row, wide.cycle, where)
         for i, way, cycle in wide.cells:
             if i < len(row) and row[i].strip().lower() not in MISSING:
                 value = _cell(row, i, where) * scale[i]
@@ -260,13 +266,14 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
     scales = _scale(heads[long.target], below[0], path), _scale(heads[long.value], below[1], path)
     numbered = list(enumerate(body, start=2 if units is None else 3))
     targets = [_cell(row, long.target, f"{path} row {number}") * scales[0] for number, row in numbered]
-    ordered = ways_in_order(targets) if long.way is None else None
+    one = joined_targets(targets)
+    ordered = ways_in_order([one[target] for target in targets]) if long.way is None else None
     if long.way is None and ordered is None:
-        raise _no_direction(
+        raise no_direction(
             path, ", ".join(heads), "a column direction; or targets in the order in which they were approached"
         )
     out: list[Reading] = []
-    seen: dict[tuple[float, str], int] = {}
+    seen: Counter[tuple[float, str]] = Counter()
     for (number, row), target, in_order in zip(numbered, targets, ordered or [""] * len(targets), strict=True):
         where = f"{path} row {number}"
         told = row[long.value].strip().lower() if long.value < len(row) else ""
@@ -275,22 +282,11 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
         if way is None:
             raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
-        seen[target, way] = seen.get((target, way), 0) + 1
-        cycle = seen[target, way] if long.cycle is None else _cycle(row, long.cycle, where)
+        seen[one[target], way] += 1
+        cycle = seen[one[target], way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
             out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
-
-
-def _no_direction(path: Path, got: str, allowed: str) -> InputError:
-    return InputError(
-        "the table does not say from which side its targets were approached",
-        code="position_table.direction",
-        where=str(path),
-        got=got[:80],
-        allowed=allowed,
-        hint="docs/how-to/positioning-table.md",
-    )
 
 
 def _parted(

@@ -743,3 +743,32 @@ def test_a_drift_that_a_table_without_a_clock_does_not_tell_is_no_number_in_json
     shown = json.loads(CliRunner().invoke(app, [*told, "--json"], catch_exceptions=False).stdout)
     (drift,) = [p for p in shown["parameters"] if p["name"] == "shift_x"]
     assert (drift["value"], drift["uncertainty"], drift["identifiable"]) == (None, None, False)
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("column", ["position_mm", "error_um"])
+def test_targets_that_the_control_measured_are_joined_and_said(tmp_path: Path, numbered: bool, column: str) -> None:
+    rng = np.random.default_rng(3)
+    heads = ["target_mm", *(["cycle"] if numbered else []), "direction", column]
+    lines = [",".join(heads)]
+    for c in range(2):
+        for way, values in (("forward", FORWARD), ("reverse", REVERSE)):
+            for i in range(3):
+                target = round(TARGETS[i] + 4e-4 * rng.uniform(-1.0, 1.0), 4)
+                value = target + values[i, c] / 1000.0 if column == "position_mm" else values[i, c]
+                lines.append(",".join([f"{target:.4f}", *([str(c + 1)] if numbered else []), way, f"{value:.5f}"]))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    table = read_position_table(path)
+    assert table.target_mm == pytest.approx(TARGETS, abs=4e-4)
+    assert table.forward_um == pytest.approx(FORWARD, abs=1e-6)
+    assert table.reverse_um == pytest.approx(REVERSE, abs=1e-6)
+    runs, _ = read_position_runs(path, Campaign("c", "m", "linear"), {})
+    assert {f.code for run in runs for f in run.findings} >= {"targets.joined"}
+
+
+def test_targets_near_each_other_in_one_sweep_are_two(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},1,{way},0.0" for way in ("forward", "reverse") for t in (0.0, 0.002, 50.0, 50.002, 100.0)]
+    path.write_text("\n".join(["target_mm,cycle,direction,error_um", *rows]), encoding="utf-8")
+    assert read_position_table(path).target_mm.tolist() == [0.0, 0.002, 50.0, 50.002, 100.0]
