@@ -112,7 +112,10 @@ def diagnose_twin(
     from dtwin.pipeline.findings import moving_findings
     from dtwin.report.twin_of_kind import report_of, said_by_runs
 
-    twin, diagnosis = _twins_with(name, effects_path).diagnose(name, seed=seed)
+    twins = _twins_with(name, effects_path)
+    twin, diagnosis = twins.diagnose(name, seed=seed)
+    if not twins.can_keep(name):
+        print("note: nothing is kept of this diagnosis, for the home can only be read", file=sys.stderr)
     moving = moving_findings(home(), twin.campaign)
     result = {
         "twin": name,

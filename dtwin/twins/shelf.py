@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -161,9 +162,14 @@ class TwinShelf:
         unique = {**document, "id": uuid.uuid4().hex}
         self._write(unique, f"{version_name(document['version'])}.json")
 
+    def can_keep(self, name: str) -> bool:
+        """Whether what is found out of a twin can be written here."""
+        return os.access(self.folder(name), os.W_OK)
+
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:
-        """Write a diagnosis beside its version, and have its verdict noted in MLflow."""
-        self._write(document, f"{version_name(document['version'])}.diagnosis.json")
+        """Write a diagnosis beside its version, and have its verdict noted in MLflow; nothing in a home that can only be read."""
+        if self.can_keep(document["twin"]):
+            self._write(document, f"{version_name(document['version'])}.diagnosis.json")
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return every rung of a twin, oldest first."""

@@ -203,14 +203,20 @@ def _servings(home: Home) -> list[_Serving]:
 
 
 def sessions(home: Home) -> list[dict[str, Any]]:
-    """Return the newest sessions of every machine as their logs state them, newest first."""
-    lines: list[dict[str, Any]] = []
+    """Return the newest sessions of every machine as their logs state them, newest first.
+
+    A log grows at its end: of one machine its order counts, also where the clock was set back between two sessions.
+    """
+    lines: list[tuple[str, int, dict[str, Any]]] = []
     for path in sorted(home.logs.glob("serve-*.jsonl")):
         if path.name.endswith(_EVENTS):
             continue
         machine = path.stem.removeprefix("serve-")
-        lines += [{"machine": machine, **line} for line in _newest_lines(path) if _is_whole(line)]
-    return sorted(lines, key=lambda s: str(s.get("started", "")), reverse=True)
+        latest = ""
+        for number, line in enumerate(filter(_is_whole, _newest_lines(path))):
+            latest = max(latest, line["started"])
+            lines.append((latest, number, {"machine": machine, **line}))
+    return [line for _, _, line in sorted(lines, key=lambda told: told[:2], reverse=True)]
 
 
 def _is_whole(line: Mapping[str, Any]) -> bool:

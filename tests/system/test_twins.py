@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from dtwin.acquire.amending import amend, leave_out
+from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.lake.store import Lake
@@ -379,6 +381,19 @@ def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(twins:
     assert [i["grade"] for i in interventions(twins, "mill-a")] == ["intervention-confirmed", None]
     with pytest.raises(InputError, match="other measurements of the same machine"):
         confirm(twins, "mill-a", "backlash:X", "mill-march", "")
+
+
+def test_a_home_that_can_only_be_read_gives_a_diagnosis_and_says_that_it_is_not_kept(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twins.fit("mill-march", KNOWN, "mill-a")
+    monkeypatch.setenv("DTWIN_HOME", str(twins.home.root))
+    # Whoever tests as root may write everywhere.
+    monkeypatch.setattr("dtwin.twins.shelf.os.access", lambda *_: False)
+    told = CliRunner().invoke(app, ["twin", "diagnose", "mill-a", "--json"], catch_exceptions=False)
+    assert json.loads(told.stdout)["verdict"] == "missing_effect"
+    assert "nothing is kept" in told.stderr
+    assert not list((twins.home.root / "twins").rglob("*.diagnosis.json"))
 
 
 def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:

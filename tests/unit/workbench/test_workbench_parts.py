@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import json
 import socket
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from dtwin.workbench._cache import Cache
 from dtwin.workbench._connections import Connection
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._jobs import Jobs, Tell
+from dtwin.workbench._live_routes import sessions
 from dtwin.workbench._numbers import decimal
 from dtwin.workbench._server import application
 
@@ -216,6 +218,17 @@ _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", _BEGUN, str(tmp_path)], capture_output=True, text=True, timeout=60)
     assert ended.stderr.strip() == "pandas: True"
+
+
+def test_a_session_after_the_clock_was_set_back_is_the_newest_of_its_machine(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    home.logs.mkdir(parents=True)
+    begun = {"a": ["2026-03-02T08:00", "2026-03-02T09:00", "2026-03-01T09:05"], "b": ["2026-03-02T07:00"]}
+    for machine, starts in begun.items():
+        lines = [{"started": at, "duration_s": 1.0, "ended": "x", "clamp_um": 1.0, "largest_um": 0.0} for at in starts]
+        text = "\n".join(json.dumps({**line, "reasons": {}}) for line in lines)
+        (home.logs / f"serve-{machine}.jsonl").write_text(text, encoding="utf-8")
+    assert [one["started"] for one in sessions(home)] == [*begun["a"][::-1], *begun["b"]]
 
 
 def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
