@@ -8,6 +8,11 @@ from collections.abc import Sequence
 _MOST_TITLES = 12
 _UNITS = {"meters": "m", "millimeters": "mm", "m": "m", "mm": "mm"}
 _ROS = re.compile(r"(?:.*[./ ])?(position|translation|orientation|rotation)[./]([xyzw])$", re.I)
+_GERMAN = re.compile(
+    r"(?:(?P<what>soll|ist)[ _-]*(?:pos(?:ition)?\.?|wert)?[ _-]*(?P<axis>[xyz])|(?P<axis2>[xyz])[ _-]*(?P<what2>soll|ist)(?:pos(?:ition)?\.?|wert)?)"
+    r"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>mm|m|µm|μm|um)[\])]?)?",
+    re.I,
+)
 _VICON = re.compile(r".* T?([XYZ])$")
 
 
@@ -38,6 +43,16 @@ def joined(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[Sequence[str]
 def of_ros(heads: Sequence[str]) -> bool:
     """Return whether heads are those of a pose as ROS flattens it: ``pose.position.x``."""
     return any(_ROS.match(head.strip()) for head in heads)
+
+
+def of_german(head: str) -> str:
+    """Return the house's name of ``Soll X [mm]`` or ``x_ist``, in millimetres where no unit is told; other heads as they are."""
+    found = _GERMAN.fullmatch(head)
+    if found is None:
+        return head
+    what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
+    unit = (found["unit"] or "mm").lower().replace("µ", "u").replace("μ", "u")
+    return f"{'target' if what == 'soll' else 'measured'}_{axis}_{unit}"
 
 
 def lines_for(heads: Sequence[str], unit: str) -> list[str]:

@@ -18,7 +18,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, mark_of, typed
 from dtwin.errors import InputError
-from dtwin.kinds.poses._foreign import joined, lines_for, of_ros
+from dtwin.kinds.poses._foreign import joined, lines_for, of_german, of_ros
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -96,7 +96,7 @@ def is_pose_table(path: Path) -> bool:
     if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
         return False
     rows = first_rows(path, _MOST_BYTES)
-    heads = next(iter(rows), [])
+    heads = [of_german(head.strip()) for head in next(iter(rows), [])]
     if joined(rows) is not None or of_ros(heads):
         return True
     commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
@@ -111,7 +111,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     named_in = (n for n, row in enumerate(rows[:_MOST_TITLES]) if any(cell.strip() in recipe for cell in row))
     begin = next(named_in, 0)
     heads, below, unit = joined(rows) or (list(rows[begin]) if rows else [], rows[begin + 1 :], "m")
-    named = [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads]
+    named = [house_name(str(recipe.get(head.strip(), of_german(head.strip())))) for head in heads]
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {

@@ -20,11 +20,12 @@ from dtwin.kinds.poses._effects import Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
 from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
+from dtwin.kinds.poses._read import is_pose_table, read_poses
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.schema import Floats, Run
+from dtwin.schema import Campaign, Floats, Run
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
 _AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
@@ -639,6 +640,31 @@ def test_a_test_within_a_few_millimetres_is_judged_and_the_unit_is_asked_for(tmp
     found = judge_run(first_run(folder))
     assert [f.severity for f in found if f.code == "poses.units"] == ["warning"]
     assert "error" not in {f.severity for f in found}
+
+
+@pytest.mark.parametrize(
+    ("commanded", "measured", "per_mm"),
+    [
+        ("Soll {a} [mm]", "Ist {a} [m]", 1e-3),
+        ("{a}-Soll", "{a}-Ist", 1.0),
+        ("Sollposition {a} in mm", "Istposition {a} in mm", 1.0),
+        ("soll_{a}_mm", "ist_{a}_um", 1e3),
+        ("Soll{a}", "{a}_Istwert (mm)", 1.0),
+    ],
+)
+def test_german_heads_need_no_map(tmp_path: Path, commanded: str, measured: str, per_mm: float) -> None:
+    rng = np.random.default_rng(1)
+    target = np.tile(rng.uniform(-400.0, 400.0, (30, 3)), (2, 1))
+    at = target + rng.normal(0.0, 0.1, target.shape)
+    heads = [form.format(a=a) for form in (commanded, measured) for a in "XYZ"]
+    rows = [";".join(f"{v:.6f}".replace(".", ",") for v in row) for row in np.hstack([target, at * per_mm])]
+    path = tmp_path / "posen.csv"
+    path.write_text("\n".join([";".join(heads), *rows]), encoding="utf-8")
+    assert is_pose_table(path)
+    (run,), rejects = read_poses(path, Campaign("c", "m", "poses"), {})
+    assert rejects == []
+    assert run.samples["target_y_mm"] == pytest.approx(target[:, 1], abs=1e-5)
+    assert run.samples["measured_z_mm"] == pytest.approx(at[:, 2], abs=1e-2)
 
 
 def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
