@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from dtwin.acquire._readings import usable
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
-from dtwin.acquire.table_dialect import is_comment
+from dtwin.acquire.table_dialect import encoding_of, is_comment
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
-_LONGEST_HEAD = 65_536
+_LONGEST_BEGIN = 2**20
 _MOST_COMMENTS = 1000
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
@@ -133,21 +133,21 @@ def _source(path: Path) -> Path | io.BytesIO:
 
 
 def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({})) -> dict[str, Any]:
-    """Return how a file parts its columns and writes decimals, by its first line that is no comment.
+    """Return the encoding of a file, how it parts its columns and writes decimals, by its first line that is no comment.
 
     ``numbers``: types of columns that are known.
     Spreadsheets of many countries part columns by semicolons and write decimal commas.
     """
-    comments = 0
     source = _source(path)
     with source.open("rb") if isinstance(source, Path) else source as file:
-        head = file.readline(_LONGEST_HEAD)
-        while is_comment(head.decode("latin-1")) and comments < _MOST_COMMENTS:
-            comments += 1
-            head = file.readline(_LONGEST_HEAD)
-    european = b";" in head and b"," not in head
+        begin = file.read(_LONGEST_BEGIN)
+    encoding = encoding_of(begin)
+    lines = begin.decode(encoding, "replace").split("\n", _MOST_COMMENTS + 1)
+    comments = next((n for n, line in enumerate(lines[:_MOST_COMMENTS]) if not is_comment(line)), _MOST_COMMENTS)
+    head = lines[comments] if comments < len(lines) else ""
+    european = ";" in head and "," not in head
     return {
-        "read_options": pa_csv.ReadOptions(skip_rows=comments),
+        "read_options": pa_csv.ReadOptions(skip_rows=comments, encoding=encoding.removesuffix("-sig")),
         "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
         "convert_options": pa_csv.ConvertOptions(
             decimal_point="," if european else ".", column_types={**_CODED, **numbers}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dtwin.acquire._tabular import read_columns
+from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
@@ -66,3 +66,16 @@ def test_directions_of_a_positioning_run_may_be_written_otherwise(tmp_path: Path
     path.write_text("\n".join(["t_s,position_mm,direction,error_um", *rows]), encoding="utf-8")
     (run,) = next(iter(open_source(path, {"axis": "X"})[1]))[0]
     assert run.samples["direction"].tolist() == ["forward"] * 5 + ["reverse"] * 5
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "cp1252"])
+def test_a_table_is_read_in_the_encodings_of_windows(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    # More than one block, so that letters of two bytes are cut, too.
+    rows = [f"{n},{n},0.5" for n in range(60_000)]
+    text = "\n".join(["# Prüfstand, µm", "# 2026", "t_s,angle_deg,deviation_um", *rows])
+    path.write_bytes(text.encode(encoding))
+    columns, rejects = read_columns(path, "circular")
+    assert columns["angle_deg"].tolist() == list(range(60_000))
+    assert rejects == []
+    assert kind_of_table(path) == "circular"
