@@ -203,6 +203,7 @@ def test_uncertainty_coverage() -> None:
         ("circular", "D"),
         ("circular", "H"),
         ("poses", "AD"),
+        ("poses", "dAP"),
         ("drift", "d"),
         ("rotation", "TIR"),
     }
