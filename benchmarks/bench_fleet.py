@@ -1,11 +1,12 @@
 """What an engine adds to the diagnosis of many campaigns, and what more workers take off.
 
-One lake of ``--campaigns`` ball-bar campaigns is diagnosed from nothing by the plain loop, by ``dtwin fleet`` in
-line, with two processes, and by one and two workers of a Dask scheduler on this computer. ``wall_s`` is by the
+One lake of ``--campaigns`` ball-bar campaigns, of 18 runs each or with ``--everyday`` of six at one feed, is diagnosed
+from nothing by the plain loop, by ``dtwin fleet`` in line, with two processes, and by one and two workers of a Dask
+scheduler on this computer. ``wall_s`` is by the
 clock, workers started before; ``cpu_s`` of all processes that worked; ``peak_mb`` of the largest Dask worker, else of this process.
 Every engine must keep the same bytes, else the benchmark fails. Leave the host alone meanwhile.
 
-Run: python benchmarks/bench_fleet.py [--campaigns 100] [--json]
+Run: python benchmarks/bench_fleet.py [--campaigns 100] [--everyday] [--json]
 """
 
 from __future__ import annotations
@@ -39,30 +40,32 @@ Measured = dict[str, Any]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaigns", type=int, default=100)
+    parser.add_argument("--everyday", action="store_true", help="campaigns of six runs at one feed")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--short", action="store_true", help="the same code with little data")
     chosen = parser.parse_args()
     count = 4 if chosen.short else chosen.campaigns
+    runs = 6 if chosen.everyday else 18
     with tempfile.TemporaryDirectory() as folder:
-        rows = list(_measured(Path(folder), count))
+        rows = list(_measured(Path(folder), count, runs))
     plain = rows[0]
     for row in rows:
         row["of_plain"] = row["wall_s"] / plain["wall_s"]
     if chosen.json:
-        print(json.dumps({"campaigns": count, "rows": rows}))
+        print(json.dumps({"campaigns": count, "runs": runs, "rows": rows}))
         return
-    print(f"{count} campaigns of 18 runs")
+    print(f"{count} campaigns of {runs} runs")
     print("| how | wall s | of the plain loop | CPU s | peak MB |\n|---|---|---|---|---|")
     for r in rows:
         print(f"| {r['how']} | {r['wall_s']:.1f} | {r['of_plain']:.2f} | {r['cpu_s']:.1f} | {r['peak_mb']:.0f} |")
 
 
-def _measured(folder: Path, count: int) -> Iterator[Measured]:
+def _measured(folder: Path, count: int, runs: int) -> Iterator[Measured]:
     home = Home(folder / "home")
     lake = Lake(home.lake)
     for number in range(count):
         lake.commit(
-            Campaign(f"c{number:05d}", f"m{number % 20}", "circular", "2026-01-05T08:00:00Z", {}), _runs(number)
+            Campaign(f"c{number:05d}", f"m{number % 20}", "circular", "2026-01-05T08:00:00Z", {}), _runs(number)[:runs]
         )
     # Reduced runs are kept by the first that reads them: for all alike.
     units, _ = DIAGNOSE.units(home, ())
@@ -85,7 +88,7 @@ def _measured(folder: Path, count: int) -> Iterator[Measured]:
 
 
 def _runs(number: int) -> list[Run]:
-    """Circles at three feeds, both ways, three times, with squareness, backlash and a lag that grows with the feed."""
+    """Circles at three feeds, one after the other, both ways, three times, with squareness, backlash and a lag that grows with the feed."""
     rng = np.random.default_rng(number)
     runs = []
     for index in range(18):

@@ -45,6 +45,7 @@ SHORT_CASES = 1
 SHORT_CONTROLS = 1
 WITH_CONTROLS = 20
 _ROUNDING = 1e-6
+_WORDS = ("title", "meaning", "formula", "looks_like", "separate_by", "remedy", "reference")
 Key = tuple[str, int]
 
 
@@ -52,8 +53,8 @@ def _check_sum(kind: str) -> str:
     """Return what identifies the code that is examined: what the marking of a kind of test has loaded of it.
 
     Where a module lies, what it imports and exports, which of its names are private, how µm is spelt, what
-    is said in comments and docstrings, effects of other kinds of test, and which other kinds an effect serves,
-    is not part of it.
+    is said in comments, docstrings and the words of an effect, effects of other kinds of test, and which other
+    kinds an effect serves, is not part of it.
     """
     loaded = [sys.modules[n] for n in sys.modules if n.startswith("dtwin.physics")]
     mine = [m for m in loaded if kind in getattr(getattr(m, "EFFECT", None), "kinds", (kind,))]
@@ -67,7 +68,8 @@ def _code_of(file: Path) -> str:
         if isinstance(body := getattr(node, "body", None), list):
             node.body = [n for n in body if not _says_nothing(n)]
         if isinstance(node, ast.Call):
-            node.keywords = [k for k in node.keywords if k.arg != "kinds"]
+            words = _WORDS if isinstance(node.func, ast.Name) and node.func.id == "Effect" else ()
+            node.keywords = [k for k in node.keywords if k.arg not in ("kinds", *words)]
     code = re.sub(r"'_+(?=[a-zA-Z])", "'", ast.dump(tree)).replace("µm", "um")
     return hashlib.sha256(code.encode()).hexdigest()
 

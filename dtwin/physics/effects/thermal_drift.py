@@ -29,13 +29,17 @@ EFFECT = Effect(
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
     meaning=(
-        "Centre and radius move with time: heat of the structure, creep of the set-up, or wear over days. It slows down "
-        "with the time constant S; at 10 000 h it does not."
+        "Centre and radius, or the zero of an axis, move with time: heat of the structure, creep of the set-up, a coupling "
+        "or an encoder that slips, lost steps, or wear over days. It slows down with the time constant S; at 10 000 h it "
+        "does not."
     ),
     formula="S (1 - exp(-h / S)) (a cos(t) + b sin(t) + c), h in hours since the first run",
     looks_like="The start and the end of the circle do not meet; repeats wander in one direction.",
     separate_by=("Stop for twenty minutes and measure again: drift with time goes on, thermal growth turns back."),
-    remedy="Warm up, wait for the set-up to settle, shorten the test.",
+    remedy=(
+        "Where a thermometer moves with it: warm up, wait for the set-up to settle, shorten the test. Else mark the "
+        "coupling and the encoder: they slip, or steps are lost."
+    ),
     reference="ISO 230-3",
     per="machine",
     kinds=("circular", "linear", "sinusoidal"),
