@@ -41,13 +41,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaigns", type=int, default=100)
     parser.add_argument("--everyday", action="store_true", help="campaigns of six runs at one feed")
+    parser.add_argument(
+        "--dask-only", action="store_true", help="the plain loop and Dask, neither in line nor processes"
+    )
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--short", action="store_true", help="the same code with little data")
     chosen = parser.parse_args()
     count = 4 if chosen.short else chosen.campaigns
     runs = 6 if chosen.everyday else 18
     with tempfile.TemporaryDirectory() as folder:
-        rows = list(_measured(Path(folder), count, runs))
+        rows = list(_measured(Path(folder), count, runs, dask_only=chosen.dask_only))
     plain = rows[0]
     for row in rows:
         row["of_plain"] = row["wall_s"] / plain["wall_s"]
@@ -60,7 +63,7 @@ def main() -> None:
         print(f"| {r['how']} | {r['wall_s']:.1f} | {r['of_plain']:.2f} | {r['cpu_s']:.1f} | {r['peak_mb']:.0f} |")
 
 
-def _measured(folder: Path, count: int, runs: int) -> Iterator[Measured]:
+def _measured(folder: Path, count: int, runs: int, *, dask_only: bool) -> Iterator[Measured]:
     home = Home(folder / "home")
     lake = Lake(home.lake)
     for number in range(count):
@@ -68,9 +71,7 @@ def _measured(folder: Path, count: int, runs: int) -> Iterator[Measured]:
             Campaign(f"c{number:05d}", f"m{number % 20}", "circular", "2026-01-05T08:00:00Z", {}), _runs(number)[:runs]
         )
     # Reduced runs are kept by the first that reads them: for all alike.
-    units, _ = DIAGNOSE.units(home, ())
-    for unit in units:
-        DIAGNOSE.work(str(home.root), unit, 0)
+    run_fleet(home, DIAGNOSE, workers=2)
 
     def plain() -> None:
         for unit in DIAGNOSE.units(home, ())[0]:
@@ -78,8 +79,9 @@ def _measured(folder: Path, count: int, runs: int) -> Iterator[Measured]:
 
     yield _once("plain loop", plain, home)
     kept = _kept(home)
-    yield _same(kept, home, _once("in line", lambda: run_fleet(home, DIAGNOSE, workers=1), home))
-    yield _same(kept, home, _once("two processes", lambda: run_fleet(home, DIAGNOSE, workers=2), home))
+    if not dask_only:
+        yield _same(kept, home, _once("in line", lambda: run_fleet(home, DIAGNOSE, workers=1), home))
+        yield _same(kept, home, _once("two processes", lambda: run_fleet(home, DIAGNOSE, workers=2), home))
     for workers in (1, 2):
         with _plant(folder, workers) as (address, pids):
             name = f"Dask, {workers} worker{'s' * (workers > 1)}"
