@@ -17,6 +17,19 @@ from prefect.server.database.alembic_commands import alembic_config
 from prefect.server.database.dependencies import provide_database_interface
 
 from dtwin.atomic import whole_file
+from dtwin.config import home
+from dtwin.locks import locked
+
+
+def make_missing_tables() -> None:
+    """Make the tables of the database that Prefect's settings name, where it is a file that is not there yet."""
+    url = sa.make_url(str(provide_database_interface().database_config.connection_url))
+    if url.get_backend_name() != "sqlite" or not url.database or Path(url.database).exists():
+        return
+    # Of two that begin at once, the second must not put its file in the place of one that is in use.
+    with locked(home().made().root / "locks" / "prefect-tables.lock", wait=True):
+        if not Path(url.database).exists():
+            make_tables(Path(url.database))
 
 
 def make_tables(path: Path) -> None:

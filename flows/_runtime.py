@@ -58,6 +58,10 @@ def runtime(state: Home) -> Iterator[str | None]:
         if not os.environ.get("PREFECT_API_URL"):
             updates["api.auth_string"] = auth_string(state)
     with temporary_settings(updates=updates):
+        if url is None:
+            from flows._prefect_tables import make_missing_tables
+
+            make_missing_tables()
         yield url
 
 

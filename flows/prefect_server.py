@@ -7,20 +7,17 @@ names and the server's own page are answered; the auth string is Prefect's own c
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import uvicorn
 from prefect.server.api.server import create_app
-from prefect.server.database.dependencies import provide_database_interface
 from prefect.settings import get_current_settings
-from sqlalchemy.engine import make_url
 from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from dtwin.own_address import is_foreign, names_this_computer
-from flows._prefect_tables import make_tables
+from flows._prefect_tables import make_missing_tables
 
 HOST = "127.0.0.1"
 ENTER = "/enter"
@@ -73,11 +70,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m flows.prefect_server")
     parser.add_argument("--port", type=int, required=True)
     port = parser.parse_args().port
-    settings = get_current_settings().server
-    url = make_url(str(provide_database_interface().database_config.connection_url))
-    if url.get_backend_name() == "sqlite" and url.database and not Path(url.database).exists():
-        make_tables(Path(url.database))
-    options: dict[str, Any] = {"timeout_keep_alive": settings.api.keepalive_timeout}
+    settings = get_current_settings().server.api
+    make_missing_tables()
+    options: dict[str, Any] = {"timeout_keep_alive": settings.keepalive_timeout}
     app = OwnPagesOnly(create_app(final=True))
     uvicorn.run(app, host=HOST, port=port, log_level="warning", **options)
 
