@@ -109,7 +109,8 @@ def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
 def _across_cycles(test: LinearTest) -> list[Finding]:
     if test.position_mm.size < 2:
         return []
-    return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
+    moving = moving_zero(test)
+    return [f for f in (spoilt_finding(test), moving.finding if moving else None) if f is not None]
 
 
 def _missed(run: Run) -> list[Finding]:

@@ -36,6 +36,7 @@ _CHANCE = 1e-3
 _STEEL_UM_M_K = 11.5
 _MOST_WARMER_K = 15.0
 """What an axis warms by in a test; a stretch that needs more is not called heat."""
+_BETWEEN = "cycle to cycle"
 _HELD = 3
 """Readings that a jump lasts at least; what is over sooner is a spoilt reading."""
 _MOST_TIMES = 400
@@ -155,7 +156,18 @@ def zero_of_each_cycle(test: LinearTest) -> Finding | None:
     return Finding("linear.zeroed", "warning", said, {"target_mm": float(test.position_mm[targets[0]])})
 
 
-def moving_zero(test: LinearTest) -> Finding | None:
+@dataclass(frozen=True)
+class MovingZero:
+    """How readings move from cycle to cycle.
+
+    ``shift_um`` (ways, targets, cycles): from the first reading, of what settles from where it settles to; slip is taken for steady.
+    """
+
+    finding: Finding
+    shift_um: Floats
+
+
+def moving_zero(test: LinearTest) -> MovingZero | None:
     """Return how readings move from cycle to cycle: by jumps, steadily, or as something that warms; None when they do not.
 
     The first sweep of each direction tells what belongs to the targets; the rest is described by a shift that grows by the
@@ -186,26 +198,26 @@ def moving_zero(test: LinearTest) -> Finding | None:
         rest[told] = moved[told] - design @ found
         return rest, np.asarray(found)
 
-    rivals: list[tuple[float, Floats, str, str, Floats, int]] = []
+    rivals: list[tuple[float, Floats, str, str, Floats, int, Sequence[Floats]]] = []
 
     def tried(name: str, where: str, columns: Sequence[Floats], searched: int) -> None:
         rest, sizes = left(columns)
         many = len(columns) + searched
         cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + many * np.log(n)
-        rivals.append((float(cost), rest, name, where, sizes, many))
+        rivals.append((float(cost), rest, name, where, sizes, many, columns))
 
     share = (np.arange(len(place)) + 0.5) / (len(ways) * len(place))
     orders = {"forward": np.stack([share, 1.0 - share]), "reverse": np.stack([0.5 + share, 0.5 - share])}
     if len(ways) == 1:
         orders = {ways[0]: (share if ways[0] == "forward" else 1.0 - share)[None, :]}
-    tried("slip", "", [cycle], 0)
+    # Whether it slips within cycles, too, no reading tells; most that slips does, at every move.
+    tried("slip", "", [orders[test.first or ways[0]][:, :, None] + cycle], 0)
     between = [(cycle >= at).astype(float) for at in range(1, cycles)]
-    tried("jumps", "cycle to cycle", between, 0)
+    tried("jumps", _BETWEEN, between, 0)
     for number, step in enumerate(between, start=1):
         tried("jump", f"cycle {test.cycle(number)}", [step], 1)
     for way in [test.first] if test.first else list(orders):
         within = orders[way][:, :, None] + cycle
-        tried("slip", "", [within], 0)
         # The best of many places fits by chance: a place counts as three parameters.
         for at in _jumps(within, moved, told):
             steps = [(within >= time).astype(float) for time in at]
@@ -226,7 +238,7 @@ def moving_zero(test: LinearTest) -> Finding | None:
             bounds=(np.log(nearest / 1.5), np.log(nearest * 1.5)),
             method="bounded",
         )
-    _, rest, name, where, sizes, many = min(rivals, key=lambda rival: rival[0])
+    _, rest, name, where, sizes, many, columns = min(rivals, key=lambda rival: rival[0])
     kept = float(np.nansum(rest**2))
     # Each target and direction has its mean.
     free = n - len(ways) * len(place) - many
@@ -241,7 +253,12 @@ def moving_zero(test: LinearTest) -> Finding | None:
     words = _SAID[name].format(
         steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, kelvin=f"{warmer_k:z.0f}"
     )
-    return Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
+    if len(ways) > 1 and (name == "slip" or where == _BETWEEN):
+        half = float(np.mean(np.abs(sizes))) / 2.0
+        words += f". Up to {half:z.3g} µm of B and E may be this, too, if it goes on between the directions of a cycle"
+    finding = Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
+    shift = np.sum([size * np.broadcast_to(c, moved.shape) for size, c in zip(sizes, columns, strict=True)], axis=0)
+    return MovingZero(finding, np.asarray(shift))
 
 
 _SAID = {

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._still import still
 from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Run, RunMeta
@@ -82,6 +83,7 @@ def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, li
                 where=f"run {run.meta.run_id}",
                 got=", ".join(run.samples),
             )
+    runs = still(runs)
     of_runs = [np.round(run.samples["position_mm"] / _ROUND_MM).astype(np.int64) for run in runs]
     targets = np.unique(np.concatenate(of_runs))
     most = max(len(np.unique(positions)) for positions in of_runs)

@@ -48,8 +48,7 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
 
     ``ways``: of both matrices; twice the same of runs in one direction only.
     """
-    # By their names the tenth comes before the second.
-    runs = sorted(runs, key=lambda run: (run.meta.started or "", run.meta.setup, run.meta.repeat))
+    runs = in_order(runs)
     columns = [_by_target(run, way) for way in ways for run in runs]
     anywhere, times = np.unique(np.concatenate([numbers for numbers, _ in columns]), return_counts=True)
     targets = anywhere[times == len(columns)]
@@ -67,6 +66,11 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
         ways=ways,
         repeats=repeats if len(set(repeats)) == len(repeats) else (),
     )
+
+
+def in_order(runs: Sequence[Run]) -> list[Run]:
+    """Return runs in the order of their times and repeats; by their names the tenth comes before the second."""
+    return sorted(runs, key=lambda run: (run.meta.started or "", run.meta.setup, run.meta.repeat))
 
 
 def _first(runs: Sequence[Run]) -> str:

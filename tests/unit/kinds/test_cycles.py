@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ import pytest
 
 from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings, zero_of_each_cycle
 from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._position_table import read_position_runs
+from dtwin.kinds.linear._still import still
+from dtwin.schema import Campaign, Finding, Run
 
 
 def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
@@ -27,6 +31,11 @@ def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
     return LinearTest(x, ways[0], ways[1], 0, None)
 
 
+def moving(test: LinearTest) -> Finding | None:
+    found = moving_zero(test)
+    return None if found is None else found.finding
+
+
 @pytest.mark.parametrize(
     ("zero", "codes"),
     [
@@ -42,7 +51,7 @@ def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
     ],
 )
 def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
-    found = [moving_zero(made(zero, seed)) for seed in range(40)]
+    found = [moving(made(zero, seed)) for seed in range(40)]
     right = sum((None if f is None else f.code) in codes for f in found)
     assert right >= 38
     assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
@@ -77,7 +86,7 @@ def test_the_same_is_told_of_runs_in_one_direction(way: str, zero: Any, codes: s
     for seed in range(40):
         both = made(zero, seed)
         only = both.forward_um if way == "forward" else both.reverse_um
-        found = moving_zero(replace(both, forward_um=only, reverse_um=only, ways=(way, way), first=way))
+        found = moving(replace(both, forward_um=only, reverse_um=only, ways=(way, way), first=way))
         right += (None if found is None else found.code) in codes
     assert right >= 38
 
@@ -106,7 +115,7 @@ def test_several_jumps_at_any_reading_are_told_as_jumps(first: str, clock: bool)
     right = counted = 0
     for seed in range(40):
         test, at = jumping(seed, first)
-        found = moving_zero(test if clock else replace(test, first=""))
+        found = moving(test if clock else replace(test, first=""))
         right += found is not None and found.code == "linear.jumps"
         counted += found is not None and found.message.count(" mm") == len(at)
     assert right >= 38
@@ -118,23 +127,23 @@ def test_few_readings_that_only_scatter_are_not_described(shape: tuple[int, int]
     x = np.linspace(0.0, 80.0, shape[0])
     for seed in range(40):
         up, down = np.random.default_rng([seed, *shape]).normal(0.0, 1.0, (2, *shape))
-        assert moving_zero(LinearTest(x, up, down, 0, None, first="")) is None
+        assert moving(LinearTest(x, up, down, 0, None, first="")) is None
     still = np.zeros(shape)
-    assert moving_zero(LinearTest(x, still, still, 0, None)) is None
+    assert moving(LinearTest(x, still, still, 0, None)) is None
 
 
 def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
     for seed in range(40):
         test = made(lambda x, c: 0.0 * x * c, seed)
         test.forward_um[4:6, 2] += 30.0
-        assert moving_zero(test) is None
+        assert moving(test) is None
 
 
 @pytest.mark.parametrize("noise_um", [0.05, 0.5, 5.0])
 @pytest.mark.parametrize("first", ["forward", ""])
 def test_nothing_is_told_where_nothing_moves(noise_um: float, first: str) -> None:
     tests = [replace(made(lambda x, c: 0.0 * x * c, seed, noise_um), first=first) for seed in range(100, 160)]
-    assert [found for test in tests if (found := moving_zero(test)) is not None] == []
+    assert [found for test in tests if (found := moving(test)) is not None] == []
 
 
 def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
@@ -159,3 +168,40 @@ def test_a_spoilt_reading_of_a_test_in_one_direction_is_told_once_and_where() ->
     up[3, 1] += 30.0
     test = LinearTest(np.linspace(0.0, 300.0, 11), up, up, 0, None, ways=("reverse", "reverse"))
     assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(3, 1, "reverse")]
+
+
+def table_of(test: LinearTest, path: Path) -> list[Run]:
+    """Return the runs of a table without a clock."""
+    lines = ["target_mm,cycle,direction,deviation [um]"]
+    for way, readings in (("forward", test.forward_um), ("reverse", test.reverse_um)):
+        lines += [f"{test.position_mm[i]:g},{c + 1},{way},{um:.4f}" for (i, c), um in np.ndenumerate(readings)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    return runs
+
+
+@pytest.mark.parametrize(
+    "zero",
+    [
+        lambda x, c: 0.0 * x - 12.5 * c,
+        lambda x, c: 0.0 * x + 30.0 * (c >= 1) - 40.0 * (c >= 3),
+        lambda x, c: (0.0 * x + 90.0) * (1.0 - np.exp(-c / 1.3)),
+    ],
+)
+def test_a_twin_of_a_table_without_a_clock_sees_what_stands_still(zero: Any, tmp_path: Path) -> None:
+    test = made(zero, 3)
+    found = still(table_of(test, tmp_path / "a.csv"))
+    ways = [np.array([r.samples["error_um"][r.samples["direction"] == way] for r in found]) for way in test.ways]
+    forward, reverse = ways[0], ways[1][:, ::-1]
+    # Half a slip of 12.5 µm would make 12 µm of the play of 6 µm; and they scatter as without any slip.
+    assert np.mean(reverse - forward) == pytest.approx(-6.0, abs=0.6)
+    assert np.std(forward - forward.mean(axis=0)) < 0.8
+    assert np.ptp(np.mean(forward, axis=0)) == pytest.approx(10.0, abs=2.0)
+
+
+def test_runs_with_a_clock_keep_what_moves_with_time(tmp_path: Path) -> None:
+    runs = table_of(made(lambda x, c: 0.0 * x - 12.5 * c, 3), tmp_path / "a.csv")
+    timed = [replace(run, findings=()) for run in runs]
+    assert all(a is b for a, b in zip(still(timed), timed, strict=True))
+    quiet = table_of(made(lambda x, c: 0.0 * x * c, 3), tmp_path / "b.csv")
+    assert all(a is b for a, b in zip(still(quiet), quiet, strict=True))
