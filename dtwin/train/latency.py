@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.results import Latency
+from dtwin.train.results import Candidate, Latency
 
 _BUDGET_NS, _ROUNDS = 1e8, 3
 _EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
@@ -27,6 +27,13 @@ def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
     return _timed(compiled.evaluate, calls, "bundle tick")
 
 
+def latency_of(candidate: Candidate) -> Latency | None:
+    """Time a candidate as it would be served: its bundle, else its ONNX model; None where it has neither."""
+    if candidate.bundle is not None:
+        return bundle_latency(Bundle.from_dict(candidate.bundle))
+    return None if candidate.onnx is None else _onnx_latency(candidate.onnx)
+
+
 def onnx_of(model: Any, width: int) -> bytes | None:
     """Return a fitted scikit-learn model of so many inputs as serialised ONNX; None when it cannot be converted."""
     from skl2onnx import to_onnx
@@ -37,7 +44,7 @@ def onnx_of(model: Any, width: int) -> bytes | None:
         return None
 
 
-def onnx_latency(model: bytes, calls: int = 2000) -> Latency:
+def _onnx_latency(model: bytes, calls: int = 2000) -> Latency:
     """Time one row, of zeros, of a serialised ONNX model."""
     import onnxruntime
 

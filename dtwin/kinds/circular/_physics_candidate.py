@@ -16,7 +16,6 @@ from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_c, to_latex, to_python
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.latency import bundle_latency
 from dtwin.train.results import FRESH_RUN, Candidate, Scores
 from dtwin.train.rows import Rows
 
@@ -53,7 +52,6 @@ def physics_candidate(
         complexity=len(graph.nodes),
         scores=scores,
         train_rms_um=fit.rows.rms_um(rest),
-        latency=bundle_latency(bundle),
         equation=equation_text(fit.library, weights),
         exports={
             "equation.txt": equation_text(fit.library, weights),

@@ -18,7 +18,6 @@ from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.train.candidates import held_out_groups, score
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.formula import unit_findings
-from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.rows import Rows
 from dtwin.train.symbolic import SUBSAMPLE, Engine, FittedFormula, refit
@@ -77,7 +76,6 @@ def symbolic_candidate(
         complexity=len(graph.nodes),
         scores=scores,
         train_rms_um=rows.rms_um(rows.without_setups(rest)),
-        latency=bundle_latency(bundle),
         equation=to_text(graph),
         exports={
             "equation.txt": to_text(graph),

@@ -18,7 +18,7 @@ from dtwin.progress import StageProgress
 from dtwin.train.candidates import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
-from dtwin.train.latency import onnx_latency
+from dtwin.train.latency import latency_of
 from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.rows import gather, noise_floor_um, thinned
 from dtwin.train.side_by_side import side_by_side
@@ -84,11 +84,11 @@ def train_campaign(
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
         found.append(symbolic.result())
-    # With nothing else running: what onnxruntime takes is a matter of microseconds.
-    found = [replace(c, latency=onnx_latency(c.onnx)) if c.onnx else c for c in found]
     found.append(
         physics_candidate(fit, scores, fresh_um, campaign.machine, horizon_s=horizon_s, table_versions=versions)
     )
+    # With nothing else running: what a model takes is a matter of microseconds.
+    found = [replace(c, latency=latency_of(c)) for c in found]
     found.sort(key=lambda c: c.held_out.rms_um)
     report = TrainingReport(
         machine=campaign.machine,
