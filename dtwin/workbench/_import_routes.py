@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse
 
 from dtwin.acquire.importing import Looked, look, read_as_it_is, understand, write_folder
+from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.pipeline.measuring import ingest
@@ -35,6 +36,7 @@ class _Told(BaseModel):
     feed_mm_min: float | None = None
     direction: str = Field("", max_length=10)
     axis: str = Field("", max_length=10)
+    instrument: str = Field("", max_length=100)
 
     def as_dict(self) -> dict[str, Any]:
         """Return what was told, named as in campaign.toml."""
@@ -89,8 +91,8 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
     bench = bench_of(request)
     path = _in_tray(bench.trays.folder(tray), table.file)
     if read_as_it_is(path):
-        # What it is will be seen at ingest.
-        return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": ""}
+        refused = _refused_as_it_is(path, table.told.as_dict())
+        return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": refused}
     looked = look(path, bench.home, table.decimal)
     try:
         return understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal).as_dict() | {
@@ -98,8 +100,23 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
             "names": _names(),
         }
     except InputError as error:
-        error.where = error.where and error.where.replace(f"{path.parent}/", "")
-        return _heads(looked) | {"refused": error.render(), "names": _names()}
+        return _heads(looked) | {"refused": _said(error, path), "names": _names()}
+
+
+def _refused_as_it_is(path: Path, told: Mapping[str, Any]) -> str:
+    """Return why a table that is read by rules of its own cannot be ingested; nothing before anything is told of it."""
+    try:
+        for _ in open_source(path, told)[1] if told else ():
+            pass
+    except InputError as error:
+        return _said(error, path)
+    return ""
+
+
+def _said(error: InputError, path: Path) -> str:
+    """Return a refusal without the tray's place on this computer."""
+    error.where = error.where and error.where.replace(f"{path.parent}/", "")
+    return error.render()
 
 
 @router.post("/api/trays/{tray}/ingest")

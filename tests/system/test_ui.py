@@ -306,6 +306,24 @@ def test_a_report_with_tables_is_read_as_it_is(page: Page, bench: Workbench) -> 
     expect(page.get_by_text("ISO 230-2").first).to_be_visible()
 
 
+def test_a_report_of_several_instruments_asks_which(page: Page, bench: Workbench, artifacts: Path) -> None:
+    lines = ["Cycle | Target [mm] | Encoder [mm] | Laser [mm]", "--- | --- | --- | ---"]
+    lines += [f"{c} | {at} | {at}.0001 | {at}.00{c}" for c in (1, 2) for at in (0, 10, 20, 30, 40)]
+    content = "\n".join(["## Forward", *lines, "", "## Backward", *lines])
+    page.goto(f"{bench.base}/campaigns")
+    page.set_input_files("#pick-files", {"name": "both.md", "mimeType": "text/plain", "buffer": content.encode()})
+    dialog = page.get_by_role("dialog", name="What is this table?")
+    dialog.get_by_label("Machine", exact=True).fill("mill-y")
+    dialog.get_by_label("Axis").fill("X")
+    dialog.get_by_role("button", name="Ingest").click()
+    expect(dialog.locator("[data-refused]")).to_contain_text("got: Encoder, Laser")
+    page.screenshot(path=artifacts / "several-instruments.png")
+    dialog.get_by_label("Instrument").fill("laser")
+    dialog.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/both")
+    expect(page.get_by_text("ISO 230-2").first).to_be_visible()
+
+
 def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Workbench, artifacts: Path) -> None:
     def drop(name: str, shift: float = 0.0) -> None:
         rows = [

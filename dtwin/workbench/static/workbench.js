@@ -410,7 +410,7 @@ function upload(gather) {
 // Tables that no campaign.toml names do not say under which conditions they were measured.
 const tablesAlone = (files) => (files.some(([name]) => /(campaign\.toml|\.zip)$/i.test(name)) ? [] : files.filter(([name]) => /\.(csv|tsv|txt|dat|md|rtl|pos|parquet|xlsx|xlsm)$/i.test(name)));
 
-const CONDITIONS = ["machine", "campaign", "plane", "radius_mm", "feed_mm_min", "direction", "axis"];
+const CONDITIONS = ["machine", "campaign", "plane", "radius_mm", "feed_mm_min", "direction", "axis", "instrument"];
 
 async function understood(tray, name) {
   const dialog = byId("told");
