@@ -313,12 +313,12 @@ def _tests(home: Home, machines: Sequence[str]) -> dict[str, str]:
 
 
 def _found(home: Home, campaign: str) -> Iterator[str]:
-    """Yield the effects without open shapes that the diagnosis of a campaign found."""
+    """Yield the effects without open shapes that the diagnosis of a campaign found, and backlash."""
     library, kept = Library(), kept_already(home, DIAGNOSES, campaign)
     for group in [] if kept is None else kept["found"]:
         name, axis = group[0]["effect"], group[0]["axis"]
-        # A shape of its own makes sizes that cannot be compared.
-        if name in library and not library[name].shapes:
+        # A shape of its own makes sizes that cannot be compared; play is as large whatever it yields by before it is taken up.
+        if name in library and (name == "backlash" or not library[name].shapes):
             yield f"{name}:{axis}" if axis else name
 
 

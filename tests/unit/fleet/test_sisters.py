@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from fleet_lake import fill
 from typer.testing import CliRunner
 
+from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.fleet import DIAGNOSE, compared, run_fleet
+from dtwin.lake.store import Lake
 from dtwin.machine_record import keep_record
 
 
@@ -76,3 +79,21 @@ def test_the_command_names_the_machine_that_is_not_like_its_sisters() -> None:
     assert size["spread"] < 0.1 * abs(size["mean"])
     assert "differs (p =" in shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill"]).stdout
     assert isinstance(shell.invoke(app, ["fleet", "sisters"]).exception, InputError)
+
+
+def test_a_sister_with_more_play_is_named_by_it(tmp_path: Path) -> None:
+    rng, at = np.random.default_rng(0), np.linspace(0.0, 400.0, 9)
+    for number in range(5):
+        play = 15.0 if number == 3 else 3.0 + 0.2 * rng.normal()
+        lines = ["target;cycle;forward [um];reverse [um]"]
+        for cycle in range(1, 5):
+            error = rng.normal(0.0, 0.3, (2, at.size)) - [[0.0], [play]]
+            lines += [f"{x:g};{cycle};{up:.3f};{down:.3f}" for x, up, down in zip(at, *error, strict=True)]
+        (tmp_path / f"s{number}.csv").write_text("\n".join(lines), encoding="utf-8")
+        ingest(tmp_path / f"s{number}.csv", Lake(home().lake), told={"axis": "X", "machine": f"axis-{number}"})
+    run_fleet(home(), DIAGNOSE, workers=1)
+    asked = [word for number in range(5) for word in ("--machine", f"axis-{number}")]
+    found = json.loads(CliRunner().invoke(app, ["fleet", "sisters", *asked, "--json"]).stdout)
+    (size,) = [one for one in found["sizes"] if one["effect"] == "backlash X"]
+    assert [m["machine"] for m in size["machines"] if m["differs"]] == ["axis-3"]
+    assert size["machines"][3]["value"] == pytest.approx(-15.0, abs=0.5)
