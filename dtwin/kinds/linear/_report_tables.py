@@ -14,6 +14,7 @@ from dtwin.acquire.table_dialect import rows_of
 from dtwin.errors import InputError
 from dtwin.kinds.linear._matrix import other_formulas_um
 from dtwin.kinds.linear._table_heads import (
+    OTHER_TEST,
     OWN_SENSOR,
     is_deviation,
     is_index,
@@ -57,6 +58,26 @@ class ReportTable:
 
 
 def report_tables(text: str) -> list[ReportTable]:
+    """Return the tables of readings of a text in Markdown, or of one with a table for each direction; none when it is neither."""
+    return _of_markdown(text) or _of_each_way(rows_of(text))
+
+
+def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
+    """Return the tables below titles of a single cell that name the directions; none where they do not name both."""
+    parts: list[tuple[str, list[list[str]]]] = []
+    for row in rows:
+        filled = [cell.strip() for cell in row if cell.strip()]
+        if len(filled) == 1 and not is_number(filled[0]):
+            parts.append((filled[0], []))
+        elif parts:
+            parts[-1][1].append([cell.strip() for cell in row])
+    told = [(title, body) for title, body in parts if way_of(title) and len(body) > 1]
+    if {way_of(title) for title, _ in told} != {"forward", "reverse"} or any(OTHER_TEST.search(t) for t, _ in parts):
+        return []
+    return [table for title, body in told for table in _told_by_heading(body[0], body[1:], [title])]
+
+
+def _of_markdown(text: str) -> list[ReportTable]:
     """Return the tables of a text in Markdown that hold readings; none when it is no such text."""
     lines = text.splitlines()
     tables = []

@@ -772,3 +772,18 @@ def test_targets_near_each_other_in_one_sweep_are_two(tmp_path: Path) -> None:
     rows = [f"{t},1,{way},0.0" for way in ("forward", "reverse") for t in (0.0, 0.002, 50.0, 50.002, 100.0)]
     path.write_text("\n".join(["target_mm,cycle,direction,error_um", *rows]), encoding="utf-8")
     assert read_position_table(path).target_mm.tolist() == [0.0, 0.002, 50.0, 50.002, 100.0]
+
+
+def test_a_table_for_each_direction_below_its_title_is_one_test(tmp_path: Path) -> None:
+    path = tmp_path / "slide.csv"
+    lines = ["Slide 4, 3 May"]
+    for title, values in (("Vorwärts", FORWARD), ("Rückwärts", REVERSE)):
+        lines += [title, "Ziel [mm];1 [µm];2 [µm]"]
+        lines += [f"{at:g};{a:g};{b:g}".replace(".", ",") for at, (a, b) in zip(TARGETS, values, strict=True)]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    table = read_position_table(path)
+    assert np.allclose(table.forward_um, FORWARD)
+    assert np.allclose(table.reverse_um, REVERSE)
+    path.write_text("\n".join([*lines, "Geradheit", "Ziel [mm];1 [µm]", "0;1"]), encoding="utf-8")
+    with pytest.raises(InputError):
+        read_position_table(path)
