@@ -163,7 +163,9 @@ def _plant(folder: Path, workers: int) -> Iterator[tuple[str, tuple[int, ...]]]:
         with log.open("w") as out:
             for words in names:
                 command = [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"]
-                started.append(subprocess.Popen(command, stdout=out, stderr=out, cwd=folder))
+                # As docs/how-to/fleet.md starts them.
+                env = {**os.environ, "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false"}
+                started.append(subprocess.Popen(command, stdout=out, stderr=out, cwd=folder, env=env))
         until = time.monotonic() + 60.0
         while log.read_text().count("Register worker") < workers:
             if time.monotonic() > until:

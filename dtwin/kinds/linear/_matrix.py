@@ -73,8 +73,13 @@ def in_order(runs: Sequence[Run]) -> list[Run]:
     return sorted(runs, key=lambda run: (run.meta.started or "", run.meta.setup, run.meta.repeat))
 
 
+def clock_is_assumed(runs: Sequence[Run]) -> bool:
+    """Return whether the times of readings are not those at which they were taken."""
+    return any(finding.code == "clock.assumed" for run in runs for finding in run.findings)
+
+
 def _first(runs: Sequence[Run]) -> str:
-    if any(finding.code == "clock.assumed" for run in runs for finding in run.findings):
+    if clock_is_assumed(runs):
         return ""
     begun = {str(run.samples["direction"][np.argmin(run.samples["t_s"])]) for run in runs if run.samples["t_s"].size}
     return begun.pop() if len(begun) == 1 else ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.kinds.linear._asked import ways_of
 from dtwin.kinds.linear._cycles import moving_zero
-from dtwin.kinds.linear._matrix import TARGET_MM, in_order, linear_test
+from dtwin.kinds.linear._matrix import TARGET_MM, clock_is_assumed, in_order, linear_test
 from dtwin.schema import Run
 
 
@@ -20,10 +20,10 @@ def still(runs: Sequence[Run]) -> list[Run]:
     be fitted as a drift with time either. Runs with a clock, and those whose zero stands still, are returned as they are.
     """
     ways = {ways_of(run) for run in runs}
-    if len(runs) < 2 or len(ways) > 1 or len({run.meta.setup for run in runs}) > 1:
+    if not clock_is_assumed(runs) or len(ways) > 1 or len({run.meta.setup for run in runs}) > 1:
         return list(runs)
     test = linear_test(runs, next(iter(ways)))
-    moving = None if test.first or test.position_mm.size < 2 else moving_zero(test)
+    moving = None if test.position_mm.size < 2 else moving_zero(test)
     if moving is None:
         return list(runs)
     cycle = {id(run): number for number, run in enumerate(in_order(runs))}
