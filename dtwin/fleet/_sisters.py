@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -31,6 +32,8 @@ FEWEST = 4
 _Flags = NDArray[np.bool_]
 _ALPHA = 0.05
 _CAUTION = 0.1
+_ONE_WAY = re.compile(r"[↑↓]$|\(C?CW\)$")
+"""In the symbol of a figure of one direction."""
 
 
 @dataclass(frozen=True)
@@ -191,8 +194,8 @@ def sisters(
 ) -> list[SisterSize]:
     """Compare machines of one type by the newest campaign of each: figures of its test sheet, and sizes of effects.
 
-    Figures are the one that stands for the whole sheet and those with a tolerance; effects those that a diagnosis found in
-    any of the machines, each fitted to all that it can act in.
+    Figures are those of both directions and those with a tolerance; of tests in one direction all. Effects are those that a
+    diagnosis found in any of the machines, each fitted to all that it can act in.
 
     Parameters
     ----------
@@ -269,8 +272,10 @@ def _figures(home: Home, tests: Mapping[str, str]) -> dict[_Key, list[_Row]]:
             continue
         sheet = sheet_of_campaign(home, campaign, machine, stamp_of(rows), variation_of(home, machine))
         for part in sheet["parts"]:
+            both = [c for c in part["characteristics"] if not _ONE_WAY.search(c["symbol"])]
             for c in part["characteristics"]:
-                if c["expanded_um"] and (c["symbol"] == sheet["headline"] or c["decision"]):
+                # One more for each direction would say the same again, and every comparison costs the others power.
+                if c["expanded_um"] and (c in both or not both or c["decision"]):
                     row = (machine, campaign, c["value_um"], c["expanded_um"])
                     figures.setdefault((c["symbol"], c["name"], part["title"], "um"), []).append(row)
     return figures

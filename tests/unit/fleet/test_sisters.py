@@ -67,7 +67,9 @@ def test_the_command_names_the_machine_that_is_not_like_its_sisters() -> None:
     # Figures are compared without a diagnosis.
     early = json.loads(shell.invoke(app, ["fleet", "sisters", "--type", "3-axis mill", "--json"]).stdout)
     assert [(one["effect"], [m["machine"] for m in one["machines"] if m["differs"]]) for one in early["sizes"]] == [
-        ("G(b)", ["mill-5"])
+        ("G(b)", ["mill-5"]),
+        ("H", []),
+        ("D", []),
     ]
     few = shell.invoke(app, ["fleet", "sisters", "--machine", "mill-1"]).exception
     assert isinstance(few, InputError)
@@ -91,8 +93,12 @@ def test_a_sister_with_more_play_is_named_by_it(tmp_path: Path) -> None:
             lines += [f"{x:g};{cycle};{up:.3f};{down:.3f}" for x, up, down in zip(at, *error, strict=True)]
         (tmp_path / f"s{number}.csv").write_text("\n".join(lines), encoding="utf-8")
         ingest(tmp_path / f"s{number}.csv", Lake(home().lake), told={"axis": "X", "machine": f"axis-{number}"})
-    run_fleet(home(), DIAGNOSE, workers=1)
     asked = [word for number in range(5) for word in ("--machine", f"axis-{number}")]
+    # The reversal error says so without a diagnosis.
+    found = json.loads(CliRunner().invoke(app, ["fleet", "sisters", *asked, "--json"]).stdout)
+    (reversal,) = [one for one in found["sizes"] if one["effect"] == "B"]
+    assert [m["machine"] for m in reversal["machines"] if m["differs"]] == ["axis-3"]
+    run_fleet(home(), DIAGNOSE, workers=1)
     found = json.loads(CliRunner().invoke(app, ["fleet", "sisters", *asked, "--json"]).stdout)
     (size,) = [one for one in found["sizes"] if one["effect"] == "backlash X"]
     assert [m["machine"] for m in size["machines"] if m["differs"]] == ["axis-3"]
