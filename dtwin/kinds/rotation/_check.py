@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.acquire.quality import judge_clock
+from dtwin.kinds.rotation._at_rest import judge_at_rest
 from dtwin.kinds.rotation._features import Feature
-from dtwin.kinds.rotation._heads import OVER_SPEED
+from dtwin.kinds.rotation._heads import AT_REST, OVER_SPEED
 from dtwin.kinds.rotation._orders import orders_of, said_orders
 from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
@@ -29,6 +30,8 @@ def judge_rotation(run: Run) -> list[Finding]:
     """Return what is wrong with one run."""
     if run.meta.condition.get("form") == OVER_SPEED or "runout_um" in run.samples:
         return _judge_table(run)
+    if run.meta.condition.get("form") == AT_REST:
+        return judge_at_rest(run)
     findings = [f for f in judge_clock(run) if f.code != "clock.dropout"]
     if findings:
         return findings

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,37 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.rotation._heads import ANGLE, PATH, PROBE, PULSE, RUNOUT, SPEED, TIME, Column, column_of, is_turning
-from dtwin.schema import Floats
+from dtwin.kinds.rotation._at_rest import is_at_rest
+from dtwin.kinds.rotation._heads import (
+    ANGLE,
+    PATH,
+    PROBE,
+    PULSE,
+    RUNOUT,
+    SPEED,
+    TIME,
+    Column,
+    assumed_of,
+    column_of,
+    is_dial,
+    is_turning,
+)
+from dtwin.schema import Finding, Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
 _MOST_TITLES = 20
 _MOST_PROBES = 64
+_MOST_ON_ITS_SIDE = 200
 _UNIX_S = 1e9
 _LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
 _REPEAT = re.compile(
-    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
+    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|turn|umdrehung|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
     re.I,
 )
 """In the head of a column: which of several readings of one probe it holds."""
+_SPEED_ABOVE = re.compile(r"([\d.]+)\s*(rpm|1/min|min-1|u/min|r/min|tr/min)", re.I)
+"""Head of a column at one speed."""
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
 
 
@@ -52,7 +70,7 @@ class Reading:
     ``probes``: displacements or, ``by_speed``, run-outs in µm, by the probe's name.
     ``apart``: whether each channel has stamps of its own.
     ``timed``: whether there is a time; else rows are counted.
-    ``started``: ISO 8601 time of the first reading, empty when the file does not tell.
+    ``started``: ISO 8601 time of the first reading, empty when the file does not tell. ``assumed``: of its units.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -61,6 +79,7 @@ class Reading:
     apart: bool = False
     timed: bool = True
     started: str = ""
+    assumed: tuple[Finding, ...] = ()
     rejects: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -69,7 +88,7 @@ def is_rotation_file(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MOST_BYTES)
-    return is_log(text) or _headed(joined_heads(rows_of(text), path), {}) is not None
+    return is_log(text) or _headed(_upright(rows_of(text), path), {}) is not None
 
 
 def is_log(text: str) -> bool:
@@ -89,7 +108,21 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
     text = decoded(table_bytes(path, _MOST_BYTES))
     if is_log(text):
         return _from_log(text, recipe, path, needed)
-    return _from_table(joined_heads(rows_of(text), path), recipe, path, needed)
+    return _from_table(_upright(rows_of(text), path), recipe, path, needed)
+
+
+def _upright(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
+    """Return a table with its heads in a row, joined where they stand in two; one over speed may lie on its side."""
+    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
+    if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE and _headed(rows, {}) is None:
+        told = [_SPEED_ABOVE.fullmatch(cell.strip()) for cell in wide[0][1:]]
+        if all(told) and len({cell[2] for cell in told if cell}) == 1:
+            wide[0] = [f"speed {next(cell[2] for cell in told if cell)}", *(cell[1] for cell in told if cell)]
+        numbers = all(number_or_none(cell) is not None for cell in wide[0][1:] if column_of(cell).role != SPEED)
+        standing = list(zip_longest(*wide, fillvalue=""))
+        if column_of(wide[0][0]).role == SPEED and numbers and _headed(standing, {}) is not None:
+            return list(standing)
+    return joined_heads(rows, path)
 
 
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
@@ -102,13 +135,19 @@ def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[i
                 continue
             cells = [*units, *[""] * (len(row) - len(units))]
             columns = [_meant(head, recipe, unit) for head, unit in zip(row, cells, strict=False)]
-            if is_turning(columns) or (recipe and any(c.role == PROBE and c.factor for c in columns)):
+            at_rest = is_dial(columns) and _at_places(columns, rows[begin + 1 :])
+            if is_turning(columns) or at_rest or (recipe and any(c.role == PROBE and c.factor for c in columns)):
                 found = found or (begin, columns, begin + (2 if units else 1))
                 if all(c.factor for c in columns if c.role not in ("", PATH)):
                     return begin, columns, begin + (2 if units else 1)
         if found is not None:
             return found
     return None
+
+
+def _at_places(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> bool:
+    n = next(n for n, c in enumerate(columns) if c.role == ANGLE)
+    return is_at_rest(_values(body, n, columns[n].factor))
 
 
 def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
@@ -126,7 +165,7 @@ def _repeats_below(
     """Return a table whose columns of one probe, ``run 1``, ``run 2``, stand as rows below each other: they are repeats."""
     alike: dict[str, list[int]] = {}
     for n in probes:
-        if columns[n].role == RUNOUT and _REPEAT.search(heads[n]):
+        if _REPEAT.search(heads[n]):
             alike.setdefault(_REPEAT.sub("", heads[n]), []).append(n)
     first = {group[0]: group for group in alike.values() if len(group) > 1}
     if not first:
@@ -162,14 +201,16 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         probes = [n for n in probes if columns[n].role == RUNOUT]
     single = {role: n for n, c in reversed(list(enumerate(columns))) if (role := c.role) in (TIME, ANGLE, PULSE, SPEED)}
     body = list(rows[first:])
-    if by_speed and TIME not in single:
+    by_hand = is_dial(columns) and _at_places(columns, body)
+    if (by_speed and TIME not in single) or by_hand:
         columns, probes, body = _repeats_below(heads, columns, probes, body)
     told = {n: _values(body, n, columns[n].factor) for n in (*single.values(), *probes) if n != single.get(TIME)}
     clock = np.arange(len(body), dtype=np.float64)
     started = ""
     if TIME in single:
         clock, started = _clock([_cell(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
-    reading = Reading(by_speed=by_speed, timed=TIME in single, started=started)
+    assumed = assumed_of([cell for row in rows[begin:first] for cell in row])
+    reading = Reading(by_speed=by_speed, timed=TIME in single, started=started, assumed=assumed)
     shared = np.isfinite(clock)
     if not by_speed:
         clock[shared] = _rising(clock[shared], path)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from dtwin.schema import Finding
 from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
@@ -16,11 +17,13 @@ RUNOUT = "runout"
 """How the house's name of a column of run-out begins."""
 OVER_SPEED = "run-out over speed"
 """What the condition of a run states as its ``form`` when its samples are run-outs, not displacements."""
+AT_REST = "at rest"
+"""The same when they were read at a few places of an axis that was turned by hand."""
 AXIAL = "axial"
 RADIAL = "radial"
 
-# Metres are no probe's.
-_LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"}
+# Metres are no probe's; a tenth of the workshop is one of a thou.
+_LENGTH_UM = {name: UM_PER_MM * mm for name, mm in LENGTHS_MM.items() if name != "m"} | {"tenth": 2.54, "tenths": 2.54}
 _RAD_DEG = math.degrees(1.0)
 _TURNS_RPM = dict.fromkeys(
     (
@@ -72,6 +75,7 @@ _ERROR_MOTION = (
     ("S", "synchronous error motion", re.compile(r"\bsynchron|\b(average|mean) error.motion")),
     ("T", "total error motion", re.compile(r"\btotal error.motion")),
     ("e", "once per turn", re.compile(r"\bfundamental|\bonce.per.(rev|turn)")),
+    ("T", "error motion, taken as the total", re.compile(r"(?<!straightness )\berror.motion")),
 )
 """Figures of ISO 230-7 beside the run-out, as tables over speed name them."""
 _RUNOUT = re.compile(
@@ -88,6 +92,14 @@ _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direc
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
+_SHARE = re.compile(
+    r"(?<!\d)(?:0?[.,](?P<zeros>0*)1|1\s*/\s*10(?P<more>0*)|(?P<word>tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel)s?(?:\s+of\s+an?)?)"
+    r"\s*-?\s*(?P<unit>mm|in\b|inch|\"|\u2033|'')",
+    re.I,
+)
+"""A unit that is a part of another one: 0.0001 in, 1/100 mm."""
+_TENTHS = re.compile(r"\btenths?\b", re.I)
+_POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -110,6 +122,19 @@ class Column:
 
 def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
+    share = _SHARE.search(unit_below) or _SHARE.search(head)
+    if share is None:
+        return _column_of(head, unit_below)
+    whole, part = _column_of(*(_SHARE.sub(_whole_unit, cell) for cell in (head, unit_below))), share.groupdict()
+    power = _POWERS[part["word"][:2].lower()] if part["word"] else 1 + len((part["zeros"] or "") + (part["more"] or ""))
+    return replace(whole, factor=whole.factor / 10.0**power) if whole.role in (PROBE, RUNOUT) else whole
+
+
+def _whole_unit(share: re.Match[str]) -> str:
+    return "mm" if share["unit"].lower() == "mm" else "in"
+
+
+def _column_of(head: str, unit_below: str) -> Column:
     head, unit_below = (cell.replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below))
     text = " ".join(head.replace("_", " ").split()).lower()
     unit_said = _UNIT.search(head.lower())
@@ -159,10 +184,25 @@ def figure_of(name: str) -> tuple[str, str]:
     return next(((symbol, said) for symbol, said, word in _ERROR_MOTION if word.search(text)), ("TIR", "run-out"))
 
 
+def assumed_of(cells: Sequence[str]) -> tuple[Finding, ...]:
+    """Return what is assumed of heads and units: which tenths are meant."""
+    if not any(_TENTHS.search(cell) and not _SHARE.search(cell) for cell in cells):
+        return ()
+    return (Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"),)
+
+
 def direction_of(name: str) -> str:
     """Return ``axial`` or ``radial`` as the name of a probe says; empty when it says neither."""
     text = name.lower().replace("_", " ").strip()
     return AXIAL if _AXIAL.search(text) else RADIAL if _RADIAL.search(text) else ""
+
+
+def is_dial(columns: list[Column]) -> bool:
+    """Return whether columns are angles and what an indicator reads there, and nothing else that says how the axis turned."""
+    roles = {c.role for c in columns}
+    probes = [c for c in columns if c.role in (PROBE, RUNOUT)]
+    alone = ANGLE in roles and not roles & {TIME, SPEED, PULSE, PATH}
+    return alone and bool(probes) and all(c.likely and c.factor and not _LETTER.fullmatch(c.name) for c in probes)
 
 
 def is_turning(columns: list[Column]) -> bool:

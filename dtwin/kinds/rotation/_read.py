@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from dtwin.acquire.campaign_folder import inside
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._angles import angle_of_pulses, nominal_angle, smooth_angle, unwrapped
+from dtwin.kinds.rotation._at_rest import is_at_rest
 from dtwin.kinds.rotation._files import Channel, Reading, read_file
-from dtwin.kinds.rotation._heads import ANGLE, OVER_SPEED, PULSE, SPEED, direction_of
+from dtwin.kinds.rotation._heads import ANGLE, AT_REST, OVER_SPEED, PULSE, SPEED, direction_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 
@@ -43,6 +44,9 @@ def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
     if reading.by_speed:
         return _over_speed(reading, path), reading.rejects
     condition = stated.get("condition", {})
+    by_hand = not reading.timed and set(reading.channels) == {ANGLE} and not {SPEED, "angle_log"} & set(condition)
+    if by_hand and (at_rest := _at_rest(reading, path)):
+        return at_rest, reading.rejects
     log = condition.get("angle_log")
     if log is not None:
         other = read_file(inside(path.parent, log, "condition.angle_log"), recipe, ANGLE)
@@ -76,9 +80,24 @@ def _over_speed(reading: Reading, path: Path) -> list[Run]:
             )
         samples = {"t_s": probe.t_s, SPEED: rpm, "runout_um": probe.value}
         condition = {"probe": name, "sense": direction_of(name), "form": OVER_SPEED}
-        said = () if reading.timed else (_no_clock("its rows are taken to have been measured in their order"),)
+        order = () if reading.timed else (_no_clock("its rows are taken to have been measured in their order"),)
+        said = (*reading.assumed, *order)
         meta = RunMeta(run_id=_safe(name), kind="rotation", condition=condition, started=reading.started)
         runs.append(Run(meta, samples, source=str(path), findings=said))
+    return runs
+
+
+def _at_rest(reading: Reading, path: Path) -> list[Run]:
+    """Return the runs of an axis that was turned by hand; none where the angles are those of one that turned."""
+    runs = []
+    angle = reading.channels[ANGLE]
+    for name, probe in reading.probes.items():
+        at = angle.value[np.isin(angle.t_s, probe.t_s)]
+        if is_at_rest(at):
+            samples = {"t_s": probe.t_s, ANGLE: at, "displacement_um": probe.value}
+            condition = {"probe": name, "sense": direction_of(name), "form": AT_REST}
+            meta = RunMeta(_safe(name), "rotation", condition=condition)
+            runs.append(Run(meta, samples, source=str(path), findings=reading.assumed))
     return runs
 
 
@@ -112,6 +131,7 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
             allowed=f"condition.speed_rpm above 0 and below {_MOST_RPM:g}",
         )
     angle, origin, findings = _angle(reading, path)
+    findings += reading.assumed
     if angle is not None and not reading.timed:
         reading, angle = _timed(reading, angle, _speed(reading, told, path))
         findings.append(_no_clock("times are the angle over the speed that is told"))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.kind import Drawing
-from dtwin.kinds.rotation._heads import figure_of
+from dtwin.kinds.rotation._at_rest import at_rest
+from dtwin.kinds.rotation._heads import AT_REST, figure_of
 from dtwin.kinds.rotation._runout import groups_in, is_over_speed
 from dtwin.kinds.rotation._turns import Turns, Value, figures_of, filtered, once_of, synchronous_um, turns_of
 from dtwin.report.plots import error_figure, lacks_columns, polar_figure
@@ -27,6 +28,7 @@ _RADIUS_MM = 100.0
 _BASIS = {
     "turns": "what blocks of neighbouring turns differ by (unit of replication: the block, of ten or fewer turns the turn)",
     "table": "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)",
+    "rest": "what turns by hand differ by (unit of replication: the turn)",
 }
 
 
@@ -35,18 +37,24 @@ def rotation_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     parts: list[Part] = []
     notes: list[str] = []
     tables: list[Part] = []
+    by_hand: list[Part] = []
     for run in runs:
         notes += sound_runs([run])[1]
         sound = not any(f.severity == "error" for f in run.findings)
         if is_over_speed(run):
             tables += pooled(_over_speed(run, under, sound))
             continue
+        if run.meta.condition.get("form") == AT_REST:
+            by_hand.append(Part(f"{run.meta.run_id}, at rest", (run.meta.run_id,), _still(run, under), sound))
+            continue
         turns = turns_of(run)
         if turns is None:
             notes.append(f"{run.meta.run_id} is not evaluated: it has no whole turn.")
             continue
         parts.append(Part(_title(run), (run.meta.run_id,), _figures(turns, under), sound))
-    basis = "; ".join(_BASIS[form] for form, there in (("turns", parts), ("table", tables)) if there)
+    forms = (("turns", parts), ("table", tables), ("rest", by_hand))
+    basis = "; ".join(_BASIS[form] for form, there in forms if there)
+    tables += by_hand
     told = [c.symbol for part in tables for c in part.characteristics]
     headline = "S" if parts else "TIR" if "TIR" in told or not told else told[0]
     return Sheet("ISO 230-7, axes of rotation", headline, (*parts, *tables), basis, tuple(notes))
@@ -65,6 +73,15 @@ def _figures(turns: Turns, under: Circumstances) -> tuple[Characteristic, ...]:
     return tuple(
         _characteristic(symbol, name, value, under) for symbol, name, value in named if math.isfinite(value.um)
     )
+
+
+def _still(run: Run, under: Circumstances) -> tuple[Characteristic, ...]:
+    told = at_rest(run)
+    figures = (
+        repeated("TIR", f"run-out at rest, of {len(told.angle_deg)} places", told.total_um.tolist()),
+        repeated("e", "once per turn, of the target", np.abs(told.once).tolist()),
+    )
+    return tuple(replace(figure, contributions=(under.reading(_READING_UM),)) for figure in figures)
 
 
 def _characteristic(symbol: str, name: str, value: Value, under: Circumstances) -> Characteristic:
@@ -92,7 +109,18 @@ def _title(run: Run) -> str:
 
 def rotation_figure(runs: Sequence[Run]) -> go.Figure:
     """Draw a run as the polar picture of the standard, a table as its run-outs over speed."""
+    if runs[0].meta.condition.get("form") == AT_REST:
+        return _by_places(runs[0])
     return _over_table(runs[0]) if is_over_speed(runs[0]) else _polar(runs[0])
+
+
+def _by_places(run: Run) -> go.Figure:
+    told = at_rest(run)
+    level = float(told.read_um.mean())
+    fine = np.linspace(0.0, 360.0, 121)
+    once = complex(told.once.mean()) * np.exp(-1j * np.radians(fine))
+    curves = {"read": (told.angle_deg, told.read_um.mean(axis=0) - level), "once per turn": (fine, once.real)}
+    return error_figure(curves, title=f"{run.meta.run_id}: at rest", x_title="angle, deg", y_title="reading, µm")
 
 
 def _over_table(run: Run) -> go.Figure:
@@ -146,8 +174,8 @@ def _require(run: Run) -> None:
 
 def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     _require(run)
-    if is_over_speed(run):
-        return _over_table(run)
+    if is_over_speed(run) or run.meta.condition.get("form") == AT_REST:
+        return rotation_figure([run])
     turns = turns_of(run)
     if turns is None:
         return error_figure({}, title=f"{run.meta.run_id}: no whole turn")

@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.kinds.rotation._heads import OVER_SPEED
+from dtwin.kinds.rotation._heads import AT_REST, OVER_SPEED
 from dtwin.kinds.rotation._laws import Law, groups_of, law_of
 from dtwin.kinds.rotation._orders import Order, orders_of
 from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, one_way, turns_of
@@ -77,7 +77,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
     """Return the sound turning runs by probe and set-up with the sense of rotation, by speed."""
     found: dict[tuple[str, str], list[Point]] = {}
     for place, run in enumerate(runs):
-        if run.meta.condition.get("form") == OVER_SPEED or any(f.severity == "error" for f in run.findings):
+        if run.meta.condition.get("form") in (AT_REST, OVER_SPEED) or any(f.severity == "error" for f in run.findings):
             continue
         if "displacement_um" not in run.samples or (turns := turns_of(run)) is None:
             continue

@@ -363,7 +363,6 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"t_s": TIME, "angle_deg": ANGLE / 360.0 % 1.0, "radial_um": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE / 0.9 % 400.0, "radial_um": UM}), "rotation.unit"),
         (table({"speed [1000 rpm]": TIME, "run-out [µm]": UM}), "rotation.unit"),
-        (table({"speed [rpm]": TIME, "run-out [tenths]": UM}), "rotation.unit"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
         (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
         (table({"angle_deg": ANGLE, "radial_um": UM}), "rotation.angle"),
@@ -523,6 +522,10 @@ def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> 
         ("omega [rad/s]", np.pi / 30.0, "TIR [um]"),
         ("speed [krpm]", 1e-3, "TIR [micron]"),
         ("krpm", 1e-3, "TIR [micron]"),
+        ("krpm", 1e-3, "error motion [um]"),
+        ("Speed (RPM)", 1.0, "TIR (0.0001 in)"),
+        ("Speed (RPM)", 1.0, "runout (tenths)"),
+        ("n [1/min]", 1.0, "Rundlauf in 1/100 mm"),
     ],
 )
 def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per_rpm: float, runout: str) -> None:
@@ -532,6 +535,9 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     assert is_rotation_file(path)
     (run,) = read(tmp_path, path.read_text(encoding="utf-8"))
     assert run.samples["speed_rpm"] == pytest.approx(rpm, rel=1e-5)
+    parts = {"TIR (0.0001 in)": 2.54, "runout (tenths)": 2.54, "Rundlauf in 1/100 mm": 10.0}
+    assert ("tenths" in runout) == ("rotation.tenths" in {finding.code for finding in run.findings})
+    assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
 
 
 def test_units_in_a_row_below_the_heads_are_read_though_the_words_alone_are_known(tmp_path: Path) -> None:
@@ -631,3 +637,41 @@ def test_the_share_of_slots_is_theirs() -> None:
     um = Target().read(angle, 4) - 50.0 * ((angle % 15.0) < 6.75)
     (told,) = (f for f in judged(run_of(angle, um)) if f.code == "rotation.interrupted")
     assert 35.0 < told.numbers["share_pct"] < 60.0
+
+
+def test_run_outs_below_their_speeds_are_read(tmp_path: Path) -> None:
+    for head in ("Speed [rpm],1000,2000,3000", "Probe,1000 rpm,2000 rpm,3000 rpm"):
+        path = tmp_path / "a.csv"
+        path.write_text(f"{head}\nradial TIR [um],2.1,2.2,2.5\naxial TIR [um],1,1.1,1.2\n", encoding="utf-8")
+        assert is_rotation_file(path)
+        radial, axial = read(tmp_path, path.read_text(encoding="utf-8"))
+        assert radial.samples["speed_rpm"].tolist() == [1000.0, 2000.0, 3000.0]
+        assert axial.samples["runout_um"].tolist() == pytest.approx([1.0, 1.1, 1.2])
+
+
+@pytest.mark.parametrize("places", [4, 8, 12])
+def test_a_dial_indicator_at_rest_tells_run_out_and_eccentricity_alone(tmp_path: Path, places: int) -> None:
+    path, rng = tmp_path / "bar.csv", np.random.default_rng(places)
+    angle = np.arange(0.0, 360.0 + 1.0, 360.0 / places)
+    once = 20.0 * np.cos(np.radians(angle - 40.0))
+    rows = [[f"{a:g}", *(f"{(u + rng.normal()) / 1000:.4f}" for _ in "123")] for a, u in zip(angle, once, strict=True)]
+    heads = "Angle [deg],Indicator turn 1 [mm],Indicator turn 2 [mm],Indicator turn 3 [mm]"
+    path.write_text("\n".join([heads, *(",".join(row) for row in rows)]), encoding="utf-8")
+    done = CliRunner().invoke(app, ["check", str(path), "--json"], catch_exceptions=False)
+    told = json.loads(done.stdout)
+    (part,) = told["sheet"]["parts"]
+    total, eccentricity = part["characteristics"]
+    assert (total["symbol"], eccentricity["symbol"], total["repeats"]) == ("TIR", "e", 3)
+    assert eccentricity["value_um"] == pytest.approx(20.0, abs=1.5)
+    assert eccentricity["expanded_um"] > 0.0
+    (said,) = [f["message"] for run in told["runs"] for f in run["findings"] if f["code"] == "rotation.at_rest"]
+    assert "no error motion" in said
+
+
+def test_an_indicator_that_does_not_come_back_is_told(tmp_path: Path) -> None:
+    rows = [f"{45 * n},{0.02 * np.cos(np.pi * n / 4):.3f}" for n in range(8)]
+    text = "\n".join(["Angle,Indicator [mm]", *rows, "360,0.030"])
+    (run,) = read(tmp_path, text)
+    assert "rotation.not_back" in {f.code for f in judged(run)}
+    (run,) = read(tmp_path, text.replace("0.030", "0.020"))
+    assert "rotation.not_back" not in {f.code for f in judged(run)}
