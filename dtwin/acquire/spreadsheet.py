@@ -13,6 +13,7 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
+from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
@@ -39,11 +40,11 @@ def ending_as_table(path: Path) -> str:
     return ".csv" if is_spreadsheet(path) else path.suffix.lower()
 
 
-def table_bytes(path: Path, max_bytes: int) -> bytes:
+def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
     """Return a table of text; of a spreadsheet its first sheet that holds a table and is not hidden, as CSV.
 
-    A sheet without numbers below names, such as a cover, is none where another one has them. Two sheets with the same heads are refused:
-    one axis would be read for the other.
+    ``axis``: the sheet that is called so, ``X`` or ``X axis``, is taken where there is one. A sheet without numbers below names, such as a
+    cover, is none where another one has them. Two sheets with the same heads are refused otherwise: one axis would be read for the other.
     Formulas count as what the spreadsheet program last saved of them; one without a saved value is refused. Empty rows and columns are left
     out.
 
@@ -55,13 +56,15 @@ def table_bytes(path: Path, max_bytes: int) -> bytes:
     if not is_spreadsheet(path):
         return read_bounded(path, max_bytes)
     require_bounded(path, _MAX_BYTES)
-    return _converted(path, path.stat().st_mtime_ns)
+    return _converted(path, path.stat().st_mtime_ns, axis)
 
 
 def first_text(path: Path, max_bytes: int) -> str:
     """Return the beginning of a table as text, by which its form is known; ``max_bytes``: limit of a spreadsheet."""
     if is_spreadsheet(path):
-        return decoded(table_bytes(path, max_bytes)[:_SNIFFED])
+        require_bounded(path, _MAX_BYTES)
+        # Sheets of several axes are of one form.
+        return decoded(_converted(path, path.stat().st_mtime_ns, None)[:_SNIFFED])
     with path.open("rb") as file:
         return decoded(file.read(_SNIFFED))
 
@@ -72,7 +75,8 @@ def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
 
 
 @lru_cache(maxsize=4)
-def _converted(path: Path, _changed_ns: int) -> bytes:
+def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
+    """Return a sheet as CSV; ``axis``: None takes the first of those with the same heads that are called as axes are."""
     import openpyxl
 
     try:
@@ -93,8 +97,11 @@ def _converted(path: Path, _changed_ns: int) -> bytes:
             }
             tables = [title for title, found in heads.items() if found]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
-            if len(alike) > 1:
-                raise _refused(path, f"sheets with the same heads: {', '.join(alike)}"[:160], "one of them")
+            called = [title for title in tables if axis and axis_of(title, bare=True) == axis.upper()]
+            if len(called) == 1:
+                tables = called
+            elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
+                raise _several(path, alike)
             sheets = [sheet for sheet in shown if sheet.title in tables[:1]] or shown
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
@@ -184,6 +191,19 @@ def _as_csv(rows: list[list[str]]) -> bytes:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue().encode()
+
+
+def _several(path: Path, titles: Sequence[str]) -> InputError:
+    named = next((axis for title in titles if (axis := axis_of(title, bare=True))), "")
+    return InputError(
+        "several sheets hold tables with the same heads",
+        code="spreadsheet.sheets",
+        where=str(path),
+        got=", ".join(titles)[:160],
+        allowed="one of them",
+        hint=(f"--axis {named} takes the sheet of that axis, in a positioning test; else " if named else "")
+        + "save the sheet that is meant as CSV and bring that",
+    )
 
 
 def _refused(path: Path, got: str, allowed: str) -> InputError:

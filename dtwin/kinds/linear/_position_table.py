@@ -25,12 +25,15 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.axis_titles import parts_by_axis
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
+from dtwin.kinds.linear._one_place import one_place, require_several_places
 from dtwin.kinds.linear._order import no_direction, ways_in_order
 from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
@@ -73,7 +76,9 @@ def is_position_table(path: Path) -> bool:
     text = first_text(path, _MAX_BYTES)
     if is_assigned(text):
         return True
+    text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
+    require_several_places(rows, path)
     return bool(report_tables(text)) or table_of(rows) is not None or bool(names_no_direction(rows))
 
 
@@ -84,8 +89,10 @@ def read_position_runs(
 
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
     """
-    text = decoded(table_bytes(path, _MAX_BYTES))
-    table = _read(text, path, str(stated.get("condition", {}).get("instrument", "")))
+    condition = stated.get("condition", {})
+    axis = str(condition.get("axis", ""))
+    text = _of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
+    table = _read(text, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     return runs_of(table, path, stated, said), []
 
@@ -95,7 +102,22 @@ def read_position_table(path: Path) -> PositionTable:
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    return _read(decoded(table_bytes(path, _MAX_BYTES)), path)
+    return _read(_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path), path)
+
+
+def _of_axis(text: str, axis: str, path: Path) -> str:
+    """Return the part of a text that stands below the title of an axis; a text without titles of several as it is."""
+    parts = parts_by_axis(text)
+    if parts and axis.upper() not in parts:
+        raise InputError(
+            "the file holds tables of several axes, and none of the one that is asked for",
+            code="position_table.axes",
+            where=str(path),
+            got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
+            allowed="one of them, one campaign each",
+            hint=f"--axis {next(iter(parts))}",
+        )
+    return parts.get(axis.upper(), text)
 
 
 def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
@@ -157,6 +179,16 @@ def _require_near(table: PositionTable, path: Path) -> None:
     read_um = np.hstack([table.forward_um, table.reverse_um])
     there = np.isfinite(read_um).any(axis=1)
     target_mm, off_mm = table.target_mm[there], np.nanmean(read_um[there], axis=1) / UM_PER_MM
+    against_mm = 2.0 * target_mm + off_mm
+    if table.by_position and np.ptp(against_mm) < _LITTLE * np.ptp(table.target_mm):
+        raise InputError(
+            "the readings run against the targets: the scale or the instrument counts the other way",
+            code="position_table.mirrored",
+            where=str(path),
+            got=f"{target_mm[0] + off_mm[0]:z.6g} to {target_mm[-1] + off_mm[-1]:z.6g} mm at targets of {target_mm[0]:z.6g} to {target_mm[-1]:z.6g} mm",
+            allowed="readings that grow as the targets do",
+            hint="change the sign of all readings, or of all targets where those count the other way",
+        )
     if table.by_position and np.median(np.abs(off_mm - np.median(off_mm))) > _LITTLE * np.ptp(table.target_mm):
         raise InputError(
             "the readings are taken for positions, and do not follow their targets",
@@ -213,8 +245,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
     if len(targets) == 1 < cycles:
-        one = "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions"
-        raise wrong_form(one, path, f"{targets[0]:g} mm, {len(readings)} readings")
+        raise one_place(path, {way: [r[3] for r in readings if r[1] == way] for way in ("forward", "reverse")})
     if len(targets) < 2 or not 1 <= cycles <= 1000:
         raise wrong_form("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
     place = {target: i for i, target in enumerate(targets)}
@@ -267,6 +298,9 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
     numbered = list(enumerate(body, start=2 if units is None else 3))
     targets = [_cell(row, long.target, f"{path} row {number}") * scales[0] for number, row in numbered]
     one = joined_targets(targets)
+    if long.way is None and len(set(one.values())) == 1 < len(targets):
+        value_um = [number_or_none(row[long.value]) for _, row in numbered if long.value < len(row)]
+        raise one_place(path, {"": [um * scales[1] * UM_PER_MM for um in value_um if um is not None]})
     ordered = ways_in_order([one[target] for target in targets]) if long.way is None else None
     if long.way is None and ordered is None:
         raise no_direction(

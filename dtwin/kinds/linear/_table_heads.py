@@ -64,6 +64,9 @@ _WORDS = {
 }
 _SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
+_SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
+"""A sign between the words of a head: ``Error + run 1``."""
+
 
 @dataclass(frozen=True)
 class Wide:
@@ -81,7 +84,8 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
     names = [head.strip() for head in heads]
     targets = _targets(names)
-    told = [(i, way_of(name), re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
+    ways = _ways_of(names)
+    told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
@@ -100,6 +104,17 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
         seen: Counter[str] = Counter()
         return Wide(targets[0], tuple((i, way, seen.update([way]) or seen[way]) for i, way, _ in cells))
     return Wide(targets[0], tuple(numbered)) if len(numbered) >= 2 else None
+
+
+def _ways_of(names: Sequence[str]) -> list[str | None]:
+    """Return the direction that each head names; a sign within it is one where each head stands there with either sign."""
+    ways = [way_of(name) for name in names]
+    signs = [_SIGN_INSIDE.search(_IN_BRACKETS.sub("", name)) for name in names]
+    marked = [(name.replace(sign[1], "", 1), _SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
+    if any(ways) or not marked:
+        return ways
+    both = [sorted(name for name, way in marked if way == wanted) for wanted in ("forward", "reverse")]
+    return [_SIGNS[sign[1]] if sign else None for sign in signs] if both[0] == both[1] else ways
 
 
 def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bool:

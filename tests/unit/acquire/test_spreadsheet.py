@@ -150,9 +150,9 @@ def test_a_hidden_sheet_is_not_read_and_heads_are_alike_in_any_letters(tmp_path:
     for row in shown.iter_rows(values_only=True):
         other.append([str(cell).upper() if cell in heads else cell for cell in row])
     book.save(tmp_path / "b.xlsx")
-    with pytest.raises(InputError, match="cannot be read") as refused:
+    with pytest.raises(InputError, match="several sheets") as refused:
         table_bytes(tmp_path / "b.xlsx", 10**6)
-    assert refused.value.got == "sheets with the same heads: new, Y"
+    assert refused.value.got == "new, Y"
 
 
 def test_a_formula_without_a_saved_value_is_refused_with_its_place(tmp_path: Path) -> None:

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from dtwin.acquire._tabular import kind_of_table
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
@@ -518,7 +520,7 @@ def test_directions_that_are_not_named_are_told_by_the_order_of_targets(
     path.write_text("\n".join(["Time [s];Commanded [mm];Measured [mm];Feed [mm/min]", *rows]), encoding="utf-8")
     campaign = Campaign(name="c", machine="m", kind="linear")
     if not ways:
-        with pytest.raises(InputError, match="from which side"):
+        with pytest.raises(InputError, match=r"from which side|one target"):
             read_position_runs(path, campaign, {})
         return
     runs, _ = read_position_runs(path, campaign, {})
@@ -610,7 +612,7 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
             "position_table.axes",
         ),
         ("target [mm],direction,stage 1 [µm],stage 2 [µm]\n0,+,1,2\n9,+,2,3\n0,-,1,2\n9,-,2,3", "position_table.axes"),
-        ("target [mm],direction,reading [mm]\n9,+,9.001\n9,-,9.004\n9,+,9.002\n9,-,9.003", "position_table.form"),
+        ("target [mm],direction,reading [mm]\n9,+,9.001\n9,-,9.004\n9,+,9.002\n9,-,9.003", "position_table.one_place"),
         ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
     ],
 )
@@ -787,3 +789,73 @@ def test_a_table_for_each_direction_below_its_title_is_one_test(tmp_path: Path) 
     path.write_text("\n".join([*lines, "Geradheit", "Ziel [mm];1 [µm]", "0;1"]), encoding="utf-8")
     with pytest.raises(InputError):
         read_position_table(path)
+
+
+TWO_AXES = [
+    [axis, "Target [mm],Fwd 1 [um],Rev 1 [um],Fwd 2 [um],Rev 2 [um]", *(f"{t},0,{b},0,{b}" for t in (0, 100, 200))]
+    for axis, b in (("X axis", -3), ("Y axis", -9))
+]
+
+
+@pytest.mark.parametrize("ending", ["csv", "md", "xlsx"])
+def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"slide.{ending}"
+    if ending == "xlsx":
+        book = openpyxl.Workbook()
+        book.remove(book.active)
+        for title, head, *rows in TWO_AXES:
+            sheet = book.create_sheet(title)
+            sheet.append(head.split(","))
+            for row in rows:
+                sheet.append([float(cell) for cell in row.split(",")])
+        book.save(path)
+    elif ending == "csv":
+        path.write_text("\n".join(["Slide 4, 3 May", *(line for part in TWO_AXES for line in part)]), encoding="utf-8")
+    else:
+        for title, *rows in TWO_AXES:
+            table = [f"|{row.replace(',', '|')}|" for row in rows]
+            with path.open("a", encoding="utf-8") as file:
+                file.write("\n".join(["", f"## {title}", "", table[0], "|---|---|---|---|---|", *table[1:], ""]))
+    assert is_position_table(path)
+    for axis, play in (("X", -3.0), ("y", -9.0)):
+        runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": axis}})
+        back = runs[0].samples["direction"] == "reverse"
+        assert runs[0].samples["error_um"][back].tolist() == pytest.approx([play] * 3)
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
+    assert "X" in refused.value.got
+    assert "--axis X" in refused.value.hint
+
+
+def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "Position [mm],Error + run1 [µm],Error - run1 [µm],Error + run2 [µm],Error - run2 [µm]"
+    path.write_text("\n".join([heads, "0,1,2,3,4", "50,5,6,7,8"]), encoding="utf-8")
+    table = read_position_table(path)
+    assert table.forward_um.tolist() == [[1.0, 3.0], [5.0, 7.0]]
+    assert table.reverse_um.tolist() == [[2.0, 4.0], [6.0, 8.0]]
+    path.write_text("\n".join([heads.replace("+", "-"), "0,1,2,3,4", "50,5,6,7,8"]), encoding="utf-8")
+    assert not is_position_table(path)
+
+
+def test_a_scale_that_counts_the_other_way_is_told_as_that(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},{400 - t + 0.002},{400 - t - 0.001}" for t in (0, 100, 200, 400)]
+    path.write_text("\n".join(["Target [mm],Fwd 1 [mm],Rev 1 [mm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == "position_table.mirrored"
+
+
+@pytest.mark.parametrize("heads", ["trial,session,reading [mm]", "Home switch\nTrial,Session,Position [mm]"])
+def test_one_place_approached_again_and_again_is_refused_with_how_it_repeats(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "home.csv"
+    rows = [f"{n % 10},{n // 10},{12 + (n % 2) / 1000 + 0.02 * (n // 10)}" for n in range(20)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        kind_of_table(path)
+    assert refused.value.code == "position_table.one_place"
+    assert "standard deviation 0.527 µm" in refused.value.got
+    assert "differ by 20 µm" in refused.value.got
+    path.write_text("\n".join(["trial,time [s],reading [mm]", *rows]), encoding="utf-8")
+    assert not is_position_table(path)

@@ -1,0 +1,43 @@
+"""Titles that name an axis, above tables in a text or of the sheets of a workbook, and the choice of one of them."""
+
+from __future__ import annotations
+
+import re
+
+from dtwin.acquire.foreign_columns import is_number
+
+_AXIS = r"(?:axis|achse|axe|asse|eje)"
+_TITLE = re.compile(
+    rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
+)
+_BARE = re.compile(r"[xyzabcuvw]\d?", re.I)
+_CELLS = re.compile(r"[;\t|]")
+_MARKS = "#*|=-,;:\t \"'"
+
+
+def axis_of(title: str, *, bare: bool = False) -> str:
+    """Return the axis that a title begins with, ``X`` of ``X axis`` and ``Achse: X``, in capitals; empty where it names none.
+
+    ``bare``: a letter alone is an axis, too, as the name of a sheet.
+    """
+    told = title.strip(_MARKS)
+    match = _TITLE.fullmatch(told)
+    if match is not None:
+        return (match[1] or match[2]).upper()
+    return told.upper() if bare and _BARE.fullmatch(told) else ""
+
+
+def parts_by_axis(text: str) -> dict[str, str]:
+    """Return the tables of a text that stand below titles of several axes, with what stands above the first; empty where there are no two."""
+    above: list[str] = []
+    parts: dict[str, list[str]] = {}
+    lines = above
+    for line in text.splitlines():
+        # A row of a table has several cells; commas stand in titles, too.
+        row = sum(bool(cell.strip()) for cell in _CELLS.split(line)) > 1 or any(map(is_number, line.split(",")))
+        axis = "" if row else axis_of(line)
+        if axis:
+            lines = parts.setdefault(axis, [])
+        else:
+            lines.append(line)
+    return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()} if len(parts) > 1 else {}

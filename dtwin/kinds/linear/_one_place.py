@@ -1,0 +1,74 @@
+"""Readings of one place that was approached again and again: how it repeats, and no accuracy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dtwin.acquire.table_dialect import STATISTICS
+from dtwin.acquire.xmlsafe import number_or_none
+from dtwin.errors import InputError
+from dtwin.kinds.linear._table_heads import is_index, scale_of, told_unit
+from dtwin.units import UM_PER_MM
+
+_COUNTS = re.compile(
+    r"^(trial|run|cycle|repeat|repetition|approach|test|home|homing|session|series|day|versuch|messung|zyklus|lauf|anfahrt|serie|sitzung|essai|prova)"
+    r"[\s_.]*(no|nr|num|number|nummer|index|id|#)?\.?$",
+    re.I,
+)
+_SESSION = re.compile(r"session|series|day|serie|sitzung", re.I)
+_READ = re.compile(
+    r"read|measured|actual|ist|mess|position|deviation|error|abw|fehler|probe|indicator|dial|switch|schalter", re.I
+)
+_OTHER = re.compile(STATISTICS, re.I)
+_FEWEST = 5
+
+
+def require_several_places(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a table of trials, perhaps of sessions, and one reading each, with what it tells: of no place is said where it should be."""
+    for begin, row in enumerate(rows[:20]):
+        heads = [cell.strip() for cell in row]
+        counts = [i for i, head in enumerate(heads) if _COUNTS.match(head) or is_index(head)]
+        read = [i for i, head in enumerate(heads) if head and i not in counts]
+        if (
+            not any(map(_COUNTS.match, heads))
+            or len(read) != 1
+            or not _READ.search(heads[read[0]])
+            or _OTHER.search(heads[read[0]])
+        ):
+            continue
+        scale = scale_of(told_unit(heads[read[0]], "")) if told_unit(heads[read[0]], "") else float("nan")
+        session = next((i for i in counts if _SESSION.match(heads[i])), None)
+        told: dict[str, list[float]] = {}
+        for line in rows[begin + 1 :]:
+            value = number_or_none(line[read[0]]) if read[0] < len(line) else None
+            if value is not None and scale > 0.0:
+                name = line[session].strip() if session is not None and session < len(line) else ""
+                told.setdefault(name, []).append(value * scale * UM_PER_MM)
+        if sum(map(len, told.values())) >= _FEWEST:
+            raise one_place(path, told)
+
+
+def one_place(path: Path, groups_um: Mapping[str, Sequence[float]]) -> InputError:
+    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction or session."""
+    groups = [np.array(group) for group in groups_um.values() if len(group)]
+    dof = sum(len(group) - 1 for group in groups)
+    within = float(np.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) / dof)) if dof else float("nan")
+    got = f"{sum(map(len, groups))} readings, standard deviation {within:z.3g} µm, a next one lies within ± {2.0 * within:z.3g} µm (k = 2)"
+    if len(groups) > 1:
+        means = [float(group.mean()) for group in groups]
+        names = (
+            " and ".join(name for name in groups_um if name) if set(groups_um) <= {"forward", "reverse"} else "sessions"
+        )
+        got += f"; means of {names} differ by {max(means) - min(means):z.3g} µm"
+    return InputError(
+        "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions",
+        code="position_table.one_place",
+        where=str(path),
+        got=got,
+        allowed="two targets or more",
+        hint="the repeatability of a datum is what is got; for accuracy and R of an axis read five targets or more, from both sides",
+    )
