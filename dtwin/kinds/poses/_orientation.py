@@ -1,6 +1,7 @@
-"""Orientations of poses, as quaternions or matrices: checked, and kept as quaternions where they are commanded.
+"""Orientations of poses, as quaternions, vectors, angles or matrices: checked, and kept as quaternions where they are commanded.
 
-``target_qx_1 … target_qw_1`` are a unit quaternion; ``target_m11_1 … target_m33_1`` the rotation of a matrix of 3 or 4 rows, whose last column,
+``target_qx_1 … target_qw_1`` are a unit quaternion; ``target_rotvec_x_deg …`` an axis times the angle about it; ``target_roll_deg``,
+``target_pitch_deg``, ``target_yaw_deg`` turns about the fixed x, then y, then z axis; ``target_m11_1 … target_m33_1`` the rotation of a matrix of 3 or 4 rows, whose last column,
 ``target_m14_mm``, ``target_m24_mm``, ``target_m34_mm``, is the position. ``measured_…`` the same.
 """
 
@@ -20,6 +21,14 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 _ROTATION = tuple(f"m{row}{column}" for row in "123" for column in "123")
 _BOTTOM = ("m41", "m42", "m43", "m44")
 _POSITION = {"m14": "x", "m24": "y", "m34": "z"}
+_VECTOR = ("rotvec_x", "rotvec_y", "rotvec_z")
+_ANGLES = ("roll", "pitch", "yaw")
+_ASK = (
+    "target_rotvec_x_rad … where they are an axis times an angle (rx, ry, rz of UR); target_roll_deg, target_pitch_deg, target_yaw_deg where they are "
+    "turns about fixed x, then y, then z (roll pitch yaw of ROS, W P R of Fanuc, C B A of KUKA)"
+)
+_TURNED = re.compile(r"(target|measured)_(r[xyz]|[abcwpr]|alpha|beta|gamma|roll|pitch|yaw|rotvec_[xyz])(_deg)?")
+_MOST_DEG = 400.0
 _UNITLESS = re.compile(rf"(target|measured)_({'|'.join((*QUATERNION, *_ROTATION, *_BOTTOM))})")
 # Of what was rounded to three digits.
 _OFF = 0.01
@@ -39,18 +48,28 @@ def with_orientation(columns: dict[str, Floats], path: Path) -> tuple[dict[str, 
 
     Raises ``InputError`` when numbers are missing, or are no rotation.
     """
-    known = re.compile(rf"(target|measured)_([xyz]_mm|({'|'.join((*QUATERNION, *_ROTATION, *_BOTTOM))})_1)")
+    known = re.compile(
+        rf"(target|measured)_([xyz]_mm|({'|'.join((*QUATERNION, *_ROTATION, *_BOTTOM))})_1|({'|'.join((*_VECTOR, *_ANGLES))})_deg)"
+    )
     unused = [name for name in columns if name.startswith(("target_", "measured_")) and not known.fullmatch(name)]
     out, findings = dict(columns), list[Finding]()
     if unused:
-        said = f"{', '.join(unused)[:80]}: not used; an orientation is told as target_qx … target_qw, or target_m11 … target_m33"
-        findings.append(Finding("poses.orientation", "info", said))
+        commanded = any(name.startswith("target_") and _TURNED.fullmatch(name) for name in unused)
+        told = "target_qx … target_qw, or target_m11 … target_m33"
+        said = (
+            f"{', '.join(unused)[:80]}: not used; an orientation is told as {told}{f'; or {_ASK}' if commanded else ''}"
+        )
+        findings.append(Finding("poses.orientation", "warning" if commanded else "info", said))
     for what in ("target", "measured"):
         parts = {name: out.pop(f"{what}_{name}_1", None) for name in (*QUATERNION, *_ROTATION, *_BOTTOM)}
         there = {name: values for name, values in parts.items() if values is not None}
-        if not there:
+        turned = {name: out.pop(f"{what}_{name}_deg", None) for name in (*_VECTOR, *_ANGLES)}
+        angles = {name: values for name, values in turned.items() if values is not None}
+        if not there and not angles:
             continue
-        if set(QUATERNION) & set(there):
+        if not there:
+            quaternion = _of_angles(angles, what, path)
+        elif set(QUATERNION) & set(there):
             quaternion = _unit(_stacked(there, QUATERNION, what, path), what, path)
         else:
             quaternion = _of_matrix(there, what, path)
@@ -81,6 +100,23 @@ def _unit(quaternion: Floats, what: str, path: Path) -> Floats:
     return quaternion / norm[:, None]
 
 
+def _of_angles(there: dict[str, Floats], what: str, path: Path) -> Floats:
+    """Return the quaternions of vectors or of angles, in degrees."""
+    names = _VECTOR if set(_VECTOR) & set(there) else _ANGLES
+    degrees = _stacked(there, names, what, path)
+    size = np.linalg.norm(degrees, axis=1) if names is _VECTOR else np.abs(degrees).max(axis=1)
+    _require(
+        size > _MOST_DEG, f"an angle of {{:.0f}}° in {what}_{names[0]} …: degrees in columns of radians", size, path
+    )
+    good = np.isfinite(size)
+    out = np.full((len(size), 4), np.nan)
+    if good.any():
+        radians = np.radians(degrees[good])
+        turned = Rotation.from_rotvec(radians) if names is _VECTOR else Rotation.from_euler("xyz", radians)
+        out[good] = turned.as_quat()
+    return out
+
+
 def _of_matrix(there: dict[str, Floats], what: str, path: Path) -> Floats:
     matrix = _stacked(there, _ROTATION, what, path).reshape(-1, 3, 3)
     bottom = [there[name] for name in _BOTTOM if name in there]
@@ -103,6 +139,6 @@ def _require(bad: NDArray[np.bool_], got: str, values: Floats, path: Path) -> No
             code="poses.orientation",
             where=f"{path} pose {rows[0] + 1}",
             got=got.format(values[rows[0]]),
-            allowed="quaternions of length 1; matrices [m11 m12 m13 m14; m21 …] of a rotation and a position",
-            hint="is each column named by its own number, and the scalar of the quaternion qw?",
+            allowed="quaternions of length 1; vectors and angles of 400° at most; matrices [m11 m12 m13 m14; m21 …] of a rotation and a position",
+            hint="is each column named by its own number, and the scalar of the quaternion qw, and the unit of angles right?",
         )

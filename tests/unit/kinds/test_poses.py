@@ -303,6 +303,13 @@ def without_joints(folder: Path, form: str, *, scalar: float = 1.0) -> Path:
             for j in range(3):
                 columns[f"r{i}{j}"], names[f"r{i}{j}"] = turned.as_matrix()[place, i, j], f"target_m{i + 1}{j + 1}"
             names[f"cmd {a}"] = f"target_m{i + 1}4_mm"
+    if form == "rotvec":
+        for i, a in enumerate("xyz"):
+            columns[f"r{a}"], names[f"r{a}"] = scalar * turned.as_rotvec()[place, i], f"target_rotvec_{a}_rad"
+    if form == "rpy":
+        for i, a in enumerate(("roll", "pitch", "yaw")):
+            angles = turned.as_euler("xyz", degrees=True)
+            columns[a], names[a] = angles[place, i], f"target_{a}_deg"
     if form == "quaternion":
         for i, a in enumerate("xyzw"):
             factor = scalar if a == "w" else 1.0
@@ -323,7 +330,7 @@ def first_run(folder: Path) -> Run:
     return run
 
 
-@pytest.mark.parametrize("form", ["position", "quaternion", "matrix"])
+@pytest.mark.parametrize("form", ["position", "quaternion", "matrix", "rotvec", "rpy"])
 def test_poses_without_joints_have_the_figures_of_the_standard(tmp_path: Path, form: str) -> None:
     run = first_run(without_joints(tmp_path / "c", form))
     told = {f.code for f in (*run.findings, *judge_run(run))}
@@ -382,6 +389,19 @@ def test_a_quaternion_that_is_none_is_refused_with_its_pose(tmp_path: Path) -> N
         first_run(without_joints(tmp_path / "c", "quaternion", scalar=1.5))
     assert refused.value.code == "poses.orientation"
     assert "pose 1" in str(refused.value.where)
+
+
+def test_angles_without_a_convention_are_asked_for_it_and_degrees_are_no_radians(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        first_run(without_joints(tmp_path / "a", "rotvec", scalar=180.0 / np.pi))
+    assert "degrees in columns of radians" in str(refused.value.got)
+    folder = without_joints(tmp_path / "b", "rotvec")
+    told = (folder / "campaign.toml").read_text("utf-8")
+    (folder / "campaign.toml").write_text(told.replace("target_rotvec_", "target_r"), encoding="utf-8")
+    (said,) = (f for f in first_run(folder).findings if f.code == "poses.orientation")
+    assert said.severity == "warning"
+    assert "target_rotvec_x_rad" in said.message
+    assert "target_roll_deg" in said.message
 
 
 @pytest.mark.parametrize(
