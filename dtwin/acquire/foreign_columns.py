@@ -17,7 +17,7 @@ MOST_PREAMBLE = 200
 _MOST_GAPS = 20
 # Lengths of smaller units become µm.
 _LEAST_MM = 0.01
-_FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit")
+_FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit", "f")
 _FREEZING_F = 32.0
 _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 # What a foreign unit is here, and how many of it.
@@ -53,7 +53,7 @@ _HEADS = (
 )
 _WITH_UNIT = re.compile("^(.*?)\\s*[\\[(\uff08\uff3b]\\s*([^\\])\uff09\uff3d]*?)\\s*[\\])\uff09\uff3d]\\s*$")
 # Weg in µm, Weg / µm; a lone letter may be the name of a channel.
-_SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![agv]$)\S+)$", re.I)
+_SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![afgv]$)\S+)$", re.I)
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
         unit = here = _ending(head)
         base, factor = head.removesuffix(f"_{here}"), 1.0
         before, mark, last = head.rpartition("_")
-        if not here and mark and last.lower() in _UNITS:
+        # Behind an underline f is a name, as of what is in front.
+        if not here and mark and last.lower() in _UNITS and last.lower() != "f":
             base, unit, (here, factor) = before, last, _UNITS[last.lower()]
     if answer is not None:
         if not answer:

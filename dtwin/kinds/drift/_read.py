@@ -24,6 +24,7 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
 from dtwin.kinds.drift._sense import sense
+from dtwin.kinds.drift._standing import standing
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
 
@@ -50,7 +51,7 @@ _STEPS = "displacement_step"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
-_OTHER_DEGREES = re.compile(r"\s*(f|k|kelvin)\s*", re.I)
+_OTHER_DEGREES = re.compile(r"\s*(k|kelvin)\s*", re.I)
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 _COLDEST_C, _HOTTEST_C = -60.0, 400.0
@@ -124,6 +125,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
             shared[name] = np.where(lost, np.nan, read)
+    cold += standing(t_s, {name: shared[name] for name in temperatures if name in shared})
     runs, rejects = [], []
     sense(stated.get("condition", {}), str(path))
     for name in moved:
@@ -253,7 +255,7 @@ def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Ma
                 where=str(path),
                 got=f"{column.head} named {told}"[:80],
                 allowed="°C",
-                hint="write it in °C, or °F for F; from K T - 273.15",
+                hint="write it in °C; from K T - 273.15",
             )
 
 

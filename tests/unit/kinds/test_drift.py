@@ -531,13 +531,14 @@ def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Pat
         next(iter(open_source(tmp_path)[1]))
 
 
+@pytest.mark.parametrize("unit", ["°F", "F"])
 @pytest.mark.parametrize("named", ["", '[campaign.instrument.columns]\n"spindle [°F]" = "temperature_nut_c"\n'])
-def test_a_log_in_degrees_fahrenheit_is_one_in_degrees_celsius(tmp_path: Path, named: str) -> None:
+def test_a_log_in_degrees_fahrenheit_is_one_in_degrees_celsius(tmp_path: Path, named: str, unit: str) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{60 * n},{n / 2},{68 + 1.8 * n / 10:.6f}" for n in range(60)]
-    path.write_text("\n".join(["t_s,Z [µm],spindle [°F]", *rows]), "utf-8")
+    path.write_text("\n".join([f"t_s,Z [µm],spindle [{unit}]", *rows]), "utf-8")
     (tmp_path / "campaign.toml").write_text(
-        f'[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n{named}[[run]]\nid = "r"\nfile = "a.csv"\n',
+        f'[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n{named.replace("°F", unit)}[[run]]\nid = "r"\nfile = "a.csv"\n',
         encoding="utf-8",
     )
     (run,) = next(iter(open_source(tmp_path)[1]))[0]
@@ -614,3 +615,22 @@ def behind(t_s: np.ndarray, values: np.ndarray, tau_s: float) -> np.ndarray:
     for i, pause in enumerate(np.diff(t_s)):
         out[i + 1] = out[i] + (0.5 * (values[i] + values[i + 1]) - out[i]) * (1.0 - np.exp(-pause / tau_s))
     return out
+
+
+@pytest.mark.parametrize(("from_then_on", "said"), [(None, ""), ("25.00", "stuck"), ("85.0", "DS18B20"), ("still", "")])
+def test_a_sensor_that_stands_to_the_end_while_another_moves_on_is_suspect(
+    tmp_path: Path, from_then_on: str | None, said: str
+) -> None:
+    rng = np.random.default_rng(3)
+    warm = 20.0 + 10.0 * (1.0 - np.exp(-np.arange(300) / 90.0)) + 0.02 * rng.normal(size=300)
+    spindle, frame = [f"{t:.2f}" for t in warm], [f"{20.0 + 0.5 * (t - 20.0):.2f}" for t in warm]
+    if from_then_on == "still":
+        spindle[150:], frame[150:] = ["28.00"] * 150, ["24.00"] * 150
+    elif from_then_on:
+        spindle[150:] = [from_then_on] * 150
+    rows = [f"{n},{0.1 * n:.1f},{a},{b}" for n, (a, b) in enumerate(zip(spindle, frame, strict=True))]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time [min],probe [µm],spindle [°C],frame [°C]", *rows]), encoding="utf-8")
+    found = [f.message for f in read(path).findings if f.code == "drift.sensor_stands"]
+    assert len(found) == bool(said)
+    assert all(said in message and "from 150 to 299 min" in message for message in found)
