@@ -20,6 +20,7 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
+from dtwin.acquire.channel_log import as_table, is_channel_log
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
@@ -102,7 +103,7 @@ class Understood:
 
 @dataclass(frozen=True)
 class Looked:
-    """Heads and rows of a file, before anything is known of them."""
+    """Heads and rows of a file, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
 
     heads: tuple[str, ...]
     units: tuple[str, ...] | None
@@ -113,6 +114,7 @@ class Looked:
     decimal: str
     stored: Mapping[str, Any]
     rows: tuple[tuple[str, ...], ...]
+    of_channels: bool
 
 
 def read_as_it_is(path: Path) -> bool:
@@ -140,6 +142,8 @@ def look(path: Path, home: Home, decimal: str = "") -> Looked:
         )
     data = table_bytes(path, _MAX_BYTES)
     text = decoded(data)
+    if of_channels := is_channel_log(text):
+        text = as_table(text)
     rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
     body = rows[begin + (1 if units is None else 2) :]
@@ -154,6 +158,7 @@ def look(path: Path, home: Home, decimal: str = "") -> Looked:
         sign,
         stored,
         tuple(map(tuple, rows[begin:])),
+        of_channels,
     )
 
 
@@ -226,7 +231,7 @@ def understand(
         write_text(lone, plain, "a table")
         columns: tuple[Column, ...] = ()
         known = not answers and any(kind.takes_alone(lone) for kind in kinds())
-        if not answers and not known and any(kind.takes_alone(path) for kind in kinds()):
+        if not (answers or known or looked.of_channels) and any(kind.takes_alone(path) for kind in kinds()):
             # What was taken for titles belongs to it, as in a table on its side.
             known, plain = True, decoded(table_bytes(path, _MAX_BYTES))
             write_text(lone, plain, "a table")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.channel_log import LINE, is_channel_log
 from dtwin.acquire.foreign_columns import joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
@@ -43,7 +44,6 @@ _MOST_TITLES = 20
 _MOST_PROBES = 64
 _MOST_ON_ITS_SIDE = 200
 _UNIX_S = 1e9
-_LINE = re.compile(r"^(\S+)\s+(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:[.,]\d+)?)\s+(\S+)")
 _REPEAT = re.compile(
     r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|turn|umdrehung|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
     re.I,
@@ -88,13 +88,7 @@ def is_rotation_file(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MOST_BYTES)
-    return is_log(text) or _headed(_upright(rows_of(text), path), {}) is not None
-
-
-def is_log(text: str) -> bool:
-    """Return whether most of the first lines are ``NAME DATE TIME VALUE``."""
-    first = [line for line in text[:65_536].splitlines()[:50] if line.strip() and not line.startswith("#")]
-    return bool(first) and 2 * sum(_LINE.match(line) is not None for line in first) > len(first)
+    return is_channel_log(text) or _headed(_upright(rows_of(text), path), {}) is not None
 
 
 def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Reading:
@@ -106,7 +100,7 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
     Raises ``InputError`` when there is no probe, a unit is not told, or no row holds numbers.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
-    if is_log(text):
+    if is_channel_log(text):
         return _from_log(text, recipe, path, needed)
     return _from_table(_upright(rows_of(text), path), recipe, path, needed)
 
@@ -242,7 +236,7 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path, needed: str) -> 
     reading = Reading(apart=True)
     origin: datetime | None = None
     for row, line in enumerate(text.splitlines()):
-        cells = _LINE.match(line)
+        cells = LINE.match(line)
         if cells is None:
             if line.strip() and not line.startswith("#"):
                 reading.rejects.append({"row": row, "reason": "no reading", "values": {"line": line[:80]}})
@@ -265,13 +259,13 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path, needed: str) -> 
     columns = {name: _meant(name, recipe) for name in stamps}
     if not any(c.role == needed for c in columns.values()):
         raise InputError(
-            "a log of a turning axis does not say which of its channels is what",
+            "a log with one line a reading does not say which of its channels is what",
             code="rotation.channels",
             where=str(path),
             got=", ".join(f"{name} ({n})" for name, n in seen.most_common(12))[:400],
-            allowed="angle_deg, speed_rpm, and NAME_mm or NAME_um for each probe, such as radial_top_mm",
+            allowed="of a turning axis angle_deg, speed_rpm, and NAME_mm or NAME_um for each probe, such as radial_top_mm",
             hint='a campaign.toml with [campaign.instrument.columns] and lines such as "CHANNEL" = "angle_deg"; '
-            "docs/how-to/rotation.md",
+            "docs/how-to/rotation.md; a log of another test: dtwin import",
         )
     _require(list(columns.values()), list(columns), path, needed)
     probes = [name for name, c in columns.items() if c.role == PROBE]

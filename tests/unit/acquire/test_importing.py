@@ -293,3 +293,23 @@ def test_conditions_of_another_kind_of_test_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         open_source(path, CIRCLE)
     assert refused.value.code == "ingest.kind"
+
+
+def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(tmp_path: Path) -> None:
+    path, home = tmp_path / "night.log", Home(tmp_path / "home")
+    lines = ["IOC:State 2026-03-02 07:50:00.0 One", "IOC:T1-Act 2026-03-02 07:59:00.0 19.5"]
+    for n in range(120):
+        lines.append(f"IOC:Gauge-Act   2026-03-02 {8 + n // 60:02d}:{n % 60:02d}:00.250000 {0.5 * n:.2f}  ")
+        if n % 2:
+            lines.append(f"IOC:T1-Act 2026-03-02 {8 + n // 60:02d}:{n % 60:02d}:30.0 {20 + 0.1 * n:.1f}")
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        understand(path, home, {}, {})
+    assert "IOC:Gauge-Act: no unit is told" in str(refused.value.got)
+    assert "IOC:State" not in str(refused.value.got)
+    answers = {"IOC:Gauge-Act": "displacement_um", "IOC:T1-Act": "temperature_frame_c"}
+    found = understand(path, home, {"machine": "m"}, answers)
+    assert found.kind == "drift"
+    head, first, second, third, *_ = found.text.splitlines()
+    assert head == "t_s,temperature_frame_c,displacement_um"
+    assert (first, second, third) == ("0,19.5,0", "60,19.5,0.5", "89.75,20.1,0.5")
