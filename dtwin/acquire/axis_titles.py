@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.errors import InputError
 
 _AXIS = r"(?:axis|achse|axe|asse|eje)"
 _TITLE = re.compile(
@@ -41,3 +43,21 @@ def parts_by_axis(text: str) -> dict[str, str]:
         else:
             lines.append(line)
     return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()} if len(parts) > 1 else {}
+
+
+def part_of_axis(text: str, axis: str, path: Path) -> str:
+    """Return the part of a text that stands below the title of an axis; a text without titles of several as it is.
+
+    Raises ``InputError`` when the axis that is asked for is none of those.
+    """
+    parts = parts_by_axis(text)
+    if parts and axis.upper() not in parts:
+        raise InputError(
+            "the file holds tables of several axes, and none of the one that is asked for",
+            code="position_table.axes",
+            where=str(path),
+            got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
+            allowed="one of them, one campaign each",
+            hint=f"--axis {next(iter(parts))}",
+        )
+    return parts.get(axis.upper(), text)

@@ -20,6 +20,7 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
+from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
 from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -123,13 +124,15 @@ def read_as_it_is(path: Path) -> bool:
     return suffix == ".parquet" or (suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds()))
 
 
-def look(path: Path, home: Home, decimal: str = "") -> Looked:
+def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
     """Return the table of a file, and what is remembered of an earlier one with its heads.
 
     Parameters
     ----------
     decimal : str
         ``comma`` or ``point``; empty: as it is remembered, else as the marks between columns tell.
+    axis : str
+        Whose table is taken of a workbook or a text of several.
 
     Raises
     ------
@@ -140,10 +143,12 @@ def look(path: Path, home: Home, decimal: str = "") -> Looked:
         raise InputError(
             "a decimal sign is a comma or a point", code="import.decimal", got=decimal[:20], allowed=", ".join(DECIMALS)
         )
-    data = table_bytes(path, _MAX_BYTES)
+    data = table_bytes(path, _MAX_BYTES, axis)
     text = decoded(data)
     if of_channels := is_channel_log(text):
         text = as_table(text)
+    elif axis:
+        text = part_of_axis(text, axis, path)
     rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
     body = rows[begin + (1 if units is None else 2) :]
@@ -210,7 +215,11 @@ def understand(
             got=path.suffix,
             hint=f"dtwin ingest {path.name} with its conditions, such as --axis X --machine NAME",
         )
-    looked = look(path, home, decimal)
+    axis = str(told.get("axis") or "")
+    looked = look(path, home, decimal, axis)
+    if not axis:
+        # Of several the one must be told; heads are shown without.
+        part_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path)
     heads, stored = looked.heads, looked.stored
     answers = {**stored.get("columns", {}), **answers}
     unknown = sorted(set(answers) - set(heads))
@@ -233,7 +242,7 @@ def understand(
         known = not answers and any(kind.takes_alone(lone) for kind in kinds())
         if not (answers or known or looked.of_channels) and any(kind.takes_alone(path) for kind in kinds()):
             # What was taken for titles belongs to it, as in a table on its side.
-            known, plain = True, decoded(table_bytes(path, _MAX_BYTES))
+            known, plain = True, part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
             write_text(lone, plain, "a table")
         if not known:
             columns = columns_of(heads, looked.units, answers)

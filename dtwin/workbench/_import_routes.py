@@ -93,7 +93,7 @@ def understand_table(request: Request, tray: str, table: _Table) -> dict[str, An
     if read_as_it_is(path):
         refused = _refused_as_it_is(path, table.told.as_dict())
         return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": refused}
-    looked = look(path, bench.home, table.decimal)
+    looked = look(path, bench.home, table.decimal, table.told.axis)
     try:
         return understand(path, bench.home, table.told.as_dict(), table.answers, table.decimal).as_dict() | {
             "refused": "",

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import parts_by_axis
+from dtwin.acquire.axis_titles import part_of_axis, parts_by_axis
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
@@ -91,7 +91,7 @@ def read_position_runs(
     """
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
-    text = _of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
+    text = part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
     table = _read(text, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     return runs_of(table, path, stated, said), []
@@ -102,22 +102,7 @@ def read_position_table(path: Path) -> PositionTable:
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    return _read(_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path), path)
-
-
-def _of_axis(text: str, axis: str, path: Path) -> str:
-    """Return the part of a text that stands below the title of an axis; a text without titles of several as it is."""
-    parts = parts_by_axis(text)
-    if parts and axis.upper() not in parts:
-        raise InputError(
-            "the file holds tables of several axes, and none of the one that is asked for",
-            code="position_table.axes",
-            where=str(path),
-            got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
-            allowed="one of them, one campaign each",
-            hint=f"--axis {next(iter(parts))}",
-        )
-    return parts.get(axis.upper(), text)
+    return _read(part_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path), path)
 
 
 def _read(text: str, path: Path, instrument: str = "") -> PositionTable:

@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from dtwin.acquire._tabular import kind_of_table
+from dtwin.acquire.importing import understand
 from dtwin.cli import app
+from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
@@ -821,6 +823,13 @@ def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: P
         runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": axis}})
         back = runs[0].samples["direction"] == "reverse"
         assert runs[0].samples["error_um"][back].tolist() == pytest.approx([play] * 3)
+        if ending != "md":
+            imported = understand(path, Home(tmp_path / "home"), {"axis": axis, "machine": "m"}, {})
+            assert f"{play:g}" in imported.text
+            assert imported.text.count("200") == 1
+    if ending == "csv":
+        with pytest.raises(InputError, match="tables of several axes"):
+            understand(path, Home(tmp_path / "home"), {}, {})
     with pytest.raises(InputError) as refused:
         read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
     assert "X" in refused.value.got
