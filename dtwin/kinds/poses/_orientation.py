@@ -106,7 +106,7 @@ def _of_angles(there: dict[str, Floats], what: str, path: Path) -> Floats:
     degrees = _stacked(there, names, what, path)
     size = np.linalg.norm(degrees, axis=1) if names is _VECTOR else np.abs(degrees).max(axis=1)
     _require(
-        size > _MOST_DEG, f"an angle of {{:.0f}}° in {what}_{names[0]} …: degrees in columns of radians", size, path
+        size > _MOST_DEG, f"an angle of {{:z.0f}}° in {what}_{names[0]} …: degrees in columns of radians", size, path
     )
     good = np.isfinite(size)
     out = np.full((len(size), 4), np.nan)
