@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 class _Poses(Kind):
     name = "poses"
     columns = ("t_s", "joint_1_deg")
+    stated = ()
     # Those of arms of up to nine joints, and of both ways to write a measurement.
     campaign_columns = (
         *(f"joint_{j}_deg" for j in range(1, 10)),

@@ -442,6 +442,15 @@ def test_exports_of_cameras_say_how_their_columns_are_named(tmp_path: Path, text
     assert line in str(refused.value.hint)
 
 
+def test_a_table_that_lies_alone_needs_no_campaign_file(tmp_path: Path) -> None:
+    rows = [f"{n};{n % 5 * 100},0;{n % 3 * 50},0;{n % 5},0;{n % 5 * 100},1;{n % 3 * 50},0;{n % 5},0" for n in range(30)]
+    table = tmp_path / "posen.csv"
+    table.write_text("\n".join(["Nr;Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]", *rows]))
+    campaign, runs, _ = open_source(table, {"machine": "cell-3"})
+    assert (campaign.kind, campaign.machine) == ("poses", "cell-3")
+    assert len(list(runs)) == 1
+
+
 def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:
     folder = without_joints(tmp_path / "c", "position")
     lines = (folder / "poses.csv").read_text("utf-8").splitlines()
