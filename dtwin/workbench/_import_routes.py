@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -89,7 +90,13 @@ def drop_tray(request: Request, tray: str) -> dict[str, str]:
 def understand_table(request: Request, tray: str, table: _Table) -> dict[str, Any]:
     """Return what a table of a tray is taken for; where it cannot be, its heads and the reason."""
     bench = bench_of(request)
-    path = _in_tray(bench.trays.folder(tray), table.file)
+    folder = bench.trays.folder(tray)
+    path = _in_tray(folder, table.file)
+    with _said_of_the_tray(folder):
+        return _understood(bench, path, table)
+
+
+def _understood(bench: Bench, path: Path, table: _Table) -> dict[str, Any]:
     if read_as_it_is(path):
         refused = _refused_as_it_is(path, table.told.as_dict())
         return {"heads": [], "columns": [], "missing": [], "unconfirmed": [], "conditions": {}, "refused": refused}
@@ -113,6 +120,16 @@ def _refused_as_it_is(path: Path, told: Mapping[str, Any]) -> str:
     return ""
 
 
+@contextmanager
+def _said_of_the_tray(folder: Path) -> Iterator[None]:
+    """Let refusals name files as they were dropped, without the tray's place on this computer."""
+    try:
+        yield
+    except InputError as error:
+        error.where = error.where and error.where.replace(f"{folder}/", "")
+        raise
+
+
 def _said(error: InputError, path: Path) -> str:
     """Return a refusal without the tray's place on this computer."""
     error.where = error.where and error.where.replace(f"{path.parent}/", "")
@@ -128,7 +145,8 @@ async def ingest_tray(request: Request, tray: str, told: _Tables | None = None) 
 
     def work(tell: Tell) -> str:
         try:
-            return _ingested(bench, folder, [] if told is None else told.tables, tell)
+            with _said_of_the_tray(folder):
+                return _ingested(bench, folder, [] if told is None else told.tables, tell)
         finally:
             trays.drop(tray)
 
