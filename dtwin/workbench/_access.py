@@ -141,7 +141,9 @@ class Guarded:
             await self.app(scope, hear, noted)
         finally:
             what = f"{scope['method']} {scope['path']}"
-            await run_in_threadpool(note, home, what, reason(), str(came[0] if came else "died"), who)
+            # A home that was taken away is not begun anew by a note: it could not be moved back.
+            if home.root.is_dir():
+                await run_in_threadpool(note, home, what, reason(), str(came[0] if came else "died"), who)
 
     def _refused(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)

@@ -10,7 +10,7 @@ from typing import Any, cast
 from fastapi import Request
 
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
@@ -44,6 +44,20 @@ class Bench:
         """Find what an earlier server left."""
         self.jobs = Jobs(self.folder / "jobs")
         self.trays = Trays(self.folder / "uploads")
+        self._place = _place_of(self.home.root)
+
+    def require_home(self) -> None:
+        """Refuse to go on where the home was taken away: its pages would say that nothing was ever measured."""
+        place = _place_of(self.home.root)
+        if self._place is not None and place != self._place:
+            raise StoreError(
+                "the home is gone: it was moved, renamed or deleted while the workbench runs",
+                code="home.gone",
+                where=str(self.home.root),
+                allowed="the folder as it was",
+                hint="move it back and reload, or stop the workbench and start it with DTWIN_HOME=FOLDER dtwin ui",
+            )
+        self._place = place
 
     @property
     def folder(self) -> Path:
@@ -137,6 +151,15 @@ class Bench:
 def bench_of(request: Request) -> Bench:
     """Return the state of the server that answers a request."""
     return cast(Bench, request.app.state.bench)
+
+
+def _place_of(root: Path) -> tuple[int, int] | None:
+    """Return which folder stands at a path: one that was made anew under the old name is another."""
+    try:
+        known = root.stat()
+    except OSError:
+        return None
+    return known.st_dev, known.st_ino
 
 
 def _usable(files: Sequence[Path]) -> tuple[Library, dict[str, str]]:

@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from plotly.offline import get_plotlyjs
 from starlette.exceptions import HTTPException
@@ -36,7 +36,7 @@ from dtwin.workbench import _reading as reading
 from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
 from dtwin.workbench._access import Access, Guarded
-from dtwin.workbench._bench import Bench
+from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._connections import Connection
 from dtwin.workbench._pages import refused
 
@@ -64,7 +64,7 @@ def application(bench: Bench) -> Guarded:
         job_routes,
         delivery_routes,
     ):
-        app.include_router(part.router)
+        app.include_router(part.router, dependencies=[Depends(_require_home)])
     app.add_api_route("/", lambda: RedirectResponse("/machines", 303), include_in_schema=False)
     app.add_api_route("/static/{name}", _static, include_in_schema=False)
     app.add_exception_handler(DtwinError, _said)
@@ -122,6 +122,10 @@ class _Announcing(uvicorn.Server):
         await super().startup(sockets)
         if self.started:
             self._said()
+
+
+def _require_home(request: Request) -> None:
+    bench_of(request).require_home()
 
 
 def _static(name: str) -> Response:

@@ -215,6 +215,27 @@ _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0
 """
 
 
+def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -> None:
+    root = tmp_path / "home"
+    access = Access("127.0.0.1", 8765, False, home=Home(root))
+    client = TestClient(
+        application(Bench(Home(root), access)),
+        base_url="http://127.0.0.1:8765",
+        headers={"Origin": "http://127.0.0.1:8765"},
+    )
+    client.get("/", params={"token": access.token})
+    assert client.get("/machines").status_code == 200
+    keep_record(Home(root), "mill-a", {})
+    assert "mill-a" in client.get("/machines").text
+    root.rename(tmp_path / "moved")
+    for page in ("/machines", "/campaigns", "/live"):
+        assert "home.gone" in client.get(page).text, page
+    assert "home.gone" in client.post("/api/trays").text
+    assert not root.exists()
+    (tmp_path / "moved").rename(root)
+    assert "mill-a" in client.get("/machines").text
+
+
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", _BEGUN, str(tmp_path)], capture_output=True, text=True, timeout=60)
     assert ended.stderr.strip() == "pandas: True"
