@@ -401,6 +401,10 @@ def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(page: 
     page.get_by_role("button", name="Close").click()
     page.set_input_files("#pick-files", {"name": "page.csv", "mimeType": "text/csv", "buffer": b"<html></html>"})
     expect(page.locator("#work-error")).to_contain_text("at: page.csv")
+    page.get_by_role("button", name="Close").click()
+    page.route("**/api/trays*", lambda route: route.abort())
+    page.set_input_files("#pick-files", {"name": "x.b5r", "mimeType": "text/plain", "buffer": b"<a>"})
+    expect(page.locator("#work-error")).to_contain_text("the workbench does not answer")
 
 
 def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -> None:

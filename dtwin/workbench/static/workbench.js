@@ -6,7 +6,9 @@ const all = (selector, within) => Array.from((within || document).querySelectorA
 const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d", "sendChartToCloud"], plotlyServerURL: "" };
 
 async function ask(address, options) {
-  const answer = await fetch(address, { credentials: "same-origin", ...options });
+  const answer = await fetch(address, { credentials: "same-origin", ...options }).catch(() => {
+    throw new Error("the workbench does not answer: it was stopped, or the connection broke\n  try: dtwin ui, and open the address that it prints; what it had not finished is told there");
+  });
   const kind = answer.headers.get("content-type") || "";
   const body = kind.includes("json") ? await answer.json() : { text: await answer.text() };
   if (!answer.ok) throw new Error(body.text || `the server answered ${answer.status}`);
