@@ -104,7 +104,11 @@ def corrected(board: AnalogueBoard, feed: ControlFeed, calibration: Path, *optio
     """Serve until the board is corrected: a computer that lets the loop wait for a second trips it, rightly."""
     for _ in range(5):
         server = serve(board.port, feed, calibration, *options)
-        wait_for(partial(is_corrected_or_ended, board, server), "never corrected")
+        try:
+            wait_for(partial(is_corrected_or_ended, board, server), "never corrected")
+        except AssertionError as error:
+            server.process.kill()
+            raise AssertionError(f"{server.end()}\n{events(dtwin_home())}") from error
         if server.process.poll() is None:
             return server
         told = server.end()

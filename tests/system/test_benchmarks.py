@@ -115,6 +115,7 @@ def test_correction_band() -> None:
     assert nothing["left_faded_um"] < nothing["left_um"]
 
 
+@pytest.mark.long
 def test_flips() -> None:
     found = short("bench_flips.py")
     assert set(found) == {"lake", "twins", "reduced", "bundles"}

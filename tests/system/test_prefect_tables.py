@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _BY_PREFECT = "import asyncio; from prefect.server.database import provide_database_interface as d; " + (
     "asyncio.run(d().create_db())"
 )
@@ -37,6 +39,7 @@ def revision(path: Path) -> list[tuple[str]]:
         return connection.execute("select version_num from alembic_version").fetchall()
 
 
+@pytest.mark.long
 def test_tables_made_at_once_are_prefects_own_and_of_the_same_revision(tmp_path: Path) -> None:
     theirs = made(tmp_path / "theirs.db", _BY_PREFECT)
     ours = made(tmp_path / "ours.db", _AT_ONCE)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dtwin.kinds.poses._changes import changes_of, uncertainty_of_changes
 from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of, measured_of
 from dtwin.kinds.poses._scatter import scatter_of
@@ -28,9 +29,7 @@ _SCALE_UM_PER_M = 6.0
 _RULER = 1e-5
 _OTHER_FRAME_MM = 20.0
 _DRIFT = ("dAP", "dRP")
-_LARGEST = ("AP", "AD", "RP", *_DRIFT)
-# Readings of a pose of which one accuracy and one repeatability are computed, to see them change.
-_CYCLES = 10
+_LARGEST = ("AP", "AD", "RP")
 _NAMES = {
     "AP": "pose accuracy, largest",
     "AP mean": "pose accuracy, mean",
@@ -64,15 +63,15 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     error_um, place = 1000.0 * series.error_mm, series.poses.place
     point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
     repeated = int(np.bincount(place).max()) > 1
-    told = _evaluated(error_um, place, point_um)
+    told = _evaluated(error_um, place, point_um) | _drift(error_um, place)
     taken = _taken(series)
     for name in (*taken, "dAP") if taken else ():
         told.pop(name, None)
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
-    longer = [_evaluated(error_um + s * _RULER * (point_um - point_um.mean(axis=0)), place, point_um) for s in (1, -1)]
+    stretched = [error_um + s * _RULER * (point_um - point_um.mean(axis=0)) for s in (1, -1)]
+    longer = [_evaluated(one, place, point_um) | _drift(one, place) for one in stretched]
     metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
-    again: list[dict[str, float]] = []
-    dof = dict.fromkeys(told, 0.0)
+    dof, spread = dict.fromkeys(told, 0.0), dict.fromkeys(told, math.nan)
     if repeated:
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
@@ -83,28 +82,23 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         again = [
             _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
         ]
+        spread = {name: float(np.std([a[name] for a in again], ddof=1)) for name in again[0]}
+    if "dRP" in told:
+        of_changes, dof_of_tens = uncertainty_of_changes(error_um, place)
+        spread |= dict(zip(_DRIFT, of_changes, strict=True))
+        dof |= dict.fromkeys(_DRIFT, dof_of_tens)
     return tuple(
         Characteristic(
             symbol,
             _NAMES[symbol],
             value,
             1,
-            _spread(np.array([a[symbol] for a in again]), symbol),
+            spread[symbol],
             dof[symbol],
             contributions=_contributions(metres[symbol], under),
         )
         for symbol, value in told.items()
     )
-
-
-def _spread(again_um: Floats, symbol: str) -> float:
-    """Return the standard uncertainty of a figure by what it was in simulated tests; NaN without any.
-
-    Nothing drifts in them: what they show of drift all the same is an error of it.
-    """
-    if not again_um.size:
-        return math.nan
-    return float(np.sqrt(np.mean(again_um**2)) if symbol in _DRIFT else np.std(again_um, ddof=1))
 
 
 def _taken(series: Series) -> tuple[str, ...]:
@@ -151,7 +145,7 @@ def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, .
 def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, float]:
     """Return the figures of errors (n, 3), in the order of measurement, of poses with these numbers.
 
-    RP where a pose was measured three times, dAP and dRP where one was measured twenty times.
+    RP where a pose was measured three times.
     """
     count, means = np.bincount(place), means_of(error_um, place)
     accuracy = np.linalg.norm(means, axis=1)
@@ -165,20 +159,12 @@ def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, f
         mean = np.bincount(place, away) / count
         squares = np.bincount(place, (away - mean[place]) ** 2)[often] / (count[often] - 1)
         told["RP"] = float((mean[often] + 3.0 * np.sqrt(squares)).max())
-    changes = [_changes(error_um[place == pose]) for pose in np.flatnonzero(count >= 2 * _CYCLES)]
-    if changes:
-        told["dAP"], told["dRP"] = np.max(changes, axis=0).tolist()
     return told
 
 
-def _changes(error_um: Floats) -> tuple[float, float]:
-    """Return by how much AP and RP of later readings of one pose (n, 3) differ from those of the first ten, at most."""
-    blocks = error_um[: len(error_um) // _CYCLES * _CYCLES].reshape(-1, _CYCLES, 3)
-    means = blocks.mean(axis=1)
-    accuracy = np.linalg.norm(means, axis=1)
-    away = np.linalg.norm(blocks - means[:, None], axis=2)
-    repeatability = away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)
-    return float(np.abs(accuracy - accuracy[0]).max()), float(np.abs(repeatability - repeatability[0]).max())
+def _drift(error_um: Floats, place: Floats) -> dict[str, float]:
+    """Return dAP and dRP of errors (n, 3), where a pose was measured twenty times."""
+    return dict(zip(_DRIFT, changes_of(error_um, place) or (), strict=False))
 
 
 def pose_figure(runs: Sequence[Run]) -> go.Figure:

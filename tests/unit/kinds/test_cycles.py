@@ -51,10 +51,10 @@ def moving(test: LinearTest) -> Finding | None:
     ],
 )
 def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
-    found = [moving(made(zero, seed)) for seed in range(40)]
+    found = [moving(made(zero, seed)) for seed in range(20)]
     right = sum((None if f is None else f.code) in codes for f in found)
-    assert right >= 38
-    assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
+    assert right >= 19
+    assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(20))
 
 
 def test_a_zero_that_is_set_in_each_cycle_is_a_datum() -> None:
@@ -113,19 +113,19 @@ def jumping(seed: int, first: str, noise_um: float = 0.5) -> tuple[LinearTest, l
 @pytest.mark.parametrize("clock", [True, False])
 def test_several_jumps_at_any_reading_are_told_as_jumps(first: str, clock: bool) -> None:
     right = counted = 0
-    for seed in range(40):
+    for seed in range(20):
         test, at = jumping(seed, first)
         found = moving(test if clock else replace(test, first=""))
         right += found is not None and found.code == "linear.jumps"
         counted += found is not None and found.message.count(" mm") == len(at)
-    assert right >= 38
-    assert counted >= 32
+    assert right >= 19
+    assert counted >= 16
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (3, 5), (5, 5), (21, 4)])
 def test_few_readings_that_only_scatter_are_not_described(shape: tuple[int, int]) -> None:
     x = np.linspace(0.0, 80.0, shape[0])
-    for seed in range(40):
+    for seed in range(20):
         up, down = np.random.default_rng([seed, *shape]).normal(0.0, 1.0, (2, *shape))
         assert moving(LinearTest(x, up, down, 0, None, first="")) is None
     still = np.zeros(shape)
@@ -133,7 +133,7 @@ def test_few_readings_that_only_scatter_are_not_described(shape: tuple[int, int]
 
 
 def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
-    for seed in range(40):
+    for seed in range(20):
         test = made(lambda x, c: 0.0 * x * c, seed)
         test.forward_um[4:6, 2] += 30.0
         assert moving(test) is None
@@ -142,12 +142,12 @@ def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
 @pytest.mark.parametrize("noise_um", [0.05, 0.5, 5.0])
 @pytest.mark.parametrize("first", ["forward", ""])
 def test_nothing_is_told_where_nothing_moves(noise_um: float, first: str) -> None:
-    tests = [replace(made(lambda x, c: 0.0 * x * c, seed, noise_um), first=first) for seed in range(100, 160)]
+    tests = [replace(made(lambda x, c: 0.0 * x * c, seed, noise_um), first=first) for seed in range(100, 130)]
     assert [found for test in tests if (found := moving(test)) is not None] == []
 
 
 def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
-    for seed in range(40):
+    for seed in range(20):
         test = made(lambda x, c: 0.0 * x * c, seed)
         test.forward_um[0, 0] += 110.0
         test.forward_um[1, 0] += 40.0
@@ -155,7 +155,7 @@ def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
 
 
 def test_readings_that_are_rounded_are_not_called_spoilt_but_a_spoilt_one_is() -> None:
-    for seed in range(40):
+    for seed in range(20):
         test = made(lambda x, c: 0.0 * x * c, seed, noise_um=0.3)
         rounded = replace(test, forward_um=np.round(test.forward_um), reverse_um=np.round(test.reverse_um))
         assert spoilt_readings(rounded) == []

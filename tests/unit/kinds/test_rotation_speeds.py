@@ -22,7 +22,7 @@ from dtwin.schema import Finding, Floats, Run, RunMeta
 
 KIND = kind_named("rotation")
 SPEEDS = (1000.0, 6000.0, 3000.0, 8000.0, 2000.0, 5000.0, 1000.0)
-SEEDS = range(40)
+SEEDS = range(20)
 
 
 @dataclass(frozen=True)
@@ -96,14 +96,14 @@ def resonance(n: float, h: float) -> complex:
 )
 def test_what_changes_with_the_speed_is_told_apart(story: Story, named: set[str]) -> None:
     found = [codes(found_in(story, seed)) for seed in SEEDS]
-    assert sum(one == named for one in found) >= 38, found
+    assert sum(one == named for one in found) >= 19, found
 
 
 def test_a_resonance_is_named_where_speeds_held_out_show_it() -> None:
     dense = (1000.0, 6000.0, 3000.0, 8000.0, 2000.0, 7000.0, 5000.0, 7500.0, 1000.0)
     found = [KIND.judge_campaign(measured(Story(once=resonance), seed, dense)) for seed in SEEDS]
     named = [f for one in found for f in one if f.code == "rotation.resonance"]
-    assert len(named) >= 38
+    assert len(named) >= 19
     assert all(abs(float(np.asarray(f.numbers["critical_rpm"])) - 9000.0) < 300.0 for f in named)
     # With fewer it is said that one looks so.
     for seed in SEEDS:
@@ -164,7 +164,7 @@ def test_an_order_of_the_axis_and_a_frequency_of_its_own(story: Story, code: str
         found = found_in(story, seed)
         told = {f.code for f in found} & {"rotation.order", "rotation.frequency"}
         right += told == ({code} if code else set())
-    assert right >= 38
+    assert right >= 19
 
 
 def runout(um: Callable[[Floats, Floats], Floats], seed: int, repeats: int = 3, noise_um: float = 0.2) -> Run:
@@ -188,7 +188,7 @@ def test_a_table_of_run_outs_tells_what_repeats_allow(
     um: Callable[[Floats, Floats], Floats], allowed: set[str]
 ) -> None:
     right = sum({f.code for f in KIND.judge_campaign([runout(um, seed)])} == allowed for seed in SEEDS)
-    assert right >= 38
+    assert right >= 19
 
 
 def test_a_table_of_run_outs_never_names_its_cause() -> None:
@@ -260,7 +260,7 @@ def test_time_beside_speed_is_told_in_a_table_of_run_outs(shape: Callable[[Float
     for seed in SEEDS:
         told = KIND.judge_campaign([runout(lambda n, k: 0.1 * (n / 1000.0) ** 2 + shape(k), seed)])
         right += {f.code for f in told} == {"rotation.runout_time", "rotation.runout_speed"}
-    assert right >= 38
+    assert right >= 19
 
 
 @pytest.mark.parametrize("grows", [0.0, 0.1])
@@ -273,7 +273,7 @@ def test_a_spoilt_run_out_is_left_out_and_told(grows: float) -> None:
         right += [f.code for f in told] == ["rotation.spoilt"] and law == {
             "rotation.runout_speed" if grows else "rotation.runout_constant"
         }
-    assert right >= 38
+    assert right >= 19
     assert not any(KIND.judge_run(runout(lambda n, k: 0.15 * k, seed)) for seed in SEEDS)
 
 
@@ -288,8 +288,8 @@ def test_a_peak_of_many_speeds_is_told_without_repeats() -> None:
             samples = {"t_s": np.arange(12.0), "speed_rpm": speeds, "runout_um": um}
             run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
             found[name] += any(f.code == "rotation.runout_peak" for f in KIND.judge_campaign([run]))
-    assert found["peak"] >= 38
-    assert found["nothing"] <= 2
+    assert found["peak"] >= 19
+    assert found["nothing"] <= 1
 
 
 def test_a_display_of_whole_micrometres_shows_neither_delay_nor_resonance() -> None:
@@ -319,7 +319,7 @@ def test_a_mean_that_moves_with_speed_and_time_is_told_by_both() -> None:
         right += [f.code for f in told] == ["rotation.mean_both"] and "square of the speed and the time" in told[
             0
         ].message
-    assert right >= 38
+    assert right >= 19
 
 
 def test_a_target_that_moves_with_time_is_not_asked_for_what_was_measured() -> None:
