@@ -25,7 +25,6 @@ QUANTUM_UM = 250.0 / 256
 STALE_S = 1.0
 OTHER_RATE_HZ = 1651.0
 RIGHT = "as it should be"
-NOTHING = "nothing"
 NOT_DONE = (
     "the window of an accelerometer (the correction of this mill has none); "
     "the spread of a sample rate inside one window"

@@ -8,7 +8,6 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.kinds.volumetric import judged, models_of
-from dtwin.kinds.volumetric._intervals import reduction_pct
 from dtwin.kinds.volumetric._simulate import parameters_of, simulate_volumetric
 from dtwin.kinds.volumetric.session import Session, session, with_offered
 from dtwin.progress import Progress
@@ -23,16 +22,7 @@ PRINTED = (
     ("slots, mean range", 57.5, 29.5, 49.0),
     ("slots, largest range", 112.0, 54.0, 52.0),
 )
-_ROUNDED_PCT = 1.0
 _CAUSE = "coolant_tank_c"
-
-
-def printed_agree() -> list[tuple[str, float, float, bool]]:
-    """Return every printed reduction beside the one that its own pair gives."""
-    return [
-        (what, printed, reduction_pct(before, after), abs(printed - reduction_pct(before, after)) <= _ROUNDED_PCT)
-        for what, before, after, printed in PRINTED
-    ]
 
 
 def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False, truth: str = "surface") -> list[Line]:

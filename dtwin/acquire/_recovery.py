@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,9 @@ import pyarrow.parquet as pq
 from dtwin.acquire._machine_events import event_findings
 from dtwin.acquire._recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
-from dtwin.lake.parquet import columns_of, write_parquet
+from dtwin.lake.parquet import unit_metadata, write_parquet
 from dtwin.locks import take
-from dtwin.schema import Finding, SignalGroup
-from dtwin.units import unit_of
+from dtwin.schema import Finding
 
 # The header of signal files, which ``dtwin.acquire.signal_files`` reads.
 _SIGNALS_KEY = b"dtwin.signals"
@@ -35,26 +34,6 @@ class _Gap:
     first_sample: int
     n_lost: int
     reason: str
-
-
-@dataclass(frozen=True)
-class Recovered:
-    """What a recording holds.
-
-    ``group``: all complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
-    ``complete``: whether the recording was closed in order.
-    """
-
-    group: SignalGroup
-    gaps: tuple[_Gap, ...]
-    blocks: int
-    complete: bool
-    notes: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the recording."""
-        return _findings(self.complete, self.gaps, self.group.rate_hz)
 
 
 @dataclass(frozen=True)
@@ -79,19 +58,7 @@ class _Content:
     table: pa.Table
     gaps: tuple[_Gap, ...]
     events: tuple[list[Any], ...]
-    blocks: int
     complete: bool
-
-
-def recover(path: Path) -> Recovered:
-    """Return every complete block of a recording.
-
-    ``path``: stream written by ``Recorder``.
-    """
-    with _read(path) as content:
-        head = content.head
-        group = SignalGroup(head["group"], head["rate_hz"], columns_of(content.table), head["start_s"])
-        return Recovered(group, content.gaps, content.blocks, content.complete, head["notes"])
 
 
 def seal(path: Path, target: Path) -> Sealed:
@@ -101,7 +68,8 @@ def seal(path: Path, target: Path) -> Sealed:
     of whole numbers, and its header tells the gaps and whether the recording is complete.
 
     ``path``: stream written by ``Recorder``.
-    Raises ``StoreError``: as for ``recover``, and when the file cannot be written; the stream stays then.
+    Raises ``StoreError``: when the recording is being written, empty or damaged, or the file cannot be written; the
+    stream stays then.
     """
     with _read(path) as content:
         head = content.head | {
@@ -223,7 +191,7 @@ def _content(path: Path) -> _Content:
     parts: list[pa.RecordBatch] = []
     gaps: list[_Gap] = []
     events: list[list[Any]] = []
-    blocks, complete, first = 0, False, 0
+    complete, first = False, 0
     for batch, place in _blocks(stream):
         if place["first"] != first:
             break
@@ -232,13 +200,12 @@ def _content(path: Path) -> _Content:
             parts.append(_nothing(stream.schema, place["lost"]))
         elif batch.num_rows:
             parts.append(batch)
-            blocks += 1
         events += place.get("events", [])
         first += batch.num_rows + place["lost"]
         complete = place.get("end", False)
-    schema = pa.schema([field.with_metadata(_unit(field.name)) for field in stream.schema])
+    schema = pa.schema([field.with_metadata(unit_metadata(field.name)) for field in stream.schema])
     plain = [pa.RecordBatch.from_arrays(part.columns, schema=schema) for part in parts]
-    return _Content(head, pa.Table.from_batches(plain, schema), tuple(gaps), tuple(events), blocks, complete)
+    return _Content(head, pa.Table.from_batches(plain, schema), tuple(gaps), tuple(events), complete)
 
 
 def _blocks(stream: pa.ipc.RecordBatchStreamReader) -> Iterator[tuple[pa.RecordBatch, Any]]:
@@ -264,11 +231,6 @@ def _nothing(schema: pa.Schema, n: int) -> pa.RecordBatch:
         for field in schema
     ]
     return pa.RecordBatch.from_arrays(columns, schema=bare)
-
-
-def _unit(name: str) -> dict[str, str] | None:
-    unit = unit_of(name)
-    return None if unit is None else {"unit": unit}
 
 
 def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[Finding, ...]:

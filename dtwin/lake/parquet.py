@@ -31,7 +31,7 @@ def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
     """
     arrays = [_array(values) for values in columns.values()]
     fields = [
-        pa.field(name, array.type, metadata=_unit_metadata(name)) for name, array in zip(columns, arrays, strict=True)
+        pa.field(name, array.type, metadata=unit_metadata(name)) for name, array in zip(columns, arrays, strict=True)
     ]
     return pa.table(arrays, schema=pa.schema(fields))
 
@@ -166,7 +166,8 @@ def _array(values: NDArray[Any] | Sequence[Any]) -> pa.Array:
     return array.cast(pa.string()) if pa.types.is_large_string(array.type) else array
 
 
-def _unit_metadata(name: str) -> dict[str, str] | None:
+def unit_metadata(name: str) -> dict[str, str] | None:
+    """Return what a file says of a column: its unit, which its name tells; none when it has none."""
     unit = unit_of(name)
     return None if unit is None else {"unit": unit}
 

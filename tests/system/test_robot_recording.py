@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from virtual_robot import VirtualRobot, free_address, virtual_robot
 
 from dtwin.acquire._recording import Recorder
-from dtwin.acquire._recovery import recover, seal
+from dtwin.acquire._recovery import seal
 from dtwin.acquire._robot import RobotRecorder
 from dtwin.acquire.instrument import record
 from dtwin.acquire.signal_files import read_signals
@@ -56,9 +58,10 @@ def test_states_that_the_controller_skips_are_gaps(robot: VirtualRobot, tmp_path
         record(recording, writing, lambda n: n < 50)
         robot.do("stall", seconds=0.4)
         record(recording, writing, lambda n: n < 250)
-    found = recover(stream)
-    assert max(gap.n_lost for gap in found.gaps) >= 25
-    stamps = found.group.columns["timestamp_s"]
+    sealed = seal(stream, tmp_path / "r1.controller.parquet")
+    gaps = json.loads(pq.read_schema(sealed.path).metadata[b"dtwin.signals"])["gaps"]
+    assert max(lost for _, lost, _ in gaps) >= 25
+    stamps = read_signals(sealed.path)[0].columns["timestamp_s"]
     there = np.flatnonzero(~np.isnan(stamps))
     np.testing.assert_allclose(stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3)
 
@@ -75,9 +78,9 @@ def test_a_lost_link_ends_the_reading_and_keeps_what_was_read(robot: VirtualRobo
 
     with pytest.raises(DeviceError):
         until_it_breaks()
-    found = recover(stream)
-    assert not found.complete
-    assert found.group.n_samples >= 50
+    sealed = seal(stream, tmp_path / "r1.controller.parquet")
+    assert not sealed.complete
+    assert sealed.n_samples >= 50
 
 
 def test_an_absent_robot_is_named() -> None:

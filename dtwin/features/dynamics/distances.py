@@ -40,8 +40,10 @@ def warped_kernel(first: Floats, second: Floats) -> tuple[float, float]:
     return total[m - 1], bottleneck[m - 1]
 
 
-def dtw_um(first_um: Floats, second_um: Floats) -> float:
-    """Return the dynamic-time-warping distance: the root of the sum of squares along the path.
+def distances_um(first_um: Floats, second_um: Floats) -> tuple[float, float]:
+    """Return the dynamic-time-warping distance and the discrete Frechet distance (Eiter and Mannila 1994).
+
+    The first is the root of the sum of squares along the path.
 
     Parameters
     ----------
@@ -53,42 +55,6 @@ def dtw_um(first_um: Floats, second_um: Floats) -> float:
     InputError
         When a curve is empty, not finite or longer than ``MOST_READINGS``.
     """
-    return _both(first_um, second_um)[0]
-
-
-def frechet_um(first_um: Floats, second_um: Floats) -> float:
-    """Return the discrete Frechet distance (Eiter and Mannila 1994) of two curves of one value.
-
-    Parameters
-    ----------
-    first_um, second_um : ndarray, shapes (n,) and (m,)
-        Curves.
-
-    Raises
-    ------
-    InputError
-        As for :func:`dtw_um`.
-    """
-    return _both(first_um, second_um)[1]
-
-
-def distances_um(first_um: Floats, second_um: Floats) -> tuple[float, float]:
-    """Return both distances, which costs no more than one of them.
-
-    Parameters
-    ----------
-    first_um, second_um : ndarray, shapes (n,) and (m,)
-        Curves.
-
-    Raises
-    ------
-    InputError
-        As for :func:`dtw_um`.
-    """
-    return _both(first_um, second_um)
-
-
-def _both(first_um: Floats, second_um: Floats) -> tuple[float, float]:
     curves = [np.ascontiguousarray(c, dtype=np.float64) for c in (first_um, second_um)]
     for curve in curves:
         if not 0 < curve.size <= MOST_READINGS or not np.isfinite(curve).all():

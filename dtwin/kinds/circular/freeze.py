@@ -16,7 +16,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state
 from dtwin.physics.twin import Twin, predict_um
-from dtwin.schema import PLANES, Floats, RunMeta
+from dtwin.schema import PLANES, RunMeta
 from dtwin.serve.band import Band
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -257,32 +257,3 @@ def _safety(twin: Twin, obs: Observations) -> SafetyLimits:
     radii = np.array([m.radius_mm or 1.0 for m in obs.runs])
     steepest = float((per_rad * obs.feed_mm_s / radii).max())
     return SafetyLimits(clamp_um=max(_CLAMP_SHARE * largest, 1.0), slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest))
-
-
-def radial_error_um(
-    bundle: Bundle,
-    angle_rad: Floats,
-    *,
-    plane: str,
-    direction: str,
-    radius_mm: float,
-    feed_mm_min: float,
-    covariates: Mapping[str, float] | None = None,
-) -> Floats:
-    """Evaluate a bundle's radial error over path angles, slowly, for tables and checks.
-
-    ``bundle``: from ``twin_bundle``.
-    ``angle_rad``, (n,): path angles.
-    ``covariates``: logged channels that the bundle asks for.
-    Returns (n,): um, positive outwards.
-    """
-    fixed = {
-        _DIRECTION: 1.0 if direction == "CCW" else -1.0,
-        _SPEED: feed_mm_min / 60.0,
-        _RADIUS: radius_mm,
-        _PLANE: float(PLANES.index(plane)),
-        **(covariates or {}),
-    }
-    graph = bundle.tick_graph
-    errors_um = [graph.evaluate({**fixed, _ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
-    return np.array(errors_um)

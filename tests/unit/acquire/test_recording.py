@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -16,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dtwin.acquire._recording import Recorder
-from dtwin.acquire._recovery import recover, recover_folder, seal, signal_findings
+from dtwin.acquire._recovery import Sealed, recover_folder, seal, signal_findings
 from dtwin.acquire.signal_files import read_signals
 from dtwin.errors import InputError, StoreError
 
@@ -51,6 +52,12 @@ CHILD = """
 """
 
 
+def assert_true_blocks(sealed: Sealed) -> None:
+    found, expected = pq.read_table(sealed.path), block(0, sealed.n_samples)
+    np.testing.assert_array_equal(found["count"].to_numpy(), expected["count"])
+    np.testing.assert_array_equal(found["wrist_x_g"].to_numpy(), expected["wrist_x_g"].astype(np.float32))
+
+
 @pytest.mark.parametrize("trial", range(6))
 def test_every_acknowledged_block_survives_kill_9(tmp_path: Path, trial: int) -> None:
     stream = tmp_path / "r1.accelerometers.arrows"
@@ -65,14 +72,11 @@ def test_every_acknowledged_block_survives_kill_9(tmp_path: Path, trial: int) ->
     child.send_signal(signal.SIGKILL)
     acknowledged = [int(line) for line in (first + child.stdout.read()).split("\n") if line]
     assert child.wait(10) == -signal.SIGKILL
-    found = recover(stream)
-    assert found.group.n_samples >= acknowledged[-1]
-    assert found.group.n_samples % 256 == 0
-    assert not found.complete
-    expected = block(0, found.group.n_samples)
-    np.testing.assert_array_equal(found.group.columns["count"], expected["count"])
-    np.testing.assert_array_equal(found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32))
     (sealed,) = recover_folder(tmp_path)
+    assert sealed.n_samples >= acknowledged[-1]
+    assert sealed.n_samples % 256 == 0
+    assert not sealed.complete
+    assert_true_blocks(sealed)
     assert not stream.exists()
     assert [f.code for f in sealed.findings] == ["recording.incomplete"]
     assert signal_findings(sealed.path) == sealed.findings
@@ -93,14 +97,12 @@ def test_every_truncation_and_bit_flip_yields_only_true_blocks(tmp_path: Path) -
         path = tmp_path / "damaged.arrows"
         path.write_bytes(content)
         try:
-            found = recover(path)
+            sealed = seal(path, tmp_path / "damaged.parquet")
         except StoreError as error:
             codes.add(error.code)
             continue
-        fewer += found.blocks < 8
-        expected = block(0, found.group.n_samples)
-        assert found.group.columns["count"].tolist() == expected["count"].tolist()
-        assert np.array_equal(found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32))
+        fewer += sealed.n_samples < 8 * 256
+        assert_true_blocks(sealed)
     assert fewer > 200
     assert codes == {"recording.empty", "recording.damaged"}
 
@@ -124,10 +126,9 @@ def test_lost_samples_stay_empty_and_keep_the_clock(tmp_path: Path) -> None:
         writing.append(block(0))
         writing.gap(100, "overrun")
         writing.append(block(356))
-    found = recover(stream)
-    assert [(g.first_sample, g.n_lost, g.reason) for g in found.gaps] == [(256, 100, "overrun")]
-    assert [f.code for f in found.findings] == ["recording.gap"]
     sealed = seal(stream, target)
+    assert [f.code for f in sealed.findings] == ["recording.gap"]
+    assert json.loads(pq.read_schema(target).metadata[b"dtwin.signals"])["gaps"] == [[256, 100, "overrun"]]
     (group,) = read_signals(target)
     values = group.columns["wrist_x_g"]
     assert np.flatnonzero(np.isnan(values)).tolist() == list(range(256, 356))
@@ -143,13 +144,13 @@ def test_a_live_recording_is_left_alone(tmp_path: Path) -> None:
     with recorder(stream) as writing:
         writing.append(block(0))
         with pytest.raises(StoreError) as caught:
-            recover(stream)
+            seal(stream, tmp_path / "r1.parquet")
         assert caught.value.code == "recording.live"
         assert recover_folder(tmp_path) == []
         with pytest.raises(StoreError) as again:
             recorder(stream)
         assert again.value.code == "recording.create"
-    assert recover(stream).complete
+    assert seal(stream, tmp_path / "r1.parquet").complete
 
 
 def test_death_before_the_header_leaves_nothing(tmp_path: Path) -> None:
@@ -177,9 +178,9 @@ def test_an_exception_leaves_the_recording_incomplete(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         broken_off()
-    found = recover(stream)
-    assert found.blocks == 1
-    assert not found.complete
+    sealed = seal(stream, tmp_path / "r1.parquet")
+    assert sealed.n_samples == 256
+    assert not sealed.complete
 
 
 FULL = """
@@ -213,9 +214,9 @@ def test_a_full_disk_is_said_and_loses_nothing(tmp_path: Path) -> None:
     ).stdout.split()
     assert out[0] == "recording.write"
     assert out[2] == "recording.closed"
-    found = recover(stream)
-    assert found.group.n_samples == int(out[1]) > 0
-    assert not found.complete
+    sealed = seal(stream, tmp_path / "r1.parquet")
+    assert sealed.n_samples == int(out[1]) > 0
+    assert not sealed.complete
 
 
 @pytest.mark.parametrize(
@@ -233,7 +234,7 @@ def test_a_block_that_does_not_fit_is_refused(tmp_path: Path, bad: dict[str, np.
             writing.append(bad)
         assert caught.value.code == code
         writing.append(block(0))
-    assert recover(tmp_path / "r1.arrows").blocks == 1
+    assert seal(tmp_path / "r1.arrows", tmp_path / "r1.parquet").n_samples == 256
 
 
 @pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.complex64, "U4"])
@@ -259,4 +260,4 @@ def test_a_seal_that_cannot_write_keeps_the_recording(tmp_path: Path) -> None:
     with pytest.raises(StoreError) as caught:
         seal(stream, tmp_path / "file" / "r1.parquet")
     assert caught.value.code == "store.write"
-    assert recover(stream).blocks == 2
+    assert seal(stream, tmp_path / "r1.parquet").n_samples == 512

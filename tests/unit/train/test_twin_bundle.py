@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular.freeze import radial_error_um, twin_bundle, wrong_way
+from dtwin.kinds.circular.freeze import OUTPUT, twin_bundle, wrong_way
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
@@ -19,8 +19,9 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state
 from dtwin.physics.twin import Twin, ValidityBox
-from dtwin.schema import PLANES
+from dtwin.schema import PLANES, Floats
 from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction
 from dtwin.train import twin_terms as module
 from dtwin.train.traced import NotTraceable, Traced, expressions_of
@@ -44,6 +45,21 @@ def obs() -> Observations:
     quiet, centred = NoiseParameters(rms_um=0.0), SetupErrors(0.0, 0.0, 0.0, 0.0)
     mill = VirtualMill(SOUND, noise=quiet, setup_errors=centred, samples_per_turn=360)
     return observe(mill.campaign(), mill.measure(tests))
+
+
+def radial_error_um(
+    bundle: Bundle, angle_rad: Floats, plane: str, direction: str, radius_mm: float, feed_mm_min: float, **more: float
+) -> Floats:
+    fixed = {
+        "direction_sign": 1.0 if direction == "CCW" else -1.0,
+        "commanded_speed_mm_s": feed_mm_min / 60.0,
+        "radius_mm": radius_mm,
+        "plane_id": float(PLANES.index(plane)),
+        **more,
+    }
+    return np.array(
+        [bundle.tick_graph.evaluate({**fixed, "path_angle_rad": float(a)}, {})[0][OUTPUT] for a in angle_rad]
+    )
 
 
 def twin_with(instance: Instance, obs: Observations, shape: dict[str, float] | None = None) -> Twin:
@@ -91,11 +107,11 @@ def test_every_effect_of_the_library_is_frozen_as_it_is(obs: Observations, monke
             got = radial_error_um(
                 bundle,
                 angle,
-                plane=meta.plane,
-                direction=meta.direction,
-                radius_mm=meta.radius_mm,
-                feed_mm_min=meta.feed_mm_min,
-                covariates={k: v for k, v in meta.covariates.items() if k in asked},
+                meta.plane,
+                meta.direction,
+                meta.radius_mm,
+                meta.feed_mm_min,
+                **{k: v for k, v in meta.covariates.items() if k in asked},
             )
             np.testing.assert_allclose(
                 got,
