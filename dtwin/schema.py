@@ -227,6 +227,16 @@ class Run:
         """Number of samples of the reference instrument."""
         return len(next(iter(self.samples.values()))) if self.samples else 0
 
+    @property
+    def marked(self) -> slice:
+        """The samples that the vendor's file marks as the test; all where it marks none."""
+        return slice(None) if self.window is None else slice(*self.window)
+
+    @property
+    def arc(self) -> tuple[Floats, Floats]:
+        """Angle in degrees and deviation in µm of the marked part of a circle, shapes (n,)."""
+        return self.samples["angle_deg"][self.marked], self.samples["deviation_um"][self.marked]
+
 
 @dataclass(frozen=True)
 class Campaign:

@@ -119,9 +119,7 @@ def _real_circles() -> list[dict[str, Any]]:
 
 
 def _real_circle(run: Run) -> dict[str, Any]:
-    part = slice(*run.window) if run.window is not None else slice(None)
-    angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
-    return _circle(f"real {run.meta.direction}", angle, deviation)
+    return _circle(f"real {run.meta.direction}", *run.arc)
 
 
 def _circle(name: str, angle_deg: Floats, deviation_um: Floats) -> dict[str, Any]:

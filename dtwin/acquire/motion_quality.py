@@ -257,7 +257,7 @@ def _misregistered(run: Run, motion: Motion) -> list[Finding]:
     aligned = aligned_angle_deg(run, motion)
     if aligned is None or run.window is None:
         return []
-    inside = slice(*run.window)
+    inside = run.marked
     apart = np.abs(run.samples["angle_deg"][inside] - aligned[inside])
     worst = float(apart.max())
     if worst < 5.0:

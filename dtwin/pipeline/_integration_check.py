@@ -78,8 +78,7 @@ def sample_check() -> IntegrationCheck:
 
 
 def _error_mm(run: Run) -> Floats:
-    part = slice(*run.window) if run.window is not None else slice(None)
     radius = float(run.meta.radius_mm or 100.0)
-    angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
+    angle, deviation = run.arc
     rest = residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
     return np.asarray(rest / 1000.0)

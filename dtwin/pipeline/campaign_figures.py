@@ -80,7 +80,6 @@ def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str
 
 
 def _centred(run: Run) -> tuple[Floats, Floats]:
-    part = slice(*run.window) if run.window is not None else slice(None)
-    angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
+    angle, deviation = run.arc
     radius = float(run.meta.radius_mm or 0.0)
     return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))

@@ -47,14 +47,13 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
             f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} µm)" for line in run["spectrum"]["lines"]
         )
         findings.append(("info", f"{run['run']}: strongest lines {lines}"))
-    by_file = {r.meta.run_id: _centred(r, r.samples["angle_deg"], r.window) for r in runs}
+    by_file = {r.meta.run_id: _centred(r, r.samples["angle_deg"], r.marked) for r in runs}
     aligned_curves = {}
     for run_ in runs:
         motion = motion_of(run_)
         angle = aligned_angle_deg(run_, motion)
         if angle is not None and len(motion.stops) >= 3:
-            window = (int(motion.stops[0]), int(motion.stops[2]))
-            aligned_curves[run_.meta.run_id] = _centred(run_, angle, window)
+            aligned_curves[run_.meta.run_id] = _centred(run_, angle, slice(motion.stops[0], motion.stops[2]))
     radius = float(runs[0].meta.radius_mm or 100.0)
     drawn = [*by_file.values(), *aligned_curves.values()]
     # One magnification, so that the two pictures can be compared.
@@ -247,8 +246,7 @@ _FIGURES = (
 )
 
 
-def _centred(run: Run, angle: Floats, window: tuple[int, int] | None) -> tuple[Floats, Floats]:
-    part = slice(*window) if window is not None else slice(None)
+def _centred(run: Run, angle: Floats, part: slice) -> tuple[Floats, Floats]:
     radius = float(run.meta.radius_mm or 100.0)
     deviation = run.samples["deviation_um"][part]
     circle = fit_circle(angle[part], deviation, radius)

@@ -21,7 +21,7 @@ from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import counted, table
 from dtwin.report.uncertainty import Circumstances, Variation
-from dtwin.schema import Campaign, Finding, Floats, Run
+from dtwin.schema import Campaign, Finding, Run
 from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
@@ -219,12 +219,7 @@ def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
     if set(by_direction) != {"CCW", "CW"} or not runs[0].meta.radius_mm:
         return []
     ccw, cw = by_direction["CCW"], by_direction["CW"]
-
-    def samples(run: Run) -> tuple[Floats, Floats]:
-        window = slice(*run.window)  # type: ignore[misc]
-        return run.samples["angle_deg"][window], run.samples["deviation_um"][window]
-
-    figures = bidirectional_figures(samples(ccw), samples(cw), runs[0].meta.radius_mm)
+    figures = bidirectional_figures(ccw.arc, cw.arc, runs[0].meta.radius_mm)
     return [{"runs": [ccw.meta.run_id, cw.meta.run_id], **asdict(figures)}]
 
 

@@ -138,7 +138,7 @@ def _reading(run: Run) -> list[Finding]:
 
 def _angles(run: Run) -> list[Finding]:
     angle_deg = run.samples["angle_deg"]
-    marked_deg = angle_deg[slice(*run.window)] if run.window else angle_deg
+    marked_deg = angle_deg[run.marked]
     turned_deg = float(np.ptp(marked_deg)) if marked_deg.size else 0.0
     if marked_deg.size < _FEWEST or turned_deg < _SHORTEST_DEG:
         text = f"{marked_deg.size} samples over {turned_deg:z.1f} deg: no circle can be fitted to less than {_FEWEST} samples and {_SHORTEST_DEG:g} deg"

@@ -31,7 +31,7 @@ def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
 
 def _over_time(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     _, left_um = _centred(run)
-    t_s = np.asarray(run.samples["t_s"], float)[_window(run)]
+    t_s = np.asarray(run.samples["t_s"], float)[run.marked]
     curves = {run.meta.run_id: (t_s, left_um)}
     return error_figure(curves, title=_title(run), floor_um=floor_um(), x_title="time, s")
 
@@ -56,16 +56,11 @@ def _title(run: Run) -> str:
     return f"{run.meta.run_id}: error after centre and radius"
 
 
-def _window(run: Run) -> slice:
-    return slice(*run.window) if run.window is not None else slice(None)
-
-
 def _centred(run: Run) -> tuple[Floats, Floats]:
-    window = _window(run)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):
         raise lacks_columns(run, "deviation over an angle", "angle_deg, deviation_um")
-    angle = np.asarray(run.samples["angle_deg"], float)[window]
-    deviation = np.asarray(run.samples["deviation_um"], float)[window]
+    angle = np.asarray(run.samples["angle_deg"], float)[run.marked]
+    deviation = np.asarray(run.samples["deviation_um"], float)[run.marked]
     radius = float(run.meta.radius_mm or 100.0)
     return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
 

@@ -147,8 +147,7 @@ def _turned(run: Run, readings: int) -> _Turned:
             where=meta.run_id,
             hint="add radius_mm and feed_mm_min to campaign.toml",
         )
-    part = slice(*run.window) if run.window is not None else slice(None)
-    angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
+    angle, deviation = run.arc
     try:
         turn = one_turn(angle, deviation, readings)
     except InputError as error:

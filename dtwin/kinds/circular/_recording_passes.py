@@ -62,8 +62,7 @@ class Aligned:
     @property
     def misregistered_deg(self) -> float:
         """Largest difference between the file's angles and the aligned ones in the window."""
-        assert self.run.window is not None
-        inside = slice(*self.run.window)
+        inside = self.run.marked
         apart = self.state.angle_rad[inside] - self.file_state.angle_rad[inside]
         return float(np.degrees(np.abs(apart).max()))
 

@@ -73,10 +73,8 @@ def _columns(state: State, terms: list[Term]) -> Floats:
 def _window_um(aligned: tuple[Aligned, ...], whole: list[Floats]) -> float:
     rows, values = [], []
     for one, columns in zip(aligned, whole, strict=True):
-        assert one.run.window is not None
-        inside = slice(*one.run.window)
-        rows.append(columns[inside])
-        values.append(one.run.samples["deviation_um"][inside])
+        rows.append(columns[one.run.marked])
+        values.append(one.run.arc[1])
     x, y = np.concatenate(rows), np.concatenate(values)
     left = y - x @ np.linalg.lstsq(x, y, rcond=_RANK)[0]
     return rms(left)

@@ -15,8 +15,7 @@ from dtwin.schema import Floats, Run
 
 def circular_result(run: Run) -> dict[str, Any]:
     """Return figures and spectrum of a circle, by the file's indices and aligned by the stops, JSON-ready."""
-    window = slice(*run.window) if run.window is not None else slice(None)
-    by_file = _figures(run, run.samples["angle_deg"], window)
+    by_file = _figures(run, run.samples["angle_deg"], run.marked)
     out: dict[str, Any] = {"by_file_indices": by_file}
     long_enough = run.window is not None and run.meta.feed_mm_min is not None
     motion = motion_of(run) if long_enough else None
@@ -30,7 +29,7 @@ def circular_result(run: Run) -> dict[str, Any]:
                 "first_sample": full.start,
                 "last_sample": full.stop - 1,
             }
-    out["spectrum"] = _spectrum(run, window)
+    out["spectrum"] = _spectrum(run)
     return out
 
 
@@ -56,9 +55,9 @@ def _whole_turn(run: Run, motion: Motion) -> slice | None:
     return slice(int(motion.stops[k]), int(motion.stops[k + 2]))
 
 
-def _spectrum(run: Run, window: slice) -> dict[str, Any]:
+def _spectrum(run: Run) -> dict[str, Any]:
     assert run.meta.radius_mm is not None
-    angle, deviation = run.samples["angle_deg"][window], run.samples["deviation_um"][window]
+    angle, deviation = run.arc
     rest = residual_um(angle, deviation, run.meta.radius_mm, fit_circle(angle, deviation, run.meta.radius_mm))
     lines, bands = strongest_lines(rest, run.meta.sample_rate_hz)
     return {

@@ -24,7 +24,7 @@ def circle_errors(runs: Sequence[Run]) -> list[RunError]:
 
     Centre and radius belong to a mounting, which all feeds and both directions share.
     """
-    parts = [_arc(run) for run in runs]
+    parts = [run.arc for run in runs]
     mounted = defaultdict(list)
     for number, (run, (angle_deg, _)) in enumerate(zip(runs, parts, strict=True)):
         mounted[run.meta.setup, run.meta.plane, run.meta.radius_mm, _swept(angle_deg)].append(number)
@@ -49,12 +49,6 @@ def _circle(run: Run) -> Condition:
     if meta.radius_mm and meta.feed_mm_min:
         return {"plane": str(meta.plane), "radius_mm": meta.radius_mm, "feed_mm_min": meta.feed_mm_min}
     raise InputError("a circle does not state radius and feed", code="evidence.condition", where=f"run {meta.run_id}")
-
-
-def _arc(run: Run) -> tuple[Floats, Floats]:
-    """Return angle and error of the measured arc."""
-    part = slice(None) if run.window is None else slice(*run.window)
-    return run.samples["angle_deg"][part], run.samples["deviation_um"][part]
 
 
 def _swept(angle_deg: Floats) -> int:

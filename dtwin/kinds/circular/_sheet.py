@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _WAYS = ("CCW", "CW")
-_Arc = tuple[Floats, Floats]
 _READING_UM = 0.7
 _LENGTH_UM = 1.0
 _ASLANT_MM = 0.2
@@ -76,7 +75,7 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
 def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:
     characteristics: list[Characteristic] = []
     for way in _WAYS:
-        each = [_centred_um(_arc(run), radius_mm) for run in runs if run.meta.direction == way]
+        each = [_centred_um(run.arc, radius_mm) for run in runs if run.meta.direction == way]
         if each:
             words = "counter-clockwise" if way == "CCW" else "clockwise"
             characteristics += [
@@ -84,7 +83,7 @@ def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...
                 repeated(f"Fmax({way})", "largest radial deviation", [float(e.max()) for e in each]),
                 repeated(f"Fmin({way})", "smallest radial deviation", [float(e.min()) for e in each]),
             ]
-    pairs = [bidirectional_figures(_arc(up), _arc(down), radius_mm) for up, down in _pairs(runs)]
+    pairs = [bidirectional_figures(up.arc, down.arc, radius_mm) for up, down in _pairs(runs)]
     if pairs:
         characteristics += [
             repeated(
@@ -98,7 +97,7 @@ def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...
 
 def _arc_deg(run: Run) -> float:
     """Return how much of a turn the samples go over: all but their largest gap."""
-    around = np.sort(_arc(run)[0] % 360.0)
+    around = np.sort(run.arc[0] % 360.0)
     return 360.0 - float(np.diff(around, append=around[0] + 360.0).max())
 
 
@@ -136,7 +135,7 @@ def _with_contributions(c: Characteristic, radius_mm: float, under: Circumstance
     return replace(c, contributions=tuple(found))
 
 
-def _centred_um(arc: _Arc, radius_mm: float) -> Floats:
+def _centred_um(arc: tuple[Floats, Floats], radius_mm: float) -> Floats:
     """Return the radial deviation about the circle's own centre, shape (n,)."""
     circle = fit_circle(*arc, radius_mm)
     return residual_um(*arc, radius_mm, circle) + circle.radius_change_um
@@ -157,7 +156,7 @@ def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
     pairs = _pairs(runs)
     shown = list(pairs[0]) if pairs else list(runs[:1])
     radius = float(shown[0].meta.radius_mm or 0.0)
-    arcs = [_arc(run) for run in shown]
+    arcs = [run.arc for run in shown]
     angle, deviation = (np.concatenate(part) for part in zip(*arcs, strict=True))
     circle = fit_circle(angle, deviation, radius)
     curves = {
@@ -169,8 +168,3 @@ def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
     }
     title = "Radial deviation about one centre" if len(shown) == 2 else "Radial deviation, centre removed"
     return polar_figure(curves, radius, title=title, plane=shown[0].meta.plane)
-
-
-def _arc(run: Run) -> _Arc:
-    part = slice(*run.window) if run.window is not None else slice(None)
-    return run.samples["angle_deg"][part], run.samples["deviation_um"][part]
