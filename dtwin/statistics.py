@@ -14,6 +14,24 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else float("nan")
 
 
+def usual_size(off: ArrayLike) -> float:
+    """Return the standard deviation of normal values from the median of their distances, which a few wild ones do not move."""
+    return 1.4826 * float(np.median(np.abs(off)))
+
+
+def gain_tail(before: Floats, after: Floats) -> float:
+    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (n,)
+        What is left in each block, at least zero.
+    """
+    gain = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+    spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return t_tail(float(gain.mean()) / spread, len(gain) - 1.0) if spread > 0.0 else 1.0
+
+
 def t_quantile(probability: float, dof: float) -> float:
     """Return where Student's t has this probability below it.
 

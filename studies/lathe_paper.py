@@ -31,7 +31,7 @@ from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, Lathe
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.statistics import rms
+from dtwin.statistics import rms, usual_size
 from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
 _SINGLE_NEURONS = 40
@@ -46,8 +46,6 @@ _KEYS = ("max_average_error_um", "max_reversal_error_um", "max_repeat_um")
 _TITLES = ("max average error", "max reversal error", "max repeat")
 # 2 h against 1 min.
 _FASTER = 120.0
-# Median absolute deviation to standard deviation of a normal distribution.
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -204,7 +202,7 @@ def _scatter(target: str, what: str, paper: str, found: Sequence[Mapping[str, fl
         values = _column(found, key)
         # A network that has gone wrong once must not widen what counts as agreement.
         middle = float(np.median(values))
-        spread = _MAD * float(np.median(np.abs(values - middle)))
+        spread = usual_size(values - middle)
         theirs = told * UM_PER_IN
         agrees = abs(theirs - middle) <= 2.0 * spread
         if paper == "before":

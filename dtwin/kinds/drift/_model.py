@@ -13,7 +13,7 @@ import numpy as np
 
 from dtwin.kinds.drift._sense import moved_um
 from dtwin.schema import Floats, Run
-from dtwin.statistics import t_quantile, t_tail
+from dtwin.statistics import gain_tail, t_quantile, usual_size
 
 _BLOCKS, _LONG = 24, 6
 _TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
@@ -165,7 +165,7 @@ def shifts(series: Series) -> list[Shift]:
         return []
     steps, pauses = np.diff(moved), np.diff(t_s)
     span = float(np.subtract(*np.percentile(moved, [98.0, 2.0])))
-    usual = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    usual = usual_size(steps - np.median(steps))
     large = np.abs(steps) > max(_TIMES_USUAL * usual, _OF_SPAN * span)
     found = []
     for i in map(int, np.flatnonzero(large & (pauses > 0.0) & (pauses <= _PAUSE * np.median(pauses)))):
@@ -212,7 +212,7 @@ def steady(series: Series) -> Fitted:
     while chosen:
         without = [_held_out(series, [t for t in chosen if t != term]) for term in chosen]
         least = int(np.argmin([left.sum() for left in without]))
-        if _share(without[least], now) > _MATERIAL and _paid(without[least], now) < _ALPHA:
+        if _share(without[least], now) > _MATERIAL and gain_tail(without[least], now) < _ALPHA:
             break
         chosen.pop(least)
         now = without[least]
@@ -254,7 +254,7 @@ class Addition:
 
     def equals(self, other: Addition) -> bool:
         """Tell whether another takes no more than chance may."""
-        return _share(self.left, other.left) <= _MATERIAL or _paid(self.left, other.left) >= _ALPHA
+        return _share(self.left, other.left) <= _MATERIAL or gain_tail(self.left, other.left) >= _ALPHA
 
 
 def _next(series: Series, now: Fitted) -> Step | None:
@@ -290,7 +290,7 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             term,
             said,
             _share(before, left),
-            min(1.0, len(tried) * _paid(before, left)),
+            min(1.0, len(tried) * gain_tail(before, left)),
             _share(far, _held_out(series, new, _LONG)),
         )
         for left, new, term, said in tried
@@ -330,7 +330,7 @@ def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
 def _needed(without: Floats, now: Floats) -> bool:
     """Return whether a term takes enough, by the squares in each block without it and with it: surely, or much."""
     share = _share(without, now)
-    return share > _MATERIAL and (share > _SURELY or _paid(without, now) < _ALPHA)
+    return share > _MATERIAL and (share > _SURELY or gain_tail(without, now) < _ALPHA)
 
 
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
@@ -369,13 +369,6 @@ def _without_each(series: Series, x: Floats, most: int = _BLOCKS) -> tuple[Float
 def _share(before: Floats, after: Floats) -> float:
     """Return the share of the squares on blocks held out that something takes."""
     return 1.0 - float(after.sum()) / float(before.sum())
-
-
-def _paid(before: Floats, after: Floats) -> float:
-    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides."""
-    gain = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
-    spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
-    return t_tail(float(gain.mean()) / spread, len(gain) - 1.0) if spread > 0.0 else 1.0
 
 
 def _design(series: Series, terms: Sequence[Term]) -> Floats:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
-from dtwin.statistics import f_tail
+from dtwin.statistics import f_tail, usual_size
 
 _FEWEST_CYCLES = 4
 _FEWEST_ALIKE = 3
@@ -26,7 +26,6 @@ _SAME_UM = 1e-4
 """Readings nearer than this are equal: they are differences of positions in mm."""
 _MOST_SPOILT = 0.1
 """Share of all readings that may be called spoilt; more is something else."""
-_GAUSS = 1.4826
 _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
@@ -72,7 +71,7 @@ def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
     every = np.concatenate([o.ravel() for o in off.values()])
     # Readings that are rounded agree better than what was read: not to less than a step.
     step_um = _step_um(np.concatenate([test.forward_um, test.reverse_um]))
-    limit = _FAR * max(_GAUSS * float(np.median(np.abs(every))), step_um / math.sqrt(12.0))
+    limit = _FAR * max(usual_size(every), step_um / math.sqrt(12.0))
     found = [
         SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
         for way in ways

@@ -15,6 +15,7 @@ from dtwin.kinds.poses._orientation import QUATERNION
 from dtwin.kinds.poses._series import Series, series_of, series_of_targets
 from dtwin.kinds.poses._setup import fitted
 from dtwin.schema import Finding, Floats, Run
+from dtwin.statistics import usual_size
 
 _FEWEST = 20
 _FAR_MM = 50.0
@@ -107,7 +108,7 @@ def _spoilt(run: Run, series: Series) -> list[Finding]:
         point = at.tool_mm(setup.tool_mm)
         size = np.linalg.norm(setup.in_base(measured) - point, axis=1)
         typical = float(np.median(size[kept]))
-        limit = typical + _WILD * 1.4826 * float(np.median(np.abs(size[kept] - typical)))
+        limit = typical + _WILD * usual_size(size[kept] - typical)
         before, kept = kept, size <= limit
         if (kept == before).all() or kept.mean() < _MOST_KEPT:
             break

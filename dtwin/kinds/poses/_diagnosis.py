@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dtwin.kinds.poses._effects import EFFECTS, Term, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
 from dtwin.schema import Floats
-from dtwin.statistics import f_tail, holm, rms, t_tail
+from dtwin.statistics import f_tail, gain_tail, holm, rms, usual_size
 
 KIND = "poses"
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
@@ -40,7 +40,6 @@ _AS_GOOD, _LITTLE = 0.8, 0.2
 # A fancier family takes the place of a plainer one when it gains more, has no more parameters than these besides, and
 # leaves nothing to the plainer one.
 _BETTER, _MORE = 1.1, 2
-_LEAST_MM2 = 1e-12
 # Rows so many times the usual spread off, and no more of them, are told apart.
 _WILD, _MOST_FAR = 8.0, 8
 # Repeats tell that something is left when it is this many times their scatter.
@@ -233,7 +232,7 @@ def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
             more = [term for term in grams.series.slots if term.effect == effect and term not in terms]
             if more:
                 tried.append((effect, *_pruned(grams, terms, more)))
-        p_values: Sequence[float] = holm([_paid(before, after) for _, _, after in tried]).tolist() if tried else []
+        p_values: Sequence[float] = holm([gain_tail(before, after) for _, _, after in tried]).tolist() if tried else []
         for (effect, more, after), p in zip(tried, p_values, strict=True):
             left = float(after.sum())
             gain = 1.0 - left / float(before.sum())
@@ -257,14 +256,7 @@ def _pruned(grams: Grams, terms: Sequence[Term], more: Sequence[Term]) -> tuple[
 
 def _needed(without: Floats, now: Floats) -> bool:
     """Return whether enough is left without a term, and surely, of squares in each block with and without it."""
-    return float(without.sum()) > float(now.sum()) * (1.0 + _PAYS) and _paid(without, now) < _STAYS
-
-
-def _paid(before: Floats, after: Floats) -> float:
-    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides."""
-    each = np.log(np.maximum(before, _LEAST_MM2) / np.maximum(after, _LEAST_MM2))
-    spread = float(each.std(ddof=1)) / np.sqrt(len(each))
-    return t_tail(float(each.mean()) / spread, len(each) - 1.0) if spread > 0.0 else 1.0
+    return float(without.sum()) > float(now.sum()) * (1.0 + _PAYS) and gain_tail(without, now) < _STAYS
 
 
 def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -324,7 +316,7 @@ def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:
     """Return which few rows hold most of what is left (n, 3), as the end of a headline; empty where none do."""
     size = np.linalg.norm(left_mm, axis=1)
     typical = float(np.median(size))
-    far = np.flatnonzero(size > typical + _WILD * 1.4826 * float(np.median(np.abs(size - typical))))
+    far = np.flatnonzero(size > typical + _WILD * usual_size(size - typical))
     if rows is None or not 0 < len(far) <= _MOST_FAR or (size[far] ** 2).sum() < 0.5 * (size**2).sum():
         return ""
     others = 1000.0 * rms(np.delete(size, far))

@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._files import Channel
 from dtwin.schema import Finding, Floats
+from dtwin.statistics import usual_size
 
 _TURN = 360.0
 _FEWEST_PULSES = 2
@@ -66,7 +67,7 @@ def smooth_angle(angle: Channel, where: str) -> tuple[Channel, list[Finding]]:
         for _ in range(6):
             spline = LSQUnivariateSpline(t, turned, knots, w=weight)
             left = turned - spline(t)
-            scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) or 1e-9
+            scale = usual_size(left - np.median(left)) or 1e-9
             weight = np.clip(1.0 - (left / (_TUKEY * scale)) ** 2, 1e-3, 1.0)
     except ValueError:
         return Channel(t, turned), []

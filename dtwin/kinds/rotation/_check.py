@@ -12,6 +12,7 @@ from dtwin.kinds.rotation._orders import orders_of, said_orders
 from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
+from dtwin.statistics import usual_size
 
 _FEW_TURNS = 5
 _STEADY = 0.05
@@ -135,7 +136,7 @@ def _spikes(turns: Turns) -> list[Finding]:
     if turns.n < 4:
         return []
     off = turns.moved_um - np.median(turns.moved_um, axis=0)
-    scale = max(1.4826 * float(np.median(np.abs(off))), turns.step_um / 2.0)
+    scale = max(usual_size(off), turns.step_um / 2.0)
     far = np.abs(off) > _SPIKE * scale
     alone = far & (far.sum(axis=0) == 1)
     rows = np.flatnonzero(alone.any(axis=1))

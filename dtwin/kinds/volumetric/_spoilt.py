@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dtwin.kinds.volumetric._identify import Balls, keys_of
 from dtwin.schema import Finding, Floats
+from dtwin.statistics import usual_size
 
 _FEWEST = 5
 _BESIDE = 3
@@ -67,7 +68,7 @@ def spoilt_in(cycles: Sequence[Balls]) -> Spoilt:
         off = _off(error, nominal, np.array([key[0] for key in place]))
     swapped = _swapped(nominal, np.array([key[0] for key in place]))
     # Of most readings the usual distance is known, and what is far is measured by it.
-    usual = 1.4826 * float(np.median(off[np.isfinite(error[:, :, 0])])) if len(place) else 0.0
+    usual = usual_size(off[np.isfinite(error[:, :, 0])]) if len(place) else 0.0
     far = off > max(_FAR * usual, _LEAST_UM)
     bad = np.array([far[n, own].mean() > _MOST if own.size else False for n, own in enumerate(at)])
     readings = tuple((far | swapped)[n, own] for n, own in enumerate(at))
