@@ -1,9 +1,11 @@
-"""Whether a request to a server on this computer comes from one of its own pages."""
+"""Requests that are not what they seem: from pages of others, or answered by a redirection."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
+import urllib.request
+from typing import Any
 
 # host:port as a browser sends it; anything else, a path behind it for example, is no host.
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(?::\d{1,5})?")
@@ -37,3 +39,10 @@ def names_this_computer(host: str | None, *, also: str = "", any_address: bool =
 def is_foreign(origin: str | None, host: str) -> bool:
     """Tell whether an Origin header names another page than one of ``host``; none does not."""
     return origin is not None and origin != f"http://{host}"
+
+
+class NoRedirection(urllib.request.HTTPRedirectHandler):
+    """Handler of an opener that follows no redirection: another address is another host, and a token would go there, too."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Follow none."""

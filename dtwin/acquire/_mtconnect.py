@@ -16,6 +16,7 @@ from dtwin.acquire._mtconnect_documents import Header, Item, OutOfRange, read_pr
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.opened import OpenAndClose
+from dtwin.own_address import NoRedirection
 from dtwin.schema import Finding
 
 _MAX_BYTES = 16_000_000
@@ -188,7 +189,7 @@ class MTConnectRecorder(OpenAndClose):
             address, headers={"Accept": "application/xml, text/xml", "User-Agent": "dtwin"}
         )
         try:
-            with urllib.request.build_opener(_NoRedirection).open(request, timeout=self._timeout_s) as answer:
+            with urllib.request.build_opener(NoRedirection).open(request, timeout=self._timeout_s) as answer:
                 return _bounded(answer.read(_MAX_BYTES + 1), address)
         except urllib.error.HTTPError as error:
             # Newer agents put the reason into the body.
@@ -215,11 +216,6 @@ class MTConnectRecorder(OpenAndClose):
         if self._held is None:
             raise DeviceError("the agent was not asked what it knows", code="mtconnect.closed", where=self.url)
         return self._held
-
-
-class _NoRedirection(urllib.request.HTTPRedirectHandler):
-    def redirect_request(self, *_: Any) -> None:
-        """Follow none: another host is another agent."""
 
 
 def _bounded(data: bytes, where: str) -> bytes:

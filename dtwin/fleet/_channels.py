@@ -13,12 +13,12 @@ from dataclasses import MISSING, dataclass, fields
 from email.message import EmailMessage
 from email.utils import parseaddr
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from dtwin.config import Home
 from dtwin.errors import DeviceError, InputError
-from dtwin.own_address import names_this_computer
+from dtwin.own_address import NoRedirection, names_this_computer
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -88,13 +88,8 @@ class Webhook:
         request = urllib.request.Request(self.url, body, head)
         # A redirection would take the token elsewhere, and a proxy what is not encrypted.
         beside = [urllib.request.ProxyHandler({})] if request.type == "http" else []
-        with urllib.request.build_opener(_NoRedirection, *beside).open(request, timeout=_WAIT_S):
+        with urllib.request.build_opener(NoRedirection, *beside).open(request, timeout=_WAIT_S):
             pass
-
-
-class _NoRedirection(urllib.request.HTTPRedirectHandler):
-    def redirect_request(self, *_: Any) -> None:
-        """Follow none."""
 
 
 @dataclass(frozen=True)

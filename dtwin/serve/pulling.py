@@ -25,6 +25,7 @@ from urllib.parse import quote, urlsplit
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError, StoreError
+from dtwin.own_address import NoRedirection
 from dtwin.processes import running_beside
 from dtwin.schema import require_name
 from dtwin.serve.bundle_file import parse_json, read_bytes, write_json
@@ -140,7 +141,7 @@ def _limited(until_s: float) -> Iterator[urllib.request.OpenerDirector]:
     timer.daemon = True
     timer.start()
     try:
-        yield urllib.request.build_opener(_NoRedirect, plain, secure)
+        yield urllib.request.build_opener(NoRedirection, plain, secure)
     except (OSError, HTTPException):
         if time.monotonic() < until_s:
             raise
@@ -148,14 +149,6 @@ def _limited(until_s: float) -> Iterator[urllib.request.OpenerDirector]:
         timer.cancel()
     if time.monotonic() >= until_s:
         raise TimeoutError(f"it was not all there after {_LONGEST_S:g} s")
-
-
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """An answer that sends elsewhere is no answer."""
-
-    def redirect_request(self, *_arguments: Any) -> None:
-        """Follow nothing."""
-        return
 
 
 def _note(machine: str, home: Home) -> Path:
