@@ -30,6 +30,7 @@ _NUMPY: dict[str, Callable[..., Floats]] = {
     "abs": np.abs,
     "tanh": np.tanh,
 }
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 _MAX_CHARS = 20_000
 
 
@@ -54,6 +55,23 @@ class Formula:
     def size(self) -> int:
         """Number of nodes."""
         return 1 + sum(arg.size for arg in self.args)
+
+    @property
+    def inputs(self) -> set[str]:
+        """Names of the inputs that it uses."""
+        own = {self.name} if self.op == "input" else set()
+        return own.union(*(arg.inputs for arg in self.args))
+
+    def text(self, constants: Floats) -> str:
+        """Return it with its constants (k,) as text that :func:`parse_formula` reads."""
+        if self.op == "constant":
+            return f"({float(constants[self.place])!r})"
+        if self.op == "input":
+            return self.name
+        parts = [arg.text(constants) for arg in self.args]
+        if self.op in _INFIX:
+            return f"({parts[0]} {_INFIX[self.op]} {parts[1]})"
+        return f"(-{parts[0]})" if self.op == "neg" else f"{self.op}({', '.join(parts)})"
 
     def values(self, inputs: Mapping[str, Floats], constants: Floats) -> Floats:
         """Evaluate over rows.

@@ -15,7 +15,7 @@ from dtwin.physics.localise import condition_means
 from dtwin.physics.observations import Observations
 from dtwin.physics.state import State
 from dtwin.schema import Floats
-from dtwin.train.formula import Formula, parse_formula
+from dtwin.train.formula import parse_formula
 from dtwin.train.symbolic import Engine, FittedFormula, refit
 
 # Ratios and pure numbers only, so that no formula can mix units; its value is in um.
@@ -26,7 +26,6 @@ _REFERENCE_FEED_MM_S = 50.0
 _REFERENCE_RADIUS_MM = 100.0
 _BINS_TOGETHER = 3
 _NEAR = 1.02
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed
         after += float((target[out] - np.nan_to_num(predicted, nan=1e6)) ** 2 @ np.ones(out.sum()))
     final = _best(engine, inputs, target, seed)
     return ResidualFormula(
-        text=formula_text(final.formula, final.constants),
+        text=final.formula.text(final.constants),
         nodes=final.complexity,
         gain=1.0 - after / before if before > 0.0 else 0.0,
         groups=len(places),
@@ -126,18 +125,6 @@ def formula_effect(name: str, text: str) -> Effect:
         reference="Learned from the residual of this twin; provisional.",
         source="learned",
     )
-
-
-def formula_text(formula: Formula, constants: Floats) -> str:
-    """Return a formula with its constants as text that :func:`parse_formula` reads."""
-    if formula.op == "constant":
-        return f"({float(constants[formula.place])!r})"
-    if formula.op == "input":
-        return formula.name
-    parts = [formula_text(arg, constants) for arg in formula.args]
-    if formula.op in _INFIX:
-        return f"({parts[0]} {_INFIX[formula.op]} {parts[1]})"
-    return f"(-{parts[0]})" if formula.op == "neg" else f"{formula.op}({', '.join(parts)})"
 
 
 def _best(engine: Engine, inputs: Mapping[str, Floats], target: Floats, seed: int) -> FittedFormula:

@@ -36,7 +36,7 @@ class Law:
     @property
     def features(self) -> tuple[str, ...]:
         """Columns that the equation uses."""
-        return tuple(sorted(_inputs(self.formula)))
+        return tuple(sorted(self.formula.inputs))
 
     def values(self, columns: Mapping[str, Floats]) -> Floats:
         """Return the value for rows of features, shape (n,)."""
@@ -45,18 +45,13 @@ class Law:
         values: Floats = np.broadcast_to(self.formula.values(scaled, self.constants), (n,))
         return np.nan_to_num(values, nan=1e6, posinf=1e6, neginf=-1e6)
 
-    def refitted(self, columns: Mapping[str, Floats], target: Floats) -> Law:
-        """Return the same equation with its constants fitted to other rows."""
-        again = refit([Found(self.text(), self.formula.size, 0.0)], _scaled(columns, self.scales), target)
-        return Law(again[0].formula, again[0].constants, self.scales) if again else self
-
     def build(self, builder: GraphBuilder, features: Mapping[str, Expression]) -> Expression:
         """Add the equation to a graph, from handles of its features."""
         return _built(self.formula, builder, self.constants, features, self.scales)
 
     def text(self) -> str:
         """Return the equation over scaled features, readable by ``parse_formula``."""
-        return _written(self.formula, self.constants)
+        return self.formula.text(self.constants)
 
     def readable(self) -> str:
         """Return the equation with what its features are divided by."""
@@ -125,7 +120,7 @@ def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law,
         fitted = [
             f
             for f in refit(search.search(columns, target, seed), columns, target)
-            if len(_inputs(f.formula)) <= MOST_FEATURES
+            if len(f.formula.inputs) <= MOST_FEATURES
         ]
         if not fitted:
             raise InputError("no formula of three features was found", code="train.search")
@@ -143,23 +138,6 @@ def _scales_of(groups: ToneGroups) -> dict[str, float]:
 
 def _scaled(columns: Mapping[str, Floats], scales: Mapping[str, float]) -> dict[str, Floats]:
     return {name: values / scales[name] for name, values in columns.items()}
-
-
-def _inputs(formula: Formula) -> set[str]:
-    own = {formula.name} if formula.op == "input" else set()
-    return own.union(*(_inputs(arg) for arg in formula.args))
-
-
-def _written(formula: Formula, constants: Floats) -> str:
-    if formula.op == "constant":
-        return f"({float(constants[formula.place])!r})"
-    if formula.op == "input":
-        return formula.name
-    args = [_written(arg, constants) for arg in formula.args]
-    sign = {"add": "+", "sub": "-", "mul": "*", "div": "/"}.get(formula.op)
-    if sign is not None:
-        return f"({args[0]} {sign} {args[1]})"
-    return f"(-{args[0]})" if formula.op == "neg" else f"{formula.op}({args[0]})"
 
 
 def _built(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dtwin.errors import InputError
 from dtwin.train.formula import parse_formula
-from dtwin.train.residual_formula import INPUTS, formula_effect, formula_text
+from dtwin.train.residual_formula import INPUTS, formula_effect
 
 
 def expressions() -> st.SearchStrategy[str]:
@@ -30,7 +30,7 @@ def expressions() -> st.SearchStrategy[str]:
 def test_text_says_what_the_formula_says(text: str, seed: int) -> None:
     values = {n: np.random.default_rng(seed).uniform(-1, 1, 5) for n in INPUTS}
     formula, constants = parse_formula(text, INPUTS)
-    again, others = parse_formula(formula_text(formula, constants), INPUTS)
+    again, others = parse_formula(formula.text(constants), INPUTS)
     np.testing.assert_array_equal(again.values(values, others), formula.values(values, constants))
 
 
