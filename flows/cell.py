@@ -9,7 +9,7 @@ from prefect.client.schemas.objects import State
 from prefect.states import Completed
 
 from dtwin.config import home
-from dtwin.pipeline.cell import run_job, status
+from dtwin.pipeline.cell import run_job, status, step_rows
 from dtwin.pipeline.cell_state import DONE, CellFile
 from flows import _artifacts, _tasks
 
@@ -51,19 +51,7 @@ def cell_flow(
 
 
 def _publish(cell: str, seen: dict[str, Any], stopped: str) -> None:
-    rows = [
-        [
-            s["part"],
-            s["step"],
-            s["twin"],
-            s["state"],
-            *(
-                f"{s['result'][k]:z.1f}" if k in s["result"] else ""
-                for k in ("duration_s", "error_without_um", "error_um")
-            ),
-        ]
-        for s in seen["steps"]
-    ]
+    rows = step_rows(seen)
     done = sum(s["state"] == DONE for s in seen["steps"])
     came = f"stopped: {stopped}" if stopped else "done"
     _artifacts.publish_table(

@@ -82,25 +82,14 @@ def _run(cell: str, parameters: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _text(seen: Mapping[str, Any]) -> str:
-    rows = [
-        [
-            s["part"],
-            s["step"],
-            s["twin"],
-            s["state"],
-            *(
-                f"{s['result'][k]:z.1f}" if k in s["result"] else ""
-                for k in ("duration_s", "error_without_um", "error_um")
-            ),
-        ]
-        for s in seen["steps"]
-    ]
+    from dtwin.pipeline.cell import step_rows
+
     head = ("part", "step", "its twin", "state", "s", "error without, µm", "error, µm")
     asked = f"; asked to stop: {seen['stop_asked']}" if seen["stop_asked"] else ""
     return "\n".join(
         [
             f"cell {seen['cell']}: {seen['condition']}, {seen['done_steps']} of "
             f"{len(seen['steps'])} steps; live twin: {seen['live_twin']}{asked}",
-            table(head, rows),
+            table(head, step_rows(seen)),
         ]
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -142,6 +142,18 @@ def status(cell: CellFile) -> dict[str, Any]:
         "done_steps": sum(s["state"] == DONE for s in state["steps"]),
         "next": None if left is None else state["steps"][left]["step"],
     }
+
+
+def step_rows(seen: Mapping[str, Any]) -> list[list[Any]]:
+    """Return the steps of a cell, as :func:`status` gives them, as rows: part, step, twin, state, s, errors without and with."""
+    numbers = ("duration_s", "error_without_um", "error_um")
+    return [
+        [
+            *(step[name] for name in ("part", "step", "twin", "state")),
+            *(f"{step['result'][k]:z.1f}" if k in step["result"] else "" for k in numbers),
+        ]
+        for step in seen["steps"]
+    ]
 
 
 def _load(seed: int) -> dict[str, Any]:
