@@ -110,8 +110,7 @@ def _refusing(bundle: Bundle, metrics: Mapping[str, float]) -> list[str]:
 
 def _stale(bundle: Bundle) -> list[str]:
     """Return the guard's own word for a state that is too old."""
-    low = np.array([i.low for i in bundle.inputs])
-    high = np.array([i.high for i in bundle.inputs])
+    low, high = bundle.box
     guard = Guard(bundle.safety, low, high)
     sent = guard.step(np.ones(3), 0.5 * (low + high), age_s=STALE_S, elapsed_s=0.002)
     return [f"guard of {MACHINE}: {REASONS[guard.reason]}"] if not sent.any() else []

@@ -8,12 +8,14 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from dtwin.errors import InputError
 from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
+_Row = TypeVar("_Row", bound=Sequence[str])
 _MOST_GAPS = 20
 # Lengths of smaller units become µm.
 _LEAST_MM = 0.01
@@ -175,6 +177,12 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
     if (here, wanted) in _BETWEEN:
         return Column(head, unit, name, factor * _BETWEEN[here, wanted])
     return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
+
+
+def below_heads(rows: list[_Row], begin: int) -> tuple[_Row | None, list[_Row]]:
+    """Return the units below the heads of a table, None where there are none, and its rows; ``begin``: row of the heads."""
+    units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
+    return units, rows[begin + (1 if units is None else 2) :]
 
 
 def all_units(row: Sequence[str]) -> bool:

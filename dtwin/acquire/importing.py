@@ -22,7 +22,7 @@ import tomli_w
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
-from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, is_number, joined_heads
+from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, is_number, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
@@ -150,8 +150,7 @@ def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
     elif axis:
         text = part_of_axis(text, axis, path)
     rows, begin, heads, stored, sign = _seen(text, path, home, decimal)
-    units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
-    body = rows[begin + (1 if units is None else 2) :]
+    units, body = below_heads(rows, begin)
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     return Looked(
         heads,

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from dtwin.acquire.foreign_columns import all_units, header_row
+from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
@@ -79,9 +79,8 @@ def _from_text(path: Path) -> dict[str, NDArray[Any]]:
     """Return the columns of a table of text, NaN where a cell holds no number; columns without a unit that is known are refused."""
     rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
     at = header_row(rows, path)
-    below = rows[at + 1] if all_units(rows[at + 1]) else None
+    below, body = below_heads(rows, at)
     heads = [head.strip() for head in rows[at]]
-    body = rows[at + (1 if below is None else 2) :]
     cells = [[row[n].strip() if n < len(row) else "" for row in body] for n in range(len(heads))]
     known = named_columns(heads, below, {})
     columns = {

@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
-from dtwin.schema import require_name
+from dtwin.schema import Floats, require_name
 from dtwin.serve._fields import only_fields, record, text, whole
 from dtwin.serve.band import Band, read_band
 from dtwin.serve.graph import Graph
@@ -89,6 +91,11 @@ class Bundle:
     def feature_inputs(self) -> tuple[str, ...]:
         """Inputs that come from sensor windows, in the order of the feature vector."""
         return tuple(i.name for i in self.inputs if i.source == "feature")
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest value of each input for which the model holds, in their order, shapes (n,)."""
+        return np.array([i.low for i in self.inputs]), np.array([i.high for i in self.inputs])
 
     @property
     def intermediates(self) -> tuple[str, ...]:

@@ -44,8 +44,7 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
     Raises ``InputError`` when the model gives a value that is not finite inside its own validity box.
     """
     rng = np.random.default_rng(seed)
-    low = np.array([i.low for i in bundle.inputs])
-    high = np.array([i.high for i in bundle.inputs])
+    low, high = bundle.box
     drawn = low + (high - low) * rng.random((_TICKS, len(low)))
     drawn[0], drawn[1], drawn[2] = low, high, 0.5 * (low + high)
     named = {item.name: drawn[:, k] for k, item in enumerate(bundle.inputs)}

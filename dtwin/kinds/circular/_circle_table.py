@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, all_units, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -166,8 +166,7 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
     rows = [list(row) for row in joined_heads(rows, path)]
     begin = header_row(rows, path)
     heads = [cell.strip() for cell in rows[begin]]
-    units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
-    body = rows[begin + (1 if units is None else 2) :]
+    units, body = below_heads(rows, begin)
     return columns_of(heads, units, {}), body
 
 

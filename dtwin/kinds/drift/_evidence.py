@@ -90,7 +90,7 @@ def _served(bundle: Bundle, day: Day) -> tuple[Floats, Mapping[str, int]]:
     moved = "xyz".index(bundle.outputs[0].frame[-1])
     asked = CompiledBundle(bundle).run(np.column_stack([told[name] for name in bundle.tick_inputs]))
     wanted[:, moved] = -asked[:, 0]
-    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
+    guard = Guard(bundle.safety, *bundle.box)
     box = np.column_stack([told[i.name] for i in bundle.inputs])
     sent = guard.run(wanted, box, elapsed_s=STEP_S)[:, moved]
     return np.concatenate([[0.0], sent[:-1]]), guard.counted()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import all_units, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import below_heads, columns_of, header_row, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -202,11 +202,10 @@ def _parted(
         begin = header_row(rows, path)
     except InputError:
         begin = 0
-    heads, rest = (rows[begin], rows[begin + 1 :]) if rows else ([], [])
-    units = rest[0] if rest and all_units(rest[0]) else None
+    heads = rows[begin] if rows else []
+    units, body = below_heads(rows, begin)
     padding = [""] * len(heads)
-    body: list[Sequence[str]] = [[*row, *padding][: len(heads)] for row in rest[0 if units is None else 1 :]]
-    return heads, units, body
+    return heads, units, [[*row, *padding][: len(heads)] for row in body]
 
 
 def _named(

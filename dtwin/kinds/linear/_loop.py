@@ -111,7 +111,7 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
     moved = axis_number(bundle)
     wanted[:, moved] = -along(bundle, commanded)
     named = told(commanded, np.zeros(len(ticks)))
-    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
+    guard = Guard(bundle.safety, *bundle.box)
     box = np.column_stack([named[i.name] for i in bundle.inputs])
     sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, moved]
     applied = np.concatenate([[0.0], sent[:-1]])

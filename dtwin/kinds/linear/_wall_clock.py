@@ -81,7 +81,7 @@ def paced(
     length_s = float(motion.t_s[-1] - motion.t_s[0])
     position_mm = motion.at(motion.t_s[0] + np.arange(n) * PERIOD_S % length_s)
     compiled = CompiledBundle(bundle)
-    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
+    guard = Guard(bundle.safety, *bundle.box)
     # Compiled and called once before any time counts.
     _correct(compiled, guard, float(position_mm[0]), PERIOD_S)
     compiled.reset()

@@ -182,7 +182,7 @@ def _bounded(bundle: Bundle) -> Verdict:
     """Whatever windows and commands come in, what goes out is finite and inside the clamp."""
     rng = np.random.default_rng(7)
     compiled = CompiledBundle(bundle)
-    low, high = (np.array([getattr(i, end) for i in bundle.inputs]) for end in ("low", "high"))
+    low, high = bundle.box
     features = np.array([i.source == "feature" for i in bundle.inputs])
     guard = Guard(bundle.safety, low, high)
     raw = largest = 0.0

@@ -173,9 +173,7 @@ class _Brain:
         self._stream = StreamingWindow(bundle.window)
         columns = bundle.window.columns
         self._places = [columns.index(name) for name in bundle.feature_inputs]
-        self._low = np.array([i.low for i in bundle.inputs])
-        self._high = np.array([i.high for i in bundle.inputs])
-        self.guard = Guard(bundle.safety, self._low, self._high)
+        self.guard = Guard(bundle.safety, *bundle.box)
         self._features = np.zeros(len(self._places))
 
     def sensed(self, sent_um: Floats, acceleration_g: Floats) -> bool:
