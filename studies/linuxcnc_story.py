@@ -22,7 +22,7 @@ from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_fig
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
-from dtwin.statistics import t_quantile
+from dtwin.statistics import rms, t_quantile
 from dtwin.train.evidence_runs import corrected
 from dtwin.train.measured_ways import MeasuredWays, numbered
 from dtwin.twins.correct import Correction, correct
@@ -244,9 +244,7 @@ def _rms_um(turns: Sequence[Trace]) -> Floats:
     normal = sum((d.T @ d / len(d) for d in design), np.zeros((3, 3)))
     right = sum((d.T @ t.deviation_um / len(d) for d, t in zip(design, turns, strict=True)), np.zeros(3))
     mounting = np.linalg.solve(normal, right)
-    return np.array(
-        [float(np.sqrt(np.mean((t.deviation_um - d @ mounting) ** 2))) for d, t in zip(design, turns, strict=True)]
-    )
+    return np.array([rms(t.deviation_um - d @ mounting) for d, t in zip(design, turns, strict=True)])
 
 
 def _half_width_um(groups: Sequence[Floats]) -> float:

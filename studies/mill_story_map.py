@@ -122,7 +122,7 @@ def register_map(home: Home, learned: LearnedSession, geometry: Mapping[str, Any
         equation=to_text(graph),
         bundle=learned.bundle.to_dict(),
     )
-    before = float(np.sqrt(np.mean([row["before_um"] ** 2 for row in learned.rows])))
+    before = rms([row["before_um"] for row in learned.rows])
     report = TrainingReport(
         machine=MACHINE,
         campaign="one session, as the thesis",

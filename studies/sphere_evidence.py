@@ -19,7 +19,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.statistics import t_quantile
+from dtwin.statistics import rms, t_quantile
 from dtwin.train.oracle import best_offsets, follow
 from studies.machines.sphere_path import RADIUS_MM, SphereRun, sphere_controller, sphere_plan, sphere_run
 from studies.sphere_model import mounting_terms
@@ -128,7 +128,7 @@ def remainders_um(runs: Sequence[SphereRun]) -> list[float]:
     value = np.concatenate([r.deviation_um for r in runs])
     rest = value - terms @ np.linalg.lstsq(terms, value, rcond=None)[0]
     parts = np.split(rest, np.cumsum([len(r.deviation_um) for r in runs])[:-1])
-    return [math.sqrt(float(np.mean(part**2))) for part in parts]
+    return [rms(part) for part in parts]
 
 
 def half_width(values: Floats) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -206,10 +207,15 @@ class Lake:
             findings=tuple(Finding(**f) for f in json.loads(row["findings_json"])),
         )
 
-    def iterate(self, campaign: str, *, signals: bool = True) -> Iterator[Run]:
+    def provenance(self, rows: Iterable[Mapping[str, Any]], n_runs: int) -> dict[str, Any]:
+        """Return what a twin was fitted to: versions of the lake, and a hash of what the rows hold."""
+        contents = "".join(str(row["content_sha256"]) for row in rows)
+        return {**self.versions(), "runs_sha256": hashlib.sha256(contents.encode()).hexdigest(), "n_runs": n_runs}
+
+    def iterate(self, campaign: str) -> Iterator[Run]:
         """Yield the runs of a campaign one by one, never all in memory."""
         for row in self.runs(campaign):
-            yield self.load(row, signals=signals)
+            yield self.load(row)
 
     def campaigns(self) -> list[str]:
         """Return the names of all campaigns that have visible runs."""

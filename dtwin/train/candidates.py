@@ -18,6 +18,7 @@ from sklearn.preprocessing import MinMaxScaler, StandardScaler
 from sklearn.tree import DecisionTreeRegressor
 
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 from dtwin.train.inputs import GenericInputs
 from dtwin.train.latency import onnx_of
 from dtwin.train.results import Candidate, Scores
@@ -138,8 +139,7 @@ def score(rows: Rows, predicted: Floats, group: str) -> Scores:
     conditions = rows.condition()
     for condition in np.unique(conditions):
         inside = (conditions == condition) & keep
-        before = float(np.sqrt(np.mean(rows.target_um[inside] ** 2)))
-        ratio = float(np.sqrt(np.mean(rest[inside] ** 2))) / before
+        ratio = rms(rest[inside]) / rms(rows.target_um[inside])
         if ratio > worst:
             meta = rows.runs[int(rows.of_run[inside][0])].meta
             worst = ratio

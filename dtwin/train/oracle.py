@@ -13,6 +13,7 @@ from dtwin.machines.parameters import ControllerParameters
 from dtwin.schema import Floats
 from dtwin.serve.interface import SafetyLimits
 from dtwin.serve.safety import Guard
+from dtwin.statistics import rms
 from dtwin.units import UM_PER_MM
 
 TICK_S = 0.002
@@ -109,7 +110,7 @@ def _left_um(
     rest = radial - basis @ np.linalg.lstsq(basis[on], radial[on], rcond=None)[0]
     rest[~on] = 0.0
     parts = np.split(rest[:, None] * unit, np.cumsum([len(part) for part in error])[:-1])
-    return parts, float(np.sqrt(np.mean(rest[on] ** 2)))
+    return parts, rms(rest[on])
 
 
 def _led(error_um: Floats, ahead: int) -> Floats:

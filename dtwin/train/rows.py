@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 from dtwin.train.dataset import TickRun
 
 
@@ -98,7 +99,7 @@ class Rows:
 
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
-        return float(np.sqrt(np.mean(values[self.scored] ** 2)))
+        return rms(values[self.scored])
 
 
 def gather(runs: Sequence[TickRun]) -> Rows:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -134,13 +133,7 @@ def load(home: Home, campaign: str) -> Loaded:
             hint=f"dtwin check {name}",
         )
     kind_named(found.kind).require("rows")
-    digest = hashlib.sha256()
-    for row in usable:
-        digest.update(str(row["content_sha256"]).encode())
-    data = {
-        **lake.versions(),
-        "runs_sha256": digest.hexdigest(),
-        "n_runs": len(usable),
+    data = lake.provenance(usable, len(usable)) | {
         "left_out": left_out,
         "amended": [f.message for f in amendment_findings(rows) if f.code == AMENDED],
     }

@@ -17,6 +17,7 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.interface import SafetyLimits
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.statistics import rms
 from dtwin.train.oracle import best_offsets, follow
 
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
@@ -99,4 +100,4 @@ def rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
     parts = np.split(rest, np.cumsum([len(r["angle_rad"]) for r in runs])[:-1])
     for run, part in zip(runs, parts, strict=True):
         run["rest_um"] = part  # type: ignore[index]
-    return np.array([math.sqrt(float(np.mean(part**2))) for part in parts])
+    return np.array([rms(part) for part in parts])

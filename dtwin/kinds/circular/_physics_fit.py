@@ -17,6 +17,7 @@ from dtwin.kinds.circular._order_search import find_gears
 from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.progress import Progress
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 from dtwin.train.rows import Rows, gather, thinned
 
 _RIDGE = 1e-3
@@ -241,7 +242,7 @@ def _realigned(rows: Rows, design: Floats) -> tuple[Rows, float]:
             moved[i] = steps[int(np.argmin(apart))]
         lags += moved - moved.mean()
         rows = gather([replace(run, lag_s=float(lag)) for run, lag in zip(rows.runs, lags, strict=True)])
-    return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
+    return rows, rms(lags - start)
 
 
 def _front(library: Library, cells: _Cells) -> tuple[list[int], list[_FrontPoint]]:

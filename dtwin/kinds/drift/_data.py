@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -64,9 +63,6 @@ def load(home: Home, campaign: str) -> Loaded:
             got=f"{len(lake.runs(name))} logs",
             hint="dtwin check tells what is wrong with them",
         )
-    digest = hashlib.sha256()
-    for row in rows:
-        digest.update(str(row["content_sha256"]).encode())
     run = of_twin(runs)
-    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(rows), "fitted_to": run.meta.run_id}
+    data = lake.provenance(rows, len(rows)) | {"fitted_to": run.meta.run_id}
     return Loaded(name, known.machine, run.meta.run_id, series_of(run), data)

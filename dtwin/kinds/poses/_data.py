@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -98,8 +97,5 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
         )
     ambient = run.samples.get("ambient_c")
     series = series_of(joints_of(run), measured_of(run), chain_in(run), ambient, setup, times_of(run))
-    digest = hashlib.sha256()
-    for row in lake.runs(name):
-        digest.update(str(row["content_sha256"]).encode())
-    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(series.error_mm)}
+    data = lake.provenance(lake.runs(name), len(series.error_mm))
     return Loaded(name, known.machine, Grams(series), data, numbers_of(run))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dtwin.kinds.poses._series import Series, mean_mm
 from dtwin.kinds.poses._setup import rigid
 from dtwin.schema import Floats, Run
+from dtwin.statistics import rms
 
 _FEWEST_REPEATS = 3
 _PAIRS = 2000
@@ -70,9 +71,7 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
         "pose_repeatability_mm": None
         if not repeatability
         else {"median": float(np.median(repeatability)), "max": float(np.max(repeatability)), "poses": len(often)},
-        "distance_accuracy_mm": None
-        if not apart.size
-        else {"rms": float(np.sqrt((apart**2).mean())), "max": float(np.abs(apart).max())},
+        "distance_accuracy_mm": None if not apart.size else {"rms": rms(apart), "max": float(np.abs(apart).max())},
         "as_written_mm": as_is,
         "frame_alone_mm": frame_alone if as_is is not None else None,
         "taken_away": series.taken_away,

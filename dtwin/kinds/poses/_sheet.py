@@ -17,6 +17,7 @@ from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Floats, Run
+from dtwin.statistics import rms
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -152,7 +153,7 @@ def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, f
     told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
     apart = distances_off(means_of(point_um, place), means)
     if apart.size:
-        told |= {"AD": float(np.abs(apart).max()), "AD rms": float(np.sqrt((apart**2).mean()))}
+        told |= {"AD": float(np.abs(apart).max()), "AD rms": rms(apart)}
     often = count >= _FEWEST_REPEATS
     if often.any():
         away = np.linalg.norm(error_um - means[place], axis=1)

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._files import Channel
 from dtwin.schema import Finding, Floats
-from dtwin.statistics import usual_size
+from dtwin.statistics import rms, usual_size
 
 _TURN = 360.0
 _FEWEST_PULSES = 2
@@ -72,7 +72,7 @@ def smooth_angle(angle: Channel, where: str) -> tuple[Channel, list[Finding]]:
     except ValueError:
         return Channel(t, turned), []
     left = turned - spline(t)
-    scatter = float(np.sqrt(np.mean(left**2)))
+    scatter = rms(left)
     if scatter < _LARGE_DEG:
         return Channel(t, spline(t)), []
     said = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -105,7 +104,7 @@ def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoad
         measured.sensors,
     )
     balls = tuple(where for where, _ in measured.moved)
-    return HeatLoaded(series, balls, units, _data(lake, name, len(settled)))
+    return HeatLoaded(series, balls, units, lake.provenance(lake.runs(name), len(settled)))
 
 
 def _identified(measured: Session, wanted: Sequence[str]) -> tuple[tuple[str, ...], list[Settled]]:
@@ -161,10 +160,3 @@ def _moves(settled: Sequence[Settled]) -> tuple[float, float]:
     ratio = (values - values.mean()) / noise
     power = float(ratio @ ratio)
     return chi2_tail(power, len(values) - 1), power
-
-
-def _data(lake: Lake, name: str, cycles: int) -> dict[str, Any]:
-    digest = hashlib.sha256()
-    for row in lake.runs(name):
-        digest.update(str(row["content_sha256"]).encode())
-    return {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": cycles}

@@ -19,7 +19,7 @@ from dtwin.kinds.volumetric._heat_twin import KIND, HeatFit, heat_figures
 from dtwin.kinds.volumetric._motions import HeatTerm, family_of, motion_words
 from dtwin.kinds.volumetric._thermal_model import fit_thermal, inflation
 from dtwin.schema import Floats
-from dtwin.statistics import chi2_tail, holm, t_tail
+from dtwin.statistics import chi2_tail, holm, rms, t_tail
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
 # A motion counts when it adds a quarter of the floor at the balls: 3 % of the residual.
@@ -290,8 +290,8 @@ def _seen_um(series: HeatSeries, left: Floats, column: int) -> float:
 def _gain(series: HeatSeries, motion: Floats, rest: Floats, column: int) -> float:
     """Return the share of what can be seen that is gone."""
     noise = float((series.uncertainty_of(column) ** 2).mean())
-    before = max(_rms(motion) ** 2 - noise, 1e-12)
-    return float(min((_rms(motion) ** 2 - _rms(rest) ** 2) / before, 1.0))
+    before = max(rms(motion) ** 2 - noise, 1e-12)
+    return float(min((rms(motion) ** 2 - rms(rest) ** 2) / before, 1.0))
 
 
 def _tells_p(motion: Floats, expected: Floats) -> float:
@@ -308,10 +308,6 @@ def _tells_p(motion: Floats, expected: Floats) -> float:
 
 def _lag(centred: Floats) -> float:
     return float(centred[1:] @ centred[:-1] / (centred @ centred))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def _grade(mover: Mover) -> str | None:
