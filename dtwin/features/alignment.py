@@ -17,6 +17,9 @@ __all__ = ["Alignment", "align_envelopes", "align_stops"]
 # Product of two sums of squares, as a share of the whole records': below it is rounding.
 _STILL = 1e-20
 
+# Share of the shorter record that must overlap; half width that belongs to the peak itself when its sharpness is judged.
+_LEAST_SHARED, _PEAK_S = 0.6, 0.5
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -52,8 +55,6 @@ def align_envelopes(
     *,
     max_lag_s: float,
     around_s: float = 0.0,
-    min_overlap: float = 0.6,
-    guard_s: float = 0.5,
 ) -> Alignment:
     """Align two records by normalised cross-correlation with a sub-sample peak.
 
@@ -65,10 +66,6 @@ def align_envelopes(
         Sample rates; both are brought to the higher one.
     max_lag_s, around_s : float
         The lag is searched within ``around_s`` ± ``max_lag_s``.
-    min_overlap : float
-        Share of the shorter record that must overlap.
-    guard_s : float
-        Half width that belongs to the peak itself when its sharpness is judged.
 
     Raises
     ------
@@ -78,7 +75,7 @@ def align_envelopes(
     rate_hz = max(stream_rate_hz, reference_rate_hz)
     a = _resampled(stream, stream_rate_hz, rate_hz)
     b = _resampled(reference, reference_rate_hz, rate_hz)
-    needed = int(min_overlap * min(len(a), len(b)))
+    needed = int(_LEAST_SHARED * min(len(a), len(b)))
     low = round((around_s - max_lag_s) * rate_hz)
     lags = np.arange(low, round((around_s + max_lag_s) * rate_hz) + 1)
     lags = lags[np.minimum(len(b), len(a) + lags) - np.maximum(0, lags) >= max(needed, 3)]
@@ -94,7 +91,7 @@ def align_envelopes(
     peak = float(values[best])
     if peak <= 0:
         raise InputError("the two records share no motion", code="align.unrelated", got=f"best correlation {peak:z.2f}")
-    outside = np.abs(lags - lags[best]) > guard_s * rate_hz
+    outside = np.abs(lags - lags[best]) > _PEAK_S * rate_hz
     rival = float(values[outside].max()) if outside.any() else 0.0
     return Alignment(
         lag_s=(float(lags[best]) + parabola_peak(values, best)) / rate_hz,
@@ -106,24 +103,17 @@ def align_envelopes(
 
 
 def align_stops(
-    stream: Floats,
-    stream_rate_hz: float,
-    acceleration: Floats,
-    controller_rate_hz: float,
-    *,
-    max_lag_s: float,
-    around_s: float = 0.0,
-    cutoff_hz: float = 20.0,
+    stream: Floats, stream_rate_hz: float, acceleration: Floats, controller_rate_hz: float, *, max_lag_s: float
 ) -> Alignment:
     """Align a measured stream to the controller by the stops between arcs.
 
     Parameters
     ----------
     stream : ndarray, shape (n,)
-        Measured deviation or acceleration, any unit; its bursts above ``cutoff_hz`` are used.
+        Measured deviation or acceleration, any unit; its bursts are used.
     acceleration : ndarray, shape (m,)
         Size of the controller's commanded acceleration along the path, any unit.
-    max_lag_s, around_s : float
+    max_lag_s : float
         As in ``align_envelopes``.
 
     Raises
@@ -131,14 +121,12 @@ def align_stops(
     InputError
         When the records cannot be aligned.
     """
-    envelope = stop_envelope(stream, stream_rate_hz, cutoff_hz)
+    envelope = stop_envelope(stream, stream_rate_hz)
     # The root brings tall and short bursts nearer, so that one stop does not decide alone.
     commanded = np.sqrt(np.abs(acceleration))
     width = max(3, round(0.1 * controller_rate_hz))
     smooth = np.convolve(commanded, np.ones(width) / width, "same")
-    return align_envelopes(
-        np.sqrt(envelope), stream_rate_hz, smooth, controller_rate_hz, max_lag_s=max_lag_s, around_s=around_s
-    )
+    return align_envelopes(np.sqrt(envelope), stream_rate_hz, smooth, controller_rate_hz, max_lag_s=max_lag_s)
 
 
 def _resampled(signal: Floats, rate_hz: float, wanted_hz: float) -> Floats:

@@ -9,20 +9,15 @@ from dtwin.errors import InputError
 from dtwin.features.alignment import Alignment
 from dtwin.schema import Floats
 
+# Range and spacing of the lags that are tried; a parabola refines the best one.
+_LONGEST_S, _STEP_S = 3.0, 0.005
 _HARMONICS = 2
 _THINNED_S = 0.02
 _COARSE = 8
 
 
 def align_infeed(
-    deviation_um: Floats,
-    rate_hz: float,
-    commanded_um: Floats,
-    angle_rad: Floats,
-    controller_rate_hz: float,
-    *,
-    max_lag_s: float = 3.0,
-    step_s: float = 0.005,
+    deviation_um: Floats, rate_hz: float, commanded_um: Floats, angle_rad: Floats, controller_rate_hz: float
 ) -> Alignment:
     """Find the lag at which the bar follows the commanded distance from the centre.
 
@@ -38,8 +33,6 @@ def align_infeed(
         Commanded distance from the centre minus nominal radius.
     angle_rad : ndarray, shape (m,)
         Commanded path angle.
-    max_lag_s, step_s : float
-        Range and spacing of the search; a parabola refines the best one.
 
     Returns
     -------
@@ -55,8 +48,8 @@ def align_infeed(
     t_bar = np.arange(deviation_um.size)[::thin] / rate_hz
     bar = deviation_um[::thin]
     t_controller = np.arange(commanded_um.size) / controller_rate_hz
-    longest = min(max_lag_s, t_controller[-1] - 0.5 * t_bar[-1])
-    if longest < 3 * step_s:
+    longest = min(_LONGEST_S, t_controller[-1] - 0.5 * t_bar[-1])
+    if longest < 3 * _STEP_S:
         raise InputError(
             "the controller's record is shorter than the bar's",
             code="align.overlap",
@@ -77,10 +70,10 @@ def align_infeed(
         solved = np.linalg.solve(gram + ridge, moment[:, :, None])[:, :, 0]
         return np.maximum(np.sum(y**2, axis=1) - np.sum(moment * solved, axis=1), 0.0) / bar.size
 
-    coarse = np.arange(0.0, longest, _COARSE * step_s)
+    coarse = np.arange(0.0, longest, _COARSE * _STEP_S)
     overview = unexplained(coarse)
     middle_s = float(coarse[int(np.argmin(overview))])
-    lags = middle_s + step_s * np.arange(-_COARSE, _COARSE + 1)
+    lags = middle_s + _STEP_S * np.arange(-_COARSE, _COARSE + 1)
     rest = unexplained(lags)
     best = int(np.argmin(rest))
     shift = 0.0
@@ -92,9 +85,9 @@ def align_infeed(
     rival = float(overview[guard].min()) if guard.any() else float("inf")
     scale = float(np.var(bar)) or 1.0
     return Alignment(
-        lag_s=float(lags[best] + shift * step_s),
+        lag_s=float(lags[best] + shift * _STEP_S),
         correlation=float(np.sqrt(max(0.0, 1.0 - rest[best] / scale))),
         residual=float(np.sqrt(rest[best] / scale)),
         sharpness=float(1.0 - rest[best] / rival) if rival > 0 else 0.0,
-        resolution_s=step_s,
+        resolution_s=_STEP_S,
     )

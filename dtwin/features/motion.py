@@ -177,8 +177,6 @@ class PathInputs:
         Where each of ``STATE_FIELDS`` is in a state vector.
     tcp_mm : ndarray, shape (3,)
         Tool centre point in the flange frame.
-    dh : ndarray, shape (6, 4), optional
-        Denavit-Hartenberg rows; those of the UR10e by default.
 
     Raises
     ------
@@ -186,7 +184,7 @@ class PathInputs:
         When a field is missing.
     """
 
-    def __init__(self, field_index: dict[str, int], tcp_mm: Floats, dh: Floats = UR10E.dh) -> None:
+    def __init__(self, field_index: dict[str, int], tcp_mm: Floats) -> None:
         missing = [name for name in STATE_FIELDS if name not in field_index]
         if missing:
             raise InputError(
@@ -196,7 +194,7 @@ class PathInputs:
             )
         self._index = np.array([field_index[name] for name in STATE_FIELDS], dtype=np.int64)
         self._tcp_mm = np.ascontiguousarray(tcp_mm, dtype=np.float64)
-        self._dh = np.ascontiguousarray(dh, dtype=np.float64)
+        self._dh = np.ascontiguousarray(UR10E.dh, dtype=np.float64)
         self._carry = np.zeros(CARRY_SIZE)
         self.values = np.zeros(len(PATH_INPUTS))
 

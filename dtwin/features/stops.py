@@ -12,6 +12,12 @@ from dtwin.features._spectrum import above, correlation, moving_rms
 from dtwin.schema import Floats
 
 _ROUNDING = 1e-12
+_CUTOFF_HZ = 20.0
+# Envelope over its median that makes a burst; bursts nearer than this are one stop; one that begins this near the
+# start is the instrument being triggered.
+_STRONG, _APART_S, _TRIGGER_S = 6.0, 1.0, 0.3
+# Of a revolution: search range as a share of the nominal time, and shortest stretch that may be compared.
+_TOLERANCE, _SHORTEST_S = 0.12, 1.0
 
 
 @dataclass(frozen=True)
@@ -19,41 +25,25 @@ class Stop:
     """A burst of fast vibration where the machine stopped and started again.
 
     ``sample``: centre of the burst's energy, counted from 0.
-    ``strength``: peak of the envelope over its median.
     """
 
     sample: float
     first: int
     last: int
-    strength: float
 
 
-def stop_envelope(signal: Floats, rate_hz: float, cutoff_hz: float = 20.0) -> Floats:
-    """Return the moving RMS (0.1 s) of the part of a record above ``cutoff_hz``."""
-    return moving_rms(above(signal, rate_hz, cutoff_hz), max(3, round(0.1 * rate_hz)))
+def stop_envelope(signal: Floats, rate_hz: float) -> Floats:
+    """Return the moving RMS (0.1 s) of the part of a record above 20 Hz."""
+    return moving_rms(above(signal, rate_hz, _CUTOFF_HZ), max(3, round(0.1 * rate_hz)))
 
 
-def find_stops(
-    signal: Floats,
-    rate_hz: float,
-    *,
-    cutoff_hz: float = 20.0,
-    min_strength: float = 6.0,
-    min_separation_s: float = 1.0,
-    edge_s: float = 0.3,
-) -> tuple[Stop, ...]:
-    """Find the stops of a circular record by their bursts above ``cutoff_hz``.
+def find_stops(signal: Floats, rate_hz: float) -> tuple[Stop, ...]:
+    """Find the stops of a circular record by their bursts above 20 Hz.
 
     Parameters
     ----------
     signal : ndarray, shape (n,)
         Deviation or acceleration; any unit.
-    min_strength : float
-        Envelope over its median that makes a burst.
-    min_separation_s : float
-        Bursts nearer than this are one stop.
-    edge_s : float
-        A burst that begins this near the start is the instrument being triggered.
 
     Returns
     -------
@@ -67,22 +57,21 @@ def find_stops(
     """
     if not np.isfinite(signal).all():
         raise InputError("the record holds values that are not finite", code="align.finite")
-    envelope = stop_envelope(signal, rate_hz, cutoff_hz)
+    envelope = stop_envelope(signal, rate_hz)
     quiet = float(np.median(envelope))
-    loud = np.flatnonzero(envelope > min_strength * quiet)
+    loud = np.flatnonzero(envelope > _STRONG * quiet)
     if quiet <= 0 or not len(loud):
         return ()
-    parts = np.split(loud, np.flatnonzero(np.diff(loud) > min_separation_s * rate_hz) + 1)
+    parts = np.split(loud, np.flatnonzero(np.diff(loud) > _APART_S * rate_hz) + 1)
     stops = []
     for part in parts:
         energy = envelope[part] ** 2
-        if part[0] < edge_s * rate_hz:
+        if part[0] < _TRIGGER_S * rate_hz:
             continue
         # The densest fifth of a second: the tails are ringing, longer on one side.
         width = max(1, round(0.2 * rate_hz))
         centre = float(part[int(np.argmax(np.convolve(energy, np.ones(width), "same")))])
-        strength = float(envelope[part].max() / quiet)
-        stops.append(Stop(centre, int(part[0]), int(part[-1]), strength))
+        stops.append(Stop(centre, int(part[0]), int(part[-1])))
     return tuple(stops)
 
 
@@ -92,24 +81,13 @@ class _Period:
 
     ``samples``: one revolution, with sub-sample resolution.
     ``correlation``: between one revolution and the next.
-    ``difference_rms``: what does not repeat, in the signal's unit: RMS of the difference over sqrt(2).
     """
 
     samples: float
     correlation: float
-    difference_rms: float
-    overlap_samples: int
 
 
-def true_period(
-    signal: Floats,
-    rate_hz: float,
-    nominal_s: float,
-    *,
-    skip_samples: int = 0,
-    tolerance: float = 0.12,
-    min_overlap_s: float = 1.0,
-) -> _Period:
+def true_period(signal: Floats, rate_hz: float, nominal_s: float, *, skip_samples: int = 0) -> _Period:
     """Find the time of one revolution by correlation of the record with itself.
 
     Parameters
@@ -120,10 +98,6 @@ def true_period(
         Expected time, from the programmed feed.
     skip_samples : int
         Lead-in to leave out.
-    tolerance : float
-        Search range as a share of the nominal time.
-    min_overlap_s : float
-        Shortest stretch that may be compared.
 
     Raises
     ------
@@ -131,24 +105,20 @@ def true_period(
         When the record is too short to hold a revolution and something to compare.
     """
     part = signal[skip_samples:]
-    low = max(2, int(nominal_s * rate_hz * (1 - tolerance)))
-    longest = len(part) - max(3, int(min_overlap_s * rate_hz))
-    high = min(int(nominal_s * rate_hz * (1 + tolerance)) + 1, longest)
+    low = max(2, int(nominal_s * rate_hz * (1 - _TOLERANCE)))
+    longest = len(part) - max(3, int(_SHORTEST_S * rate_hz))
+    high = min(int(nominal_s * rate_hz * (1 + _TOLERANCE)) + 1, longest)
     if high - low < 2:
         raise InputError(
             "the record is too short to compare one revolution with the next",
             code="align.period",
             got=f"{len(part) / rate_hz:z.2f} s after the lead-in",
-            allowed=f"at least {nominal_s * (1 + tolerance) + min_overlap_s:z.2f} s",
+            allowed=f"at least {nominal_s * (1 + _TOLERANCE) + _SHORTEST_S:z.2f} s",
         )
     lags = np.arange(low, high + 1)
     values = _self_correlation(part, lags)
     best = int(np.argmax(values))
-    lag = int(lags[best])
-    difference = part[:-lag] - part[lag:]
-    return _Period(
-        lag + parabola_peak(values, best), float(values[best]), float(np.std(difference) / np.sqrt(2)), len(part) - lag
-    )
+    return _Period(int(lags[best]) + parabola_peak(values, best), float(values[best]))
 
 
 def lead_in_samples(signal: Floats, rate_hz: float, period_samples: float, threshold: float = 4.5) -> int:
