@@ -195,7 +195,7 @@ def marked_angle_deg(
     return np.asarray(arc_start_deg + turned if direction == "CCW" else back_deg - turned, dtype=float)
 
 
-def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str, operator: str = "dtwin") -> None:
+def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str) -> None:
     """Write runs of one test as a ball-bar result file.
 
     Readings have 10 nm resolution, as the vendor's have. The run's window becomes the marked
@@ -207,7 +207,7 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str, opera
         File to write; replaced in one step.
     runs : sequence of Run
         Runs that share plane, radius and feed.
-    name, machine, operator : str
+    name, machine : str
         Titles to state in the file.
 
     Raises
@@ -234,7 +234,7 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str, opera
         "</DYNAMIC_BALLBAR>",
         "</INSTRUMENT>",
         "</TEST_SPEC>",
-        f"<OPERATOR>{_escaped(operator)}</OPERATOR>",
+        "<OPERATOR>dtwin</OPERATOR>",
         f"<DATE_STARTED>{_vendor_date(first.started)}</DATE_STARTED>",
         f'<MACHINE_TESTED NAME="{_escaped(machine)}" />',
         "<RUN_RESULTS>",

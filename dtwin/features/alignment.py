@@ -36,15 +36,12 @@ class Alignment:
     sharpness : float
         Peak correlation minus the best one outside the peak's own width; near 0 the lag is
         ambiguous, as between two like half turns.
-    resolution_s : float
-        Spacing of the common grid; the parabola refines the lag below it.
     """
 
     lag_s: float
     correlation: float
     residual: float
     sharpness: float
-    resolution_s: float
 
 
 def align_envelopes(
@@ -98,7 +95,6 @@ def align_envelopes(
         correlation=peak,
         residual=float(np.sqrt(max(0.0, 2 - 2 * peak))),
         sharpness=peak - max(0.0, rival),
-        resolution_s=1 / rate_hz,
     )
 
 

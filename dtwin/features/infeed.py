@@ -89,5 +89,4 @@ def align_infeed(
         correlation=float(np.sqrt(max(0.0, 1.0 - rest[best] / scale))),
         residual=float(np.sqrt(rest[best] / scale)),
         sharpness=float(1.0 - rest[best] / rival) if rival > 0 else 0.0,
-        resolution_s=_STEP_S,
     )

@@ -44,8 +44,6 @@ class TickRun:
         Rows used for fitting: ticks on the arc, at 50 Hz, that the bar covers.
     scored : ndarray of bool, shape (len(arc),)
         Whether a row lies in the marked window.
-    alignment_residual : float
-        Share of the bar's RMS that the alignment leaves unexplained.
     accelerometers : SignalGroup or None
         Raw accelerations on their own clock.
     """
@@ -57,7 +55,6 @@ class TickRun:
     lag_s: float
     arc: np.ndarray[Any, np.dtype[np.int64]]
     scored: np.ndarray[Any, np.dtype[np.bool_]]
-    alignment_residual: float
     accelerometers: SignalGroup | None = None
 
     def target_um(self, lag_s: float | Floats | None = None) -> Floats:
@@ -130,7 +127,6 @@ def _tick_run(run: Run, campaign: Campaign) -> TickRun:
         aligned.lag_s,
         np.empty(0, np.int64),
         np.empty(0, bool),
-        aligned.residual,
         groups.get("accelerometers"),
     )
     return _with_rows(bare, commanded_um, run.window, covered)

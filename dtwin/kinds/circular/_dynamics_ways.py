@@ -82,12 +82,9 @@ def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
     return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
 
 
-def twin_static_um(obs: Observations, effects: Sequence[str], library: Library | None = None) -> Floats:
-    """Return what a fitted twin with its set-ups says of every row, shape (rows, 360).
-
-    ``library``: effects; the built-in ones without.
-    """
-    fitted = fit(obs, chosen_terms(list(effects), library or Library(), obs))
+def twin_static_um(obs: Observations, effects: Sequence[str]) -> Floats:
+    """Return what a fitted twin with its set-ups says of every row, shape (rows, 360)."""
+    fitted = fit(obs, chosen_terms(list(effects), Library(), obs))
     return np.asarray(obs.y_um - fitted.residual_um)
 
 

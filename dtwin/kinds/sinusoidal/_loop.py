@@ -41,7 +41,7 @@ class LoopRecord:
     """One run of the loop.
 
     ``t_s``, ``command_um``, ``tool_um``, ``correction_um``, (ticks,): command, tool and what arrived of the correction.
-    ``gains``, ``lags_deg``, ``left_um``, (windows,): what each window told, and the error that it foretold of the
+    ``gains``, ``left_um``, (windows,): what each window told, and the error that it foretold of the
     corrected motion.
     ``saturated``: ticks at which the analogue output was at its limit.
     ``alarm``: why the correction was released; empty when it was not.
@@ -52,22 +52,13 @@ class LoopRecord:
     tool_um: Floats
     correction_um: Floats
     gains: Floats
-    lags_deg: Floats
     left_um: Floats
     guard: dict[str, int]
     saturated: int
     alarm: str
 
 
-def run_loop(
-    slide: Slide,
-    command: ToneCommand,
-    bundle: Bundle | None,
-    *,
-    seed: int,
-    instruments: Instruments | None = None,
-    path: AnaloguePath | None = None,
-) -> LoopRecord:
+def run_loop(slide: Slide, command: ToneCommand, bundle: Bundle | None, *, seed: int) -> LoopRecord:
     """Run the slide, corrected by a bundle through guard and analogue path, or as it is.
 
     Each second the features of the last five seconds are taken, by the code that trained; each tick the
@@ -84,26 +75,18 @@ def run_loop(
             allowed=f"{PHASE}, {AMPLITUDE}",
             hint="dtwin train CAMPAIGN, of a sinusoidal campaign",
         )
-    return _Loop(slide, command, bundle, seed, instruments or Instruments(), path).run()
+    return _Loop(slide, command, bundle, seed).run()
 
 
 class _Loop:
-    def __init__(
-        self,
-        slide: Slide,
-        command: ToneCommand,
-        bundle: Bundle | None,
-        seed: int,
-        instruments: Instruments,
-        path: AnaloguePath | None,
-    ) -> None:
+    def __init__(self, slide: Slide, command: ToneCommand, bundle: Bundle | None, seed: int) -> None:
         self.machine, self.command, self.bundle = TurningSlide(slide), command, bundle
         rng = np.random.default_rng(seed)
-        self.channel = AccelerationChannel(instruments.accelerometer, rng)
-        self.path = path or AnaloguePath()
+        self.channel = AccelerationChannel(Instruments().accelerometer, rng)
+        self.path = AnaloguePath()
         self.held = np.zeros(self.path.delay_ticks)
         self.watch = DivergenceWatch()
-        self.told: list[tuple[float, float, float]] = []
+        self.told: list[tuple[float, float]] = []
         self.saturated = 0
         self.brain = _Brain(bundle) if bundle is not None else None
 
@@ -113,7 +96,7 @@ class _Loop:
         starts = range(0, round(self.command.duration_s * SERVO_HZ), hop)
         parts = [self._hop(np.arange(first, first + hop) / SERVO_HZ) for first in starts]
         t, command, tool, arrived = (np.concatenate(column) for column in zip(*parts, strict=True))
-        told = np.array(self.told).reshape(-1, 3)
+        told = np.array(self.told).reshape(-1, 2)
         return LoopRecord(
             t,
             command,
@@ -121,7 +104,6 @@ class _Loop:
             arrived,
             told[:, 0],
             told[:, 1],
-            told[:, 2],
             guard=self.brain.guard.counted() if self.brain else {},
             saturated=self.saturated,
             alarm=self.watch.alarm,
@@ -158,7 +140,7 @@ class _Loop:
         wanted, given = (fit_tone(t[::every], v[::every], frequency) for v in (command, sent))
         left = abs(given.phasor * gain * cmath.exp(-1j * lag) - wanted.phasor)
         self.watch.window(left, inside=self.brain.inside)
-        self.told.append((gain, float(np.degrees(lag)), left))
+        self.told.append((gain, left))
 
 
 class _Brain:

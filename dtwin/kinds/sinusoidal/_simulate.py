@@ -187,7 +187,6 @@ def simulate_turning(
     quick: bool = False,
     grid: Grid | None = None,
     plan: TonePlan | None = None,
-    instruments: Instruments | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Measure a campaign of tones; return the number of groups.
@@ -200,7 +199,7 @@ def simulate_turning(
         raise InputError(
             "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
         )
-    slide, seen_by = virtual_slide(truth), instruments or Instruments()
+    slide, seen_by = virtual_slide(truth), Instruments()
     told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
     if plan is None:
         chosen = grid or (QUICK if quick else PUBLISHED)
@@ -215,8 +214,8 @@ def simulate_turning(
     return count
 
 
-def noiseless(instruments: Instruments | None = None) -> Instruments:
+def noiseless() -> Instruments:
     """Return instruments that add nothing."""
-    given = instruments or Instruments()
+    given = Instruments()
     sensor = replace(given.accelerometer, gain_1=1.0, noise_g_per_root_hz=0.0, drift_g=0.0)
     return replace(given, probe_um=0.0, encoder_um=1e-9, accelerometer=sensor)

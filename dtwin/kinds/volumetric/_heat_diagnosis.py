@@ -36,7 +36,6 @@ class Mover:
     """An error motion that moves more than its uncertainty.
 
     ``seen_um``: RMS at the balls of what the twin does not explain of it.
-    ``seen_p``: of the hypothesis that it stands still, after Holm over the motions.
     ``rms_after_um``: RMS of the whole residual at the balls if hours left out are any guide.
     ``gain``: share of it, beyond its uncertainty, that temperatures tell on hours left out.
     ``p_value``: of the hypothesis that they tell nothing, after Holm.
@@ -48,7 +47,6 @@ class Mover:
 
     motion: str
     seen_um: float
-    seen_p: float
     rms_after_um: float
     gain: float
     p_value: float
@@ -166,7 +164,7 @@ def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str,
     moving = [i for i in range(len(series.names)) if still[i] < _ALPHA]
     counts = [i for i in moving if _seen_um(series, left[:, i], i) >= MATERIAL * series.floor_um]
     models = {model.name: model.sensors for model in fitted.models}
-    movers = [_mover(series, left, i, float(still[i]), models.get(series.names[i], ())) for i in counts]
+    movers = [_mover(series, left, i, models.get(series.names[i], ())) for i in counts]
     explained_p = holm([m.p_value for m in movers])
     movers = [replace(m, p_value=float(p)) for m, p in zip(movers, explained_p, strict=True)]
     movers.sort(key=lambda m: m.rms_after_um)
@@ -200,7 +198,7 @@ def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
     return "nothing_missing", ()
 
 
-def _mover(series: HeatSeries, left: Floats, column: int, seen_p: float, own: tuple[str, ...]) -> Mover:
+def _mover(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...]) -> Mover:
     """Return what temperatures tell of a motion."""
     name, motion = series.names[column], left[:, column]
     model, expected = series.driven(name, motion, series.thermocouples)
@@ -216,7 +214,6 @@ def _mover(series: HeatSeries, left: Floats, column: int, seen_p: float, own: tu
     return Mover(
         name,
         _seen_um(series, motion, column),
-        seen_p,
         series.rms_um(after),
         gain,
         _tells_p(motion, motion - rest),

@@ -17,7 +17,7 @@ class IntervalCurve:
     """Statistics of an error over windows of growing length.
 
     ``steps``, (k,): length of the windows in time steps; a window has one sample more.
-    ``worst``, ``mean``, ``p95``, (k,): of the range inside a window.
+    ``worst``, ``mean``, (k,): of the range inside a window.
     ``p95_spread``, (k,): 95th percentile of the standard deviation inside a window: in 95 % of the jobs of that length
     the error varies less.
     """
@@ -25,7 +25,6 @@ class IntervalCurve:
     steps: Floats
     worst: Floats
     mean: Floats
-    p95: Floats
     p95_spread: Floats
 
 
@@ -49,9 +48,9 @@ def interval_curve(series: Floats, steps: Sequence[int]) -> IntervalCurve:
         windows = sliding_window_view(values, step + 1, axis=0)
         spans = np.ptp(windows, axis=2)
         spread = np.percentile(windows.std(axis=2), 95)
-        rows.append((spans.max(), spans.mean(), np.percentile(spans, 95), spread))
-    worst, mean, p95, spread_95 = np.array(rows).T
-    return IntervalCurve(np.array(steps), worst, mean, p95, spread_95)
+        rows.append((spans.max(), spans.mean(), spread))
+    worst, mean, spread_95 = np.array(rows).T
+    return IntervalCurve(np.array(steps), worst, mean, spread_95)
 
 
 def worse_steps(before: IntervalCurve, after: IntervalCurve) -> list[int]:
