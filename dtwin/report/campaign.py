@@ -14,6 +14,7 @@ from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
+from dtwin.report.text import circle_figure
 from dtwin.schema import Floats, Run
 from dtwin.train.results import Candidate, TrainingReport, condition_name, r2_text, without_correction
 
@@ -36,9 +37,9 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
             rows.append(
                 [
                     f"{run['run']}: {title}",
-                    _number(run["by_file_indices"].get(key)),
-                    _number(run["vendor"].get(vendor)),
-                    _number(aligned.get(key)),
+                    circle_figure(run["by_file_indices"].get(key)),
+                    circle_figure(run["vendor"].get(vendor)),
+                    circle_figure(aligned.get(key)),
                 ]
             )
         tables.append(Table(head, rows))
@@ -251,7 +252,3 @@ def _centred(run: Run, angle: Floats, part: slice) -> tuple[Floats, Floats]:
     deviation = run.samples["deviation_um"][part]
     circle = fit_circle(angle[part], deviation, radius)
     return angle[part], residual_um(angle[part], deviation, radius, circle)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:z.4f}" if 10 < abs(value) < 1000 else f"{value:z.2f}"

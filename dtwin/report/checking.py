@@ -19,7 +19,7 @@ from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
-from dtwin.report.text import counted, table
+from dtwin.report.text import circle_figure, counted, table
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.tolerances import Limits, limits_from
@@ -272,9 +272,9 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         rows = [
             [
                 title,
-                _fixed(by_file.get(key)),
-                _fixed(run["vendor"].get(vendor)),
-                _fixed(None if aligned is None else aligned.get(key)),
+                circle_figure(by_file.get(key)),
+                circle_figure(run["vendor"].get(vendor)),
+                circle_figure(None if aligned is None else aligned.get(key)),
             ]
             for title, key, vendor in _ROWS
         ]
@@ -317,7 +317,3 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
 
 def _told(value: float | None) -> str:
     return "?" if value is None else f"{value:g}"
-
-
-def _fixed(value: float | None) -> str:
-    return "-" if value is None else f"{value:z.4f}" if 10 < abs(value) < 1000 else f"{value:z.2f}"

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -136,3 +137,14 @@ def logged(home: Home) -> list[dict[str, Any]]:
 def events(home: Home) -> list[dict[str, Any]]:
     lines = (home.logs / f"serve-{MACHINE}.events.jsonl").read_text().splitlines()
     return [json.loads(line) for line in lines]
+
+
+def noted(home: Home, event: str) -> list[dict[str, Any]]:
+    return [line for line in events(home) if line["event"] == event]
+
+
+def wait_for(holds: Callable[[], bool], what: str) -> None:
+    until_s = time.monotonic() + 300.0
+    while not holds():
+        assert time.monotonic() < until_s, what
+        time.sleep(0.02)

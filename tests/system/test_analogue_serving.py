@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_feed import RATE_HZ, ControlFeed, SpoilingLine
-from served_robot import Server, end_what_is_left, events, promote, refused
+from served_robot import Server, end_what_is_left, noted, promote, refused, wait_for
 from simulated_analogue_board import AnalogueBoard
 
 from dtwin.config import Home
@@ -85,13 +85,6 @@ def radius_um(board: AnalogueBoard) -> float:
     return float(np.hypot(x - 5.0, y - 5.0)) * UM_PER_V
 
 
-def wait_for(holds: Callable[[], bool], what: str) -> None:
-    until_s = time.monotonic() + 300.0
-    while not holds():
-        assert time.monotonic() < until_s, what
-        time.sleep(0.02)
-
-
 def wait_until_corrected(board: AnalogueBoard) -> None:
     wait_for(lambda: radius_um(board) > 23.5, "never corrected")
 
@@ -113,10 +106,6 @@ def corrected(board: AnalogueBoard, feed: ControlFeed, calibration: Path, *optio
             return server
         told = server.end()
     raise AssertionError(told)
-
-
-def noted(home: Home, event: str) -> list[dict[str, Any]]:
-    return [line for line in events(home) if line["event"] == event]
 
 
 def test_a_served_radial_correction_turns_with_the_path(

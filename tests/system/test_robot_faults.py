@@ -7,9 +7,8 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,9 @@ from served_robot import (
     applied_um,
     end_what_is_left,
     events,
+    noted,
     promote,
+    wait_for,
     wait_until_corrected,
     wait_until_released,
 )
@@ -80,17 +81,6 @@ def by_feed(home: Home) -> None:
 
 def applied_length_um(robot: VirtualRobot) -> float:
     return float(np.linalg.norm(robot.do("status")["applied_um"]))
-
-
-def wait_for(holds: Callable[[], bool], what: str) -> None:
-    until_s = time.monotonic() + 300.0
-    while not holds():
-        assert time.monotonic() < until_s, what
-        time.sleep(0.02)
-
-
-def noted(home: Home, event: str) -> list[dict[str, Any]]:
-    return [line for line in events(home) if line["event"] == event]
 
 
 def cut_while_pushing(robot: VirtualRobot, path: Path) -> dict[str, np.ndarray]:
