@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_feed import RATE_HZ, ControlFeed, SpoilingLine
-from served_robot import Server, end_what_is_left, noted, promote, refused, wait_for
+from served_robot import Server, end_what_is_left, events, noted, promote, refused, wait_for
 from simulated_analogue_board import AnalogueBoard
 
 from dtwin.config import Home
