@@ -24,6 +24,11 @@ _LONG_DEG = 380.0
 _TURN_DEG = 360.0
 # Less tells no centre.
 _FEWEST, _SHORTEST_DEG = 3, 30.0
+# An angle that runs back by more is that of the other direction, too.
+_BACK_DEG = 30.0
+_STANDING = 8
+_FED_TIMES = 3.0
+"""Times the range of all other readings that a bar is fed in by at least."""
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
 _MOST_LOST = 0.05
 
@@ -165,7 +170,32 @@ def _angles(run: Run) -> list[Finding]:
                 {"jump_deg": float(steps[jumps[0]]), "jumps_1": float(jumps.size)},
             )
         )
-    return findings
+        return findings
+    along = sign * angle_deg
+    back_deg = float(np.max(np.maximum.accumulate(along) - along))
+    if run.window is None and back_deg > _BACK_DEG and not any(f.code == "angle.direction" for f in findings):
+        text = f"the angle turns and runs back by {back_deg:z.0f} deg: circles of both directions are mixed in this run; part the table where it turns, one file for each direction"
+        findings.append(Finding("angle.both_ways", "error", text, {"back_deg": back_deg}))
+    return [*findings, *_fed(run, typical)]
+
+
+def _fed(run: Run, typical_deg: float) -> list[Finding]:
+    """Tell the start or the end at one angle, where the bar was fed in or out, which is no part of the circle."""
+    angle_deg, deviation_um = run.samples["angle_deg"], run.samples["deviation_um"]
+    if run.window is not None:
+        return []
+    moves = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * typical_deg)
+    if not moves.size:
+        return []
+    first, last = int(moves[0]), int(moves[-1]) + 1
+    usual_um = float(np.ptp(deviation_um[first + 1 : last])) if last > first + 1 else 0.0
+    for rows, where in ((slice(0, first + 1), "first"), (slice(last, None), "last")):
+        still = deviation_um[rows]
+        if still.size >= _STANDING and usual_um > 0.0 and float(np.ptp(still)) > _FED_TIMES * usual_um:
+            fed_um = float(np.ptp(still))
+            text = f"the {where} {still.size} readings stand at {angle_deg[rows][0]:z.1f} deg while the deviation moves by {fed_um:z.0f} µm: the bar is fed in or out there; leave these rows out of the table, at both ends"
+            return [Finding("angle.fed", "error", text, {"rows_1": float(still.size), "moved_um": fed_um})]
+    return []
 
 
 def _signals(group: SignalGroup, *, gaps_told: bool) -> list[Finding]:

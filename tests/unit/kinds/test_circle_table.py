@@ -280,3 +280,20 @@ def test_a_radius_beside_deviations_is_no_measurement(tmp_path: Path) -> None:
     path = tmp_path / "b.csv"
     path.write_text(text.replace("deviation_um", "deviation [µm]"), encoding="utf-8")
     assert not is_circle_table(path)
+
+
+def test_both_directions_in_one_run_and_a_bar_that_is_fed_in_are_errors(tmp_path: Path) -> None:
+    angle = np.arange(0.0, 360.0)
+    there = np.concatenate([angle, angle[::-1]])
+    (run,) = read(tmp_path / "both.csv", table("t_s,angle_deg,deviation_um", np.arange(720.0), there, np.sin(there)))
+    assert "angle.both_ways" in {f.code for f in judge_run(run)}
+    fed = np.concatenate([np.zeros(20), angle, np.full(20, 359.0)])
+    ramp = np.linspace(-1500.0, 0.0, 20)
+    moved = np.concatenate([ramp, np.sin(np.radians(2.0 * angle)), ramp[::-1]])
+    (run,) = read(tmp_path / "fed.csv", table("t_s,angle_deg,deviation_um", np.arange(400.0), fed, moved))
+    assert "angle.fed" in {f.code for f in judge_run(run)}
+    (run,) = read(
+        tmp_path / "still.csv",
+        table("t_s,angle_deg,deviation_um", np.arange(400.0), fed, np.sin(np.radians(2.0 * fed))),
+    )
+    assert not {"angle.fed", "angle.both_ways"} & {f.code for f in judge_run(run)}
