@@ -32,6 +32,7 @@ from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
+from dtwin.kinds.linear._instruments import instruments_beside
 from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
 from dtwin.kinds.linear._one_place import one_place, require_several_places
 from dtwin.kinds.linear._order import no_direction, ways_in_order
@@ -79,7 +80,8 @@ def is_position_table(path: Path) -> bool:
     text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
     require_several_places(rows, path)
-    return bool(report_tables(text)) or table_of(rows) is not None or bool(names_no_direction(rows))
+    known = table_of(rows) is not None or bool(names_no_direction(rows))
+    return known or bool(report_tables(text)) or bool(instruments_beside(rows))
 
 
 def read_position_runs(
@@ -110,7 +112,7 @@ def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
     if is_assigned(text):
         of_one_instrument([], instrument, path)
         return matrix_of(assigned_readings(text, path), path)
-    report = of_one_instrument(report_tables(text), instrument, path)
+    report = of_one_instrument(report_tables(text) or instruments_beside(rows_of(text)), instrument, path)
     tables = [table.rows for table in report]
     if not tables:
         every = rows_of(text)
@@ -251,6 +253,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
 
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
     heads, units, body = _parted(rows, wide.target, path)
+    wide = replace(wide, cycle=_not_counting(wide.cycle, wide.target, body))
     read = {wide.target, *(i for i, _, _ in wide.cells)}
     scale = {i: _scale(heads[i], units[i] if units is not None and i < len(units) else "", path) for i in read}
     again = other_targets(heads, wide.target)
@@ -278,6 +281,7 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
 
 def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Reading]:
     heads, units, body = _parted(rows, long.target, path)
+    long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
     scales = _scale(heads[long.target], below[0], path), _scale(heads[long.value], below[1], path)
     numbered = list(enumerate(body, start=2 if units is None else 3))
@@ -306,6 +310,14 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         if not lost:
             out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
     return out
+
+
+def _not_counting(cycle: int | None, target: int, body: Sequence[Sequence[str]]) -> int | None:
+    """Return the column of cycles; None where it counts the rows: of several targets no two are of one cycle."""
+    rows = [row for row in body if cycle is not None and max(cycle, target) < len(row)]
+    told = [row[cycle].strip() for row in rows] if cycle is not None else []
+    several = len({row[target].strip() for row in rows}) > 1
+    return None if several and len(set(told)) == len(told) else cycle
 
 
 def _parted(

@@ -41,7 +41,7 @@ _FIGURES = {
 }
 # Of a figure: what a report may lose by rounding its readings.
 _ROUNDED = 0.005
-_DIFFERENCE = re.compile(r"\bdiff", re.I)
+DIFFERENCE = re.compile(r"\bdiff", re.I)
 _CYCLES = re.compile(r"cycle|zyklus|\b(run|lauf)\b", re.I)
 
 
@@ -114,7 +114,7 @@ def _told_by_heading(heads: list[str], body: list[list[str]], above: Sequence[st
     read = [i for i, head in enumerate(heads) if not names_target(head) and not is_index(head)]
     back = any(way_of(heads[i]) == "reverse" for i in read)
     values = [i for i in read if (way_of(heads[i]) if back else re.search(r"\d", heads[i]))]
-    label = ", ".join(sorted({_name(heads[i]) for i in values}))
+    label = ", ".join(sorted({name_of(heads[i]) for i in values}))
     way = next((way for heading in above if (way := way_of(heading))), None)
     if way is not None and not back and (beside := _beside(heads, body, way)):
         return beside
@@ -135,9 +135,9 @@ def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> li
     read = [
         i
         for i, head in enumerate(heads)
-        if i not in (target, cycle) and unit_of(head) and not is_index(head) and not _DIFFERENCE.search(head)
+        if i not in (target, cycle) and unit_of(head) and not is_index(head) and not DIFFERENCE.search(head)
     ]
-    names = [_name(heads[i]) for i in read]
+    names = [name_of(heads[i]) for i in read]
     if target is None or not names or len(set(names)) < len(names) or long_of(heads) is not None:
         return []
     rows = [row for row in body if max(read) < len(row) and is_number(row[target])]
@@ -160,7 +160,7 @@ def _numbered(head: str, way: str) -> str:
     return f"{'deviation ' if is_deviation(head) else ''}{way} {number} [{unit_of(head)}]"
 
 
-def _name(head: str) -> str:
+def name_of(head: str) -> str:
     """Return what a head says beside direction, cycle and unit: what was read, or with what."""
     words = re.findall(r"[^\W_]+", head.removesuffix("]").removesuffix(unit_of(head)))
     return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() not in ("i", "j"))
@@ -178,7 +178,7 @@ def of_one_instrument(tables: Sequence[ReportTable], wanted: str, path: Path) ->
         raise InputError(
             f"the file holds no readings that it calls {wanted[:40]}"
             if wanted
-            else "the report holds readings of several instruments",
+            else "the file holds readings of several instruments",
             code="position_table.instruments",
             where=str(path),
             got=", ".join(name or "one without a name" for name in names)[:120] or "a table that names no instrument",

@@ -17,7 +17,7 @@ MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
 ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°(?!\s*[CF])|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
-_SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
+SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
     r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
@@ -52,7 +52,7 @@ OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|re
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-_SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
+SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
 _WORDS = {
@@ -87,7 +87,7 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     ways = _ways_of(names)
     told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
-    cells = [(i, way, number) for i, way, number in told if way and not _SUMS_UP.search(names[i])]
+    cells = [(i, way, number) for i, way, number in told if way and not SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
     # Positions and their deviations may stand beside each other.
     deviations = [cell for cell in numbered if is_deviation(names[cell[0]])]
@@ -234,8 +234,8 @@ def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
         i
         for i in lengths
         if i not in targets
-        and (_SURELY_READ.match(told[i]) or is_deviation(told[i]) or _CYCLE.match(told[i]))
-        and not _SUMS_UP.search(told[i])
+        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or _CYCLE.match(told[i]))
+        and not SUMS_UP.search(told[i])
         and not (_CYCLE.match(told[i]) and not told_unit(told[i], ""))
     ]
     return targets, read
@@ -261,7 +261,7 @@ def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], .
     cycles = tuple(
         (i, int(number[1]))
         for i, name in enumerate(names)
-        if i not in (way, *places) and not _SUMS_UP.search(name) and (number := re.search(r"(\d+)", name))
+        if i not in (way, *places) and not SUMS_UP.search(name) and (number := re.search(r"(\d+)", name))
     )
     # Readings of several cycles are called alike.
     alike = {re.sub(r"\d+", "", names[i], count=1) for i, _ in cycles}

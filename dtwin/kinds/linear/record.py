@@ -105,7 +105,10 @@ class _Linear(Kind):
         from dtwin.acquire.quality import judge_clock
         from dtwin.kinds.linear._check import judge_linear_run
 
-        return [*judge_clock(run), *judge_linear_run(run)]
+        # Of a clock that was assumed, a gap is a reading that is missing.
+        assumed = any(finding.code == "clock.assumed" for finding in run.findings)
+        clock = [finding for finding in judge_clock(run) if not assumed or finding.code != "clock.dropout"]
+        return [*clock, *judge_linear_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
         from dtwin.kinds.linear._check import judge_linear_campaign

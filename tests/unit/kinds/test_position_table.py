@@ -22,6 +22,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
+from dtwin.kinds.registry import kind_named
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -868,3 +869,77 @@ def test_one_place_approached_again_and_again_is_refused_with_how_it_repeats(tmp
     assert "differ by 20 µm" in refused.value.got
     path.write_text("\n".join(["trial,time [s],reading [mm]", *rows]), encoding="utf-8")
     assert not is_position_table(path)
+
+
+INSTRUMENTS = {
+    "target_mm,direction,laser_mm,encoder_mm": ("{t:g},{w},{p:.5f},{e:.5f}", "laser"),
+    "target_mm,direction,encoder_error_um,laser_error_um": ("{t:g},{w},{u:.3f},{d:.3f}", "laser"),
+    "Nr;Soll [mm];Richtung;Laser [mm];Encoder [mm];Luft [°C]": ("{n};{t:g};{w};{p:.5f};{e:.5f};20.1", "Laser"),
+    "Position;Actual position encoder;Actual position laser;Direction\nmm;mm;mm;": (
+        "{t:g};{e:.5f};{p:.5f};{w}",
+        "laser",
+    ),
+}
+
+
+@pytest.mark.parametrize("heads", INSTRUMENTS)
+def test_laser_and_encoder_beside_each_other_are_chosen_by_name(tmp_path: Path, heads: str) -> None:
+    row, name = INSTRUMENTS[heads]
+    lines = [heads]
+    for c in range(FORWARD.shape[1]):
+        for way, values, order in (("forward", FORWARD, 1), ("reverse", REVERSE, -1)):
+            for i in range(len(TARGETS))[::order]:
+                t, d, u = float(TARGETS[i]), float(values[i, c]), 0.1
+                told = {"n": len(lines), "t": t, "w": way, "d": d, "u": u, "p": t + d / 1000.0, "e": t + u / 1000.0}
+                lines.append(row.format(**told))
+    path = tmp_path / "beside.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert is_position_table(path)
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == "position_table.instruments"
+    assert refused.value.hint is not None
+    assert f'--instrument "{name}"' in refused.value.hint
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "laser"}})
+    assert len(runs) == FORWARD.shape[1]
+    assert np.allclose(runs[0].samples["error_um"], [*FORWARD[:, 0], *REVERSE[::-1, 0]], atol=0.01)
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "encoder"}})
+    assert "linear.own_sensor" in {f.code for f in runs[0].findings}
+    assert np.allclose(runs[0].samples["error_um"], 0.1, atol=0.01)
+
+
+def test_columns_of_two_instruments_are_not_cycles_of_one(tmp_path: Path) -> None:
+    heads = [f"{i} {w} {c} [µm]" for i in ("Laser", "Encoder") for c in (1, 2) for w in ("fwd", "rev")]
+    lines = [";".join(["Target [mm]", *heads])]
+    for i, t in enumerate(TARGETS):
+        laser = [f"{v[i, c]:.3f}" for c in (0, 1) for v in (FORWARD, REVERSE)]
+        lines.append(";".join([f"{t:g}", *laser, *["0.1"] * 4]))
+    path = tmp_path / "beside.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "Encoder, Laser")
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "Laser"}})
+    assert np.allclose(runs[1].samples["error_um"], [*FORWARD[:, 1], *REVERSE[::-1, 1]], atol=0.01)
+
+
+def test_an_encoder_beside_a_reading_without_a_name_is_not_read(tmp_path: Path) -> None:
+    lines = ["target_mm,direction,encoder_error_um,error_um"]
+    for way, values in (("forward", FORWARD), ("reverse", REVERSE)):
+        lines += [f"{t:g},{way},0.1,{values[i, 0]:g}" for i, t in enumerate(TARGETS)]
+    path = tmp_path / "beside.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert np.allclose(read_position_table(path).forward_um[:, 0], FORWARD[:, 0])
+
+
+def test_a_missing_cell_is_no_gap_in_a_clock(tmp_path: Path) -> None:
+    lines = wide("{way} {c} [um]", 1000.0, False).splitlines()
+    cells = re.split(r"([,;\t])", lines[2])
+    cells[2] = ""
+    lines[2] = "".join(cells)
+    path = tmp_path / "gap.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"axis": "X"}})
+    codes = {finding.code for run in runs for finding in kind_named("linear").judge_run(run)}
+    assert "linear.missed_targets" in codes
+    assert "clock.dropout" not in codes
