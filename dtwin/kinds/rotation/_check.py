@@ -8,7 +8,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.rotation._at_rest import judge_at_rest
 from dtwin.kinds.rotation._features import Feature
 from dtwin.kinds.rotation._heads import AT_REST, OVER_SPEED
-from dtwin.kinds.rotation._orders import orders_of, said_orders
+from dtwin.kinds.rotation._orders import orders_of, pulses_a_turn, said_orders
 from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
@@ -63,7 +63,14 @@ def judge_rotation(run: Run) -> list[Finding]:
     findings += _judge_turns(turns, run)
     findings += _features(turns)
     lines = orders_of(turns)
-    if lines:
+    times = pulses_a_turn(lines, turns) if run.meta.condition.get("angle") == "pulses" else 1
+    if times > 1:
+        said = (
+            f"most of what is read comes again after {times} pulses, not after one: the pulse comes {times} times a turn, most likely, "
+            f"and all figures are of that part of a turn; keep one pulse of {times}"
+        )
+        findings.append(Finding("rotation.pulses", "error", said, {"pulses_1": float(times)}))
+    elif lines:
         said = said_orders(lines)
         numbers = {"order_1": [line.order for line in lines], "amplitude_um": [line.amplitude_um for line in lines]}
         findings.append(Finding("rotation.orders", "info", said, numbers))

@@ -17,6 +17,8 @@ _FALSE = 1e-3
 _BESIDE = 2.0
 _NEIGHBOURS = 12
 _MOST = 5
+_FAR_ABOVE = 3.0
+"""Times what is the same in every turn."""
 _SLOW = 0.5
 _LEAST = 2e-4
 """Part of a turn's range that the grid of angles may leave of a wave."""
@@ -97,6 +99,19 @@ def _vertex(before: float, at: float, after: float) -> float:
     """Return where a parabola through three neighbours is highest, in bins."""
     bend = before - 2.0 * at + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend else 0.0
+
+
+def pulses_a_turn(lines: Sequence[Order], turns: Turns) -> int:
+    """Return how many pulses a turn has, where all but the smallest part of what is read comes again after several; else 1.
+
+    The axis's own once per turn is the largest line then, at one over that number.
+    """
+    if not lines or not 0.0 < lines[0].order <= _SLOW + lines[0].resolution / 2.0:
+        return 1
+    times = round(1.0 / lines[0].order)
+    exact = abs(lines[0].order - 1.0 / times) < lines[0].resolution / 4.0
+    mean_turn = 0.5 * float(np.ptp(turns.moved_um.mean(axis=0)))
+    return times if exact and lines[0].amplitude_um > _FAR_ABOVE * mean_turn else 1
 
 
 def said_orders(lines: Sequence[Order]) -> str:

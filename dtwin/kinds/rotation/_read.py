@@ -6,6 +6,7 @@ leaves it out. A run's ``condition`` may state ``speed_rpm``, and ``angle_log``,
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,6 +33,8 @@ _FAR = 20.0
 """Times the range of nearly all readings that a reading without meaning lies off them at least."""
 _FEW = 0.02
 _FEW_TURNS = 0.3
+_FEWEST_ROWS = 50
+"""At one speed of several in a file."""
 
 
 def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -51,7 +54,59 @@ def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
     if log is not None:
         other = read_file(inside(path.parent, log, "condition.angle_log"), recipe, ANGLE)
         reading = _with_angle_of(reading, other)
-    return _turning(reading, condition.get(SPEED), path), reading.rejects
+    parts = _at_each_speed(reading, path)
+    told = condition.get(SPEED)
+    runs = [run for label, part in parts.items() for run in _labelled(_turning(part, told, path), label)]
+    return runs, reading.rejects
+
+
+def _at_each_speed(reading: Reading, path: Path) -> dict[str, Reading]:
+    """Return the parts of a reading in which a column of speeds stands still, by the speed; the whole where it does throughout.
+
+    Raises ``InputError`` when speeds change, neither in steps nor with a time that tells how fast the axis was.
+    """
+    speed = reading.channels.get(SPEED)
+    if speed is None or reading.apart or not len(speed.value):
+        return {"": reading}
+    rpm = np.abs(speed.value)
+    if np.ptp(rpm) <= _TOLD_OFF * np.median(rpm):
+        return {"": reading}
+    begins = [0, *(np.flatnonzero(np.abs(np.diff(rpm)) > _TOLD_OFF * rpm.max() / 4.0) + 1), len(rpm)]
+    blocks = [slice(int(a), int(b)) for a, b in itertools.pairwise(begins)]
+    steady = all(b.stop - b.start >= _FEWEST_ROWS and np.ptp(rpm[b]) <= _TOLD_OFF * rpm[b].mean() for b in blocks)
+    if not steady and reading.timed:
+        return {"": reading}
+    if not steady:
+        raise InputError(
+            "the speed changes from row to row, and there is no time",
+            code="rotation.speed",
+            where=str(path),
+            got=f"{rpm.min():z.4g} to {rpm.max():z.4g} rpm",
+            allowed=f"one speed, or several of {_FEWEST_ROWS} rows each",
+            hint="a column of time, such as t_s",
+        )
+    parts: dict[str, Reading] = {}
+    for block in blocks:
+        label = name = f"-{float(np.median(rpm[block])):.5g}rpm"
+        again = 1
+        while label in parts:
+            again += 1
+            label = f"{name}-{again}"
+        first, last = speed.t_s[block.start], speed.t_s[block.stop - 1]
+        inside_it = {
+            kept: {
+                name: Channel(c.t_s[(c.t_s >= first) & (c.t_s <= last)], c.value[(c.t_s >= first) & (c.t_s <= last)])
+                for name, c in channels.items()
+            }
+            for kept, channels in (("channels", reading.channels), ("probes", reading.probes))
+        }
+        probes = {name: c for name, c in inside_it["probes"].items() if len(c.t_s) > 1}
+        parts[label] = replace(reading, channels=inside_it["channels"], probes=probes, rejects=[])
+    return parts
+
+
+def _labelled(runs: list[Run], label: str) -> list[Run]:
+    return [replace(run, meta=replace(run.meta, run_id=run.meta.run_id + label)) for run in runs]
 
 
 def _over_speed(reading: Reading, path: Path) -> list[Run]:

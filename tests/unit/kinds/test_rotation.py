@@ -675,3 +675,37 @@ def test_an_indicator_that_does_not_come_back_is_told(tmp_path: Path) -> None:
     assert "rotation.not_back" in {f.code for f in judged(run)}
     (run,) = read(tmp_path, text.replace("0.030", "0.020"))
     assert "rotation.not_back" not in {f.code for f in judged(run)}
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_several_speeds_in_a_file_are_a_run_each(tmp_path: Path, timed: bool) -> None:
+    angle = turned(9.0)
+    um = [Target(once=(size, 30.0)).read(angle, 1) for size in (5.0, 7.0)]
+    at = [np.full(angle.size, rpm) for rpm in (1000.0, 3000.0)]
+    t_s = [np.arange(angle.size) * 360.0 / 200 / 6.0 / rpm[0] for rpm in at]
+    columns = {"t_s": np.concatenate([t_s[0], t_s[1] + t_s[0][-1] + 10.0])} if timed else {}
+    columns |= {"speed [rpm]": np.concatenate(at), "angle [deg]": np.concatenate([angle, angle]) % 360.0}
+    runs = read(tmp_path, table(columns | {"radial [um]": np.concatenate(um)}))
+    assert [run.meta.run_id for run in runs] == ["radial-1000rpm", "radial-3000rpm"]
+    for run, size in zip(runs, (5.0, 7.0), strict=True):
+        turns = turns_of(run)
+        assert turns is not None
+        assert abs(figures_of(turns).once) == pytest.approx(size, abs=0.05)
+
+
+def test_speeds_that_change_from_row_to_row_need_a_time(tmp_path: Path) -> None:
+    columns = {"speed [rpm]": np.linspace(100.0, 900.0, ANGLE.size), "angle [deg]": ANGLE % 360.0, "radial [um]": UM}
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, table(columns))
+    assert (refused.value.code, refused.value.got) == ("rotation.speed", "100 to 900 rpm")
+
+
+@pytest.mark.parametrize(("pulses", "code"), [(4, "rotation.pulses"), (1, "")])
+def test_pulses_that_come_several_times_a_turn_are_told(tmp_path: Path, pulses: int, code: str) -> None:
+    angle = turned(25.0)
+    pulse = ((pulses * angle) % 360.0 < 20.0).astype(float)
+    um = Target(others={} if pulses > 1 else {0.25: (1.0, 0.0)}).read(angle, 1)
+    (run,) = read(tmp_path, table({"t_s": np.arange(angle.size) / 200.0, "pulse": pulse, "radial_um": um}))
+    assert [f.code for f in judged(run) if f.code in ("rotation.pulses", "rotation.orders")] == [
+        code or "rotation.orders"
+    ]
