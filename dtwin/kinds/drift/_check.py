@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
+from dtwin.kinds.drift._standing import probe_standing
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
 from dtwin.statistics import f_tail
@@ -73,6 +74,8 @@ def judge_drift(run: Run) -> list[Finding]:
     elif not run.meta.correction and series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
         said = f"readings of one sample scatter by {series.floor_um:z.1f} µm, a tenth of all that moved or more: the probing does not repeat"
         findings.append(Finding("drift.noise", "error", said, {"scatter_um": series.floor_um}))
+    read = [values for name, values in run.samples.items() if name.startswith("temperature_")]
+    findings += probe_standing(run.samples["displacement_um"], read)
     if not np.isfinite(series.floor_um):
         findings.append(Finding("drift.no_repeat", "warning", "no sample was read twice: no noise floor is known"))
     return findings

@@ -135,6 +135,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             scale = 1e3 * step
             findings = [*contradiction, *cold]
         samples = shared | {"displacement_um": _numbers(column[name]) * scale}
+        if (gone := ~np.isfinite(samples["displacement_um"]) & np.isfinite(t_s)).any():
+            said = f"the displacement has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
+            findings.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
         good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
         if not good.any():
             raise InputError("no row holds finite numbers", code="table.no_rows", where=f"{path} {name}")

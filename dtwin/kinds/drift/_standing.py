@@ -1,8 +1,8 @@
-"""Temperature sensors that stand still to the end of a log, while others with which they moved go on."""
+"""Temperature sensors, and probes, that stand still to the end of a log, while others with which they moved go on."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ _STEPS, _LEAST_K = 10.0, 0.5
 """How far it should have moved meanwhile, in steps of its display, and at least."""
 _POWER_ON_C = 85.0
 _FAR_C = 10.0
+_OF_RANGE = 0.2
+"""Of its range, how far a temperature goes while a probe stands that is suspect."""
 
 
 def standing(t_s: Floats, temperatures_c: Mapping[str, Floats]) -> list[Finding]:
@@ -51,6 +53,26 @@ def standing(t_s: Floats, temperatures_c: Mapping[str, Floats]) -> list[Finding]
         said += '; what follows from it is suspect: leave it out ("HEAD" = "" in [campaign.instrument.columns]), or end the log there'
         found.append(Finding("drift.sensor_stands", "warning", said, {"readings_1": float(stands.size)}))
     return found
+
+
+def probe_standing(moved_um: Floats, temperatures_c: Sequence[Floats]) -> list[Finding]:
+    """Return a finding where a displacement shows one value to the end of the log, as never before, while temperatures move on.
+
+    ``moved_um``, ``temperatures_c`` (n,) each: as they were read.
+    """
+    changes = np.flatnonzero(np.diff(moved_um)) + 1
+    begin = int(changes[-1]) if changes.size else 0
+    size = len(moved_um) - begin
+    longest = float(np.diff(changes, prepend=0.0).max()) if changes.size else np.inf
+    if size < max(_FEWEST, _LEAST_SHARE * len(moved_um)) or _TIMES_BEFORE * longest > size:
+        return []
+    if not any(np.ptp(read[begin:]) > max(_OF_RANGE * float(np.ptp(read)), _LEAST_K) for read in temperatures_c):
+        return []
+    said = (
+        f"the displacement stands at {moved_um[-1]:z.6g} µm for the last {size} readings, while temperatures move on: a probe that lost its target, is at "
+        "the end of its range or was not read; end the log there"
+    )
+    return [Finding("drift.probe_stands", "warning", said, {"readings_1": float(size)})]
 
 
 def _moves_on(

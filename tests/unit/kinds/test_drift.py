@@ -634,3 +634,27 @@ def test_a_sensor_that_stands_to_the_end_while_another_moves_on_is_suspect(
     found = [f.message for f in read(path).findings if f.code == "drift.sensor_stands"]
     assert len(found) == bool(said)
     assert all(said in message and "from 150 to 299 min" in message for message in found)
+
+
+@pytest.mark.parametrize(
+    ("standing", "warming", "told"), [(True, True, True), (False, True, False), (True, False, False)]
+)
+def test_a_probe_that_stands_while_temperatures_move_on_is_suspect(
+    tmp_path: Path, standing: bool, warming: bool, told: bool
+) -> None:
+    rng = np.random.default_rng(3)
+    warm = 20.0 + 10.0 * (1.0 - np.exp(-np.arange(300) / (200.0 if warming else 5.0)))
+    moved = 5.0 * (warm - 20.0) + 0.2 * rng.normal(size=300)
+    moved[150:] = moved[150] if standing else moved[150:]
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{a:.2f},{b:.3f}" for n, (a, b) in enumerate(zip(moved, warm, strict=True))]
+    path.write_text("\n".join(["time [min],probe [µm],spindle [°C]", *rows]), encoding="utf-8")
+    assert ("drift.probe_stands" in {finding.code for finding in judge_drift(read(path))}) is told
+
+
+def test_a_displacement_without_readings_is_told_with_its_rows(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{'' if n >= 200 else n / 10},{20 + n / 100}" for n in range(300)]
+    path.write_text("\n".join(["time [min],probe [µm],spindle [°C]", *rows]), encoding="utf-8")
+    (said,) = [finding.message for finding in read(path).findings if finding.code == "drift.missing"]
+    assert said.startswith("the displacement has no reading in 100 of 300 rows")
