@@ -44,6 +44,7 @@ from dtwin.kinds.linear._table_heads import (
     MISSING,
     MOST_TITLES,
     OTHER_TEST,
+    TURNS,
     Long,
     Wide,
     axes_beside,
@@ -51,6 +52,7 @@ from dtwin.kinds.linear._table_heads import (
     is_deviation,
     is_opposite,
     is_row_of_units,
+    is_unit,
     long_of,
     names_no_direction,
     other_targets,
@@ -94,6 +96,9 @@ def read_position_runs(
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
     text = part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
+    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows_of(text)[:MOST_TITLES] for cell in row)
+    if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
+        raise _angles(path, f"axis {axis}, and no unit")
     table = _read(text, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     return runs_of(table, path, stated, said), []
@@ -191,13 +196,18 @@ def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table of angles: its figures would be taken for lengths."""
     angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
     if angles:
-        raise InputError(
-            "the table is in angles, and only linear axes are judged",
-            code="position_table.unit",
-            where=str(path),
-            got=angles[0][:40],
-            allowed="mm, µm, nm, in",
-        )
+        raise _angles(path, angles[0][:40])
+
+
+def _angles(path: Path, got: str) -> InputError:
+    return InputError(
+        "the table is in angles, and only linear axes are judged",
+        code="position_table.unit",
+        where=str(path),
+        got=got,
+        allowed="mm, µm, nm, in",
+        hint="positioning of a rotary axis is not evaluated here; where the axis is a linear one of this name, write [mm] into the heads",
+    )
 
 
 def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:

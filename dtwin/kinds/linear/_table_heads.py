@@ -15,7 +15,10 @@ from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
-ANGLE = re.compile(r"[\[(_\s/](deg|arcsec|arcmin)[\])]?$|°(?!\s*[CF])|^[\[(]?(deg|arcsec|arcmin)[\])]?$", re.I)
+_ANGLES = "deg|grad|gon|mdeg|arcsec|arcmin|[mµμu]?rad"
+ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)
+TURNS = re.compile(r"[ABC]\d?", re.I)
+"""Name of an axis that turns, after ISO 841."""
 _LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
@@ -300,7 +303,8 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
             return _one_reading_a_row(row, below, by_way)
         if wide_of(row) is not None or long_of(row) is not None:
             return [row, *below]
-        if below and sum(bool(cell.strip()) for cell in row) > 1:
+        numbers = any(is_number(a) and is_number(b) for a, b in zip(row, below[0] if below else (), strict=False))
+        if below and sum(bool(cell.strip()) for cell in row) > 1 and not numbers:
             filled, last = [], ""
             for cell in row:
                 last = cell.strip() or last

@@ -943,3 +943,34 @@ def test_a_missing_cell_is_no_gap_in_a_clock(tmp_path: Path) -> None:
     codes = {finding.code for run in runs for finding in kind_named("linear").judge_run(run)}
     assert "linear.missed_targets" in codes
     assert "clock.dropout" not in codes
+
+
+@pytest.mark.parametrize("head", ["Target [deg]", "Soll [Grad]", "Target (mdeg)", "target_mrad"])
+def test_tables_of_angles_are_refused_with_what_to_do(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text(f"{head};fwd 1;rev 1;fwd 2;rev 2\n0;1;2;1;2\n90;91;92;91;92", encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert (refused.value.code, refused.value.got) == ("position_table.unit", head)
+    assert "rotary axis" in str(refused.value.hint)
+
+
+def test_an_axis_that_turns_by_its_name_needs_a_unit(tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    body = ";fwd 1;rev 1;fwd 2;rev 2\n0;0.001;0.002;0.001;0.002\n90;90.001;90.002;90.001;90.002"
+    path.write_text(f"Target{body}", encoding="utf-8")
+    stated = {"condition": {"axis": "C"}}
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("c", "m", kind="linear"), stated)
+    assert refused.value.got == "axis C, and no unit"
+    assert len(read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"axis": "X"}})[0]) == 2
+    path.write_text(f"Target [mm]{body}", encoding="utf-8")
+    assert len(read_position_runs(path, Campaign("c", "m", kind="linear"), stated)[0]) == 2
+
+
+def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    rows = [f"{n};{n}.5;-{n}.1;{n}.2;{n}.6;-{n}.2;{n}.3" for n in range(1, 30)]
+    heads = "Nr;Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]"
+    path.write_text("\n".join(["Messung;;;;;;", "Roboter;KR 16;;;;;", heads, *rows]), encoding="utf-8")
+    assert not is_position_table(path)
