@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-from commanded import Commanded, started
+from typing import Any
 
 RTDE_PORT = 30004
 _COUNT = itertools.count(1)
@@ -28,20 +28,43 @@ def free_address() -> str:
             return address
 
 
-class VirtualRobot(Commanded):
+class VirtualRobot:
     """Handle of the server process."""
 
     def __init__(self, host: str, process: subprocess.Popen[str]) -> None:
-        super().__init__(process)
-        assert self.said["ready"]
         self.host = host
+        self.process = process
+
+    def do(self, action: str, **arguments: Any) -> dict[str, Any]:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps({"do": action, **arguments}) + "\n")
+        self.process.stdin.flush()
+        return dict(json.loads(self.process.stdout.readline()))
 
 
 @contextmanager
 def virtual_robot(*options: str, watchdog_s: float | None = 0.05, host: str = "") -> Iterator[VirtualRobot]:
     """Run one; its watchdog is patient with a busy test computer, None leaves its own."""
     host = host or free_address()
-    watchdog = [] if watchdog_s is None else [f"--watchdog-s={watchdog_s}"]
-    command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}", "--repeat-forever", "--control"]
-    with started([*command, *watchdog, *options]) as process:
+    command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]
+    process = subprocess.Popen(
+        [
+            *command,
+            "--repeat-forever",
+            "--control",
+            *([] if watchdog_s is None else [f"--watchdog-s={watchdog_s}"]),
+            *options,
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["ready"]
         yield VirtualRobot(host, process)
+    finally:
+        process.stdin.close()  # type: ignore[union-attr]
+        process.wait(10)
+        process.stdout.close()  # type: ignore[union-attr]
