@@ -179,6 +179,12 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
     return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
 
 
+CLOCK = re.compile(
+    r"((dd|tt|mm|yyyy|jjjj|yy)[./-]?){3}t?|(((dd|tt|mm|yyyy|jjjj|yy)[./-]?){3}t?)?hh:mm(:ss)?([.,](s+|f+|0+))?"
+)
+"""The form of dates and times, below or behind their head: ``hh:mm:ss``."""
+
+
 def below_heads(rows: list[_Row], begin: int) -> tuple[_Row | None, list[_Row]]:
     """Return the units below the heads of a table, None where there are none, and its rows; ``begin``: row of the heads."""
     units = rows[begin + 1] if begin + 1 < len(rows) and all_units(rows[begin + 1]) else None
@@ -186,9 +192,10 @@ def below_heads(rows: list[_Row], begin: int) -> tuple[_Row | None, list[_Row]]:
 
 
 def all_units(row: Sequence[str]) -> bool:
-    """Tell whether a row holds units, and nothing else but empty cells."""
+    """Tell whether a row holds units, forms of times beside them, and nothing else but empty cells."""
     told = [_plain(cell) for cell in row if cell.strip()]
-    return bool(told) and all(cell in _UNITS or cell == _GRAD for cell in told)
+    units = [cell for cell in told if not CLOCK.fullmatch(cell)]
+    return bool(units) and all(cell in _UNITS or cell == _GRAD for cell in units)
 
 
 def _plain(unit: str) -> str:

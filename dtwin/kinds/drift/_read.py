@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import below_heads, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import CLOCK, below_heads, columns_of, header_row, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -206,9 +206,19 @@ def _parted(
     except InputError:
         begin = 0
     heads = rows[begin] if rows else []
-    units, body = below_heads(rows, begin)
+    units, below = below_heads(rows, begin)
     padding = [""] * len(heads)
-    return heads, units, [[*row, *padding][: len(heads)] for row in body]
+    body: list[Sequence[str]] = [[*row, *padding][: len(heads)] for row in below]
+    if units is not None:
+        units = [*units, *padding][: len(heads)]
+        forms = [cell.strip().strip("[]()").lower().replace("t", "d").replace("j", "y") for cell in units]
+        clocks = [CLOCK.fullmatch(form.replace(" ", "")) is not None for form in forms]
+        heads = [f"{head} [{form}]" if clock else head for head, form, clock in zip(heads, forms, clocks, strict=True)]
+        units = ["" if clock else unit for unit, clock in zip(units, clocks, strict=True)]
+    # Words below the log are no readings.
+    while body and not any(map(str.isdigit, "".join(body[-1]))):
+        del body[-1]
+    return heads, units, body
 
 
 def _named(

@@ -658,3 +658,25 @@ def test_a_displacement_without_readings_is_told_with_its_rows(tmp_path: Path) -
     path.write_text("\n".join(["time [min],probe [µm],spindle [°C]", *rows]), encoding="utf-8")
     (said,) = [finding.message for finding in read(path).findings if finding.code == "drift.missing"]
     assert said.startswith("the displacement has no reading in 100 of 300 rows")
+
+
+@pytest.mark.parametrize(
+    ("form", "stamp"),
+    [
+        ("hh:mm:ss", "08:{:02d}:00"),
+        ("[TT.MM.JJJJ hh:mm]", "02.03.2026 08:{:02d}"),
+        ("hh:mm", "00:{:02d}"),
+        ("min", "{}"),
+    ],
+)
+def test_the_form_of_times_may_stand_in_the_row_of_units(tmp_path: Path, form: str, stamp: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{stamp.format(n)};0,{n:02d};0,1;2{n % 10},5" for n in range(60)]
+    path.write_text(
+        "\n".join(["Log;;;", "Zeit;X;Z;Spindel", f"{form};µm;µm;°C", *rows, ";;;", "Ende;;;"]), encoding="utf-8"
+    )
+    assert is_drift_log(path)
+    runs, _ = read_drift(path, Campaign("c", "m", kind="drift"), {})
+    assert [run.meta.run_id for run in runs] == ["x", "z"]
+    assert runs[0].samples["t_s"][-1] == 59 * 60.0
+    assert not {finding.code for finding in runs[0].findings}
