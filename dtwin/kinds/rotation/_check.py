@@ -69,7 +69,7 @@ def judge_rotation(run: Run) -> list[Finding]:
             f"most of what is read comes again after {times} pulses, not after one: the pulse comes {times} times a turn, most likely, "
             f"and all figures are of that part of a turn; keep one pulse of {times}"
         )
-        findings.append(Finding("rotation.pulses", "error", said, {"pulses_1": float(times)}))
+        findings.append(Finding("rotation.several_pulses", "error", said, {"pulses_1": float(times)}))
     elif lines:
         said = said_orders(lines)
         numbers = {"order_1": [line.order for line in lines], "amplitude_um": [line.amplitude_um for line in lines]}

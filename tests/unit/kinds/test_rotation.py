@@ -366,7 +366,7 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
         (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
         (table({"angle_deg": ANGLE, "radial_um": UM}), "rotation.angle"),
-        (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.pulses"),
+        (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.several_pulses"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": UM}, form=lambda v: "x"), "rotation.time"),
         ("t_s,angle_deg,radial_um\n1,2,x\n2,3,x\n3,4,x\n", "table.no_rows"),
         ("t_s,angle_deg,angle_rad,radial_um\n" + "1,2,3,4\n" * 9, "rotation.twice"),
@@ -700,12 +700,12 @@ def test_speeds_that_change_from_row_to_row_need_a_time(tmp_path: Path) -> None:
     assert (refused.value.code, refused.value.got) == ("rotation.speed", "100 to 900 rpm")
 
 
-@pytest.mark.parametrize(("pulses", "code"), [(4, "rotation.pulses"), (1, "")])
+@pytest.mark.parametrize(("pulses", "code"), [(4, "rotation.several_pulses"), (1, "")])
 def test_pulses_that_come_several_times_a_turn_are_told(tmp_path: Path, pulses: int, code: str) -> None:
     angle = turned(25.0)
     pulse = ((pulses * angle) % 360.0 < 20.0).astype(float)
     um = Target(others={} if pulses > 1 else {0.25: (1.0, 0.0)}).read(angle, 1)
     (run,) = read(tmp_path, table({"t_s": np.arange(angle.size) / 200.0, "pulse": pulse, "radial_um": um}))
-    assert [f.code for f in judged(run) if f.code in ("rotation.pulses", "rotation.orders")] == [
+    assert [f.code for f in judged(run) if f.code in ("rotation.several_pulses", "rotation.orders")] == [
         code or "rotation.orders"
     ]
