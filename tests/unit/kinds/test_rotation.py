@@ -366,7 +366,7 @@ def test_a_log_without_names_says_which_channels_it_has(tmp_path: Path) -> None:
         (table({"t_s": TIME, "angle_deg": ANGLE, "temperature_c": UM}), "columns.missing"),
         (table({"t_s": TIME, "radial_um": UM}), "rotation.angle"),
         (table({"angle_deg": ANGLE, "radial_um": UM}), "rotation.angle"),
-        (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.several_pulses"),
+        (table({"t_s": TIME, "pulse_1": 0.0 * UM, "radial_um": UM}), "rotation.pulses"),
         (table({"t_s": TIME, "angle_deg": ANGLE, "radial_um": UM}, form=lambda v: "x"), "rotation.time"),
         ("t_s,angle_deg,radial_um\n1,2,x\n2,3,x\n3,4,x\n", "table.no_rows"),
         ("t_s,angle_deg,angle_rad,radial_um\n" + "1,2,3,4\n" * 9, "rotation.twice"),
