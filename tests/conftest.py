@@ -60,7 +60,6 @@ _SLOWEST_FIRST = (
     "test_loop",
     "test_fleet",
     "test_conformance",
-    "test_exam_short",
     "test_single_recording",
     "test_record_command",
     "test_mill_story",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = [pytest.mark.system, pytest.mark.long]
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "hidden_effect" / "run.py"
 VERDICTS = {"missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"}
 
@@ -36,7 +37,6 @@ def _records(out: Path) -> list[dict]:
     return [json.loads(line) for line in out.read_text().splitlines()]
 
 
-@pytest.mark.system
 def test_every_case_is_answered_and_marked(short):
     records = _records(short[0])
     assert len(records) == 3
@@ -45,7 +45,6 @@ def test_every_case_is_answered_and_marked(short):
     assert all(r["right"] for r in records if r["row"] == "single_one")
 
 
-@pytest.mark.system
 def test_the_controls_sat_the_same_cases_and_everything_says_the_most(short):
     seen = [r for r in _records(short[0]) if r.get("controls")]
     assert {r["row"] for r in seen} == {"null_plain", "single_one"}
@@ -55,7 +54,6 @@ def test_the_controls_sat_the_same_cases_and_everything_says_the_most(short):
         assert all(set(names) <= {*everything, "?"} for names in record["controls"].values())
 
 
-@pytest.mark.system
 def test_a_finished_exam_adds_nothing_and_prints_the_same_table(short):
     out, table = short
     before = out.read_bytes()

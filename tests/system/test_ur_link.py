@@ -129,7 +129,8 @@ def test_correction_is_applied_and_its_sequence_echoed(robot: VirtualRobot, link
     for first in range(1, 2001, 100):
         # On a busy host the watchdog may come in between; then push again.
         state = push(link, 100, first_sequence=first)
-        if np.allclose(state[layout.APPLIED : layout.APPLIED + 3], PUSH_UM, rtol=0.02):
+        at, echoed = state[layout.APPLIED : layout.APPLIED + 3], state[layout.APPLIED_SEQUENCE]
+        if np.allclose(at, PUSH_UM, rtol=0.02) and echoed > first + 49:
             break
     np.testing.assert_allclose(state[layout.APPLIED : layout.APPLIED + 3], PUSH_UM, rtol=0.02)
     assert first + 49 < state[layout.APPLIED_SEQUENCE] <= first + 99
