@@ -36,7 +36,8 @@ def uncertainty_of_changes(error_um: Floats, place: Floats) -> tuple[tuple[float
     # What means of ten differ by without any drift, and what they do: the rest is drift.
     away = [m - m.mean(axis=0) for m in means]
     chance = float(square.mean()) / _CYCLES * sum(3.0 * (len(m) - 1) for m in means)
-    weight = max(0.0, 1.0 - chance / max(sum(float((a**2).sum()) for a in away), chance, 1e-300))
+    apart = sum(float((a**2).sum()) for a in away)
+    weight = 1.0 - chance / apart if apart > chance else 0.0
     rng = np.random.default_rng(0)
     scatter_um = np.split(np.sqrt(own), np.cumsum([len(m) for m in means])[:-1])
     true, again = [], []
