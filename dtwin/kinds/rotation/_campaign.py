@@ -74,7 +74,7 @@ def _speeds(found: OverSpeed) -> Floats:
 
 def _asked(found: OverSpeed, law: Law | None = None) -> str:
     if law is None or all(TIME not in name for name in law.rivals):
-        return f"{next_speed(_speeds(found)):z.3g} rpm"
+        return f"{next_speed(_speeds(found)):z.6g} rpm"
     last = max(found.points, key=lambda p: p.place)
     again = last.speed_rpm < 1.01 * float(_speeds(found).min())
     return "the same speeds in another order" if again else "the lowest speed again at the end"
@@ -102,7 +102,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
         where = "" if found.sense else ", where the probe is a radial one"
         if law.bent:
             least = (
-                f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too"
+                f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too"
             )
         said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{where}{least}.{delay}"
         return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
@@ -117,7 +117,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
     if law.name == CONSTANT:
         size = max(abs(p.figures.once) for p in found.points)
         if found.spread_um > _matters(found.noise_um, size):
-            near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.3g} rpm too" if law.bent else ""
+            near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too" if law.bent else ""
             said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
             return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
         said = f"{found.probe}: what comes once per turn is the same at all speeds within {found.spread_um:z.2g} µm: {_mounting(found.sense)}, no unbalance"

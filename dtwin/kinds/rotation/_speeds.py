@@ -199,7 +199,7 @@ def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
 
 
 def next_speed(speed_rpm: Floats) -> float:
-    """Return the speed that would tell most: in the widest gap of the squares of the speeds."""
+    """Return the speed that would tell most, to three digits: in the widest gap of the squares of the speeds."""
     squares = np.sort(np.concatenate([[0.0], np.unique(speed_rpm) ** 2]))
     widest = int(np.argmax(np.diff(squares)))
-    return float(np.sqrt(0.5 * (squares[widest] + squares[widest + 1])))
+    return float(f"{np.sqrt(0.5 * (squares[widest] + squares[widest + 1])):z.3g}")

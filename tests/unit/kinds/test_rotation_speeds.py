@@ -335,3 +335,8 @@ def test_repeats_that_follow_each_other_at_once_tell_nothing_of_the_whole_time()
     samples = {"t_s": np.arange(20.0), "speed_rpm": speeds, "runout_um": 3.0 + settles}
     run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
     assert {f.code for f in KIND.judge_campaign([run])} == {"rotation.runout_constant"}
+
+
+def test_the_speed_that_is_asked_for_can_be_typed() -> None:
+    found = KIND.judge_campaign(measured(Story(once=lambda n, h: n / 1000.0), 0, (1000.0, 2000.0, 4000.0)))
+    assert any("measure 3160 rpm" in f.message for f in found)
