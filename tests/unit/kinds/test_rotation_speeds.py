@@ -136,7 +136,7 @@ def test_three_speeds_tell_no_law_and_a_fourth_is_asked_for() -> None:
     for seed in range(10):
         told = KIND.judge_campaign(measured(Story(once=unbalance), seed, (1000.0, 4000.0, 8000.0)))
         assert codes(told) == {"rotation.few_speeds"}
-        assert "cannot be told with these speeds: measure 6.32e+03 rpm" in told[0].message
+        assert "cannot be told with these speeds: measure 6320 rpm" in told[0].message
 
 
 def test_speeds_that_lie_near_each_other_tell_of_no_unbalance_that_it_is_not_there() -> None:
@@ -335,8 +335,3 @@ def test_repeats_that_follow_each_other_at_once_tell_nothing_of_the_whole_time()
     samples = {"t_s": np.arange(20.0), "speed_rpm": speeds, "runout_um": 3.0 + settles}
     run = Run(RunMeta("t", "rotation", condition={"probe": "p", "form": "run-out over speed"}), samples)
     assert {f.code for f in KIND.judge_campaign([run])} == {"rotation.runout_constant"}
-
-
-def test_the_speed_that_is_asked_for_can_be_typed() -> None:
-    found = KIND.judge_campaign(measured(Story(once=lambda n, h: n / 1000.0), 0, (1000.0, 2000.0, 4000.0)))
-    assert any("measure 3160 rpm" in f.message for f in found)
