@@ -27,7 +27,7 @@ from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
 from flows import _plots
 from flows._artifacts import slug
-from flows._runtime import run, running_server
+from flows._runtime import delivered, run, running_server
 from flows.campaign import campaign_flow
 from flows.cron import require_cron
 from flows.diagnose import diagnose_flow
@@ -125,11 +125,22 @@ def test_a_measured_campaign_is_kept_when_the_flow_runs_again(up: Up, tmp_path: 
         encoding="utf-8",
     )
     options = {"plan_file": plan, "out": tmp_path / "small", "to_lake": False}
-    first, again = run(simulate_flow, **options), run(simulate_flow, **options)
+    with delivered():
+        first, again = run(simulate_flow, **options), run(simulate_flow, **options)
     assert (first["measured"], first["kept"]) == (1, 0)
     assert (again["measured"], again["kept"]) == (0, 1)
-    left = up.artifacts_of(up.runs_of("simulate")[-1])
-    assert "small" in " ".join(left)
+    ran, ran_again = up.runs_of("simulate")[-2:]
+    assert "small" in " ".join(up.artifacts_of(ran_again))
+    # It is told by the thread that saves.
+    lines = up.ask("/logs/filter", {"logs": {"flow_run_id": {"any_": [ran["id"]]}}, "limit": 200})
+    assert "measure: 1 of 1 t001" in {line["message"] for line in lines}
+    assert not [words for words in _children() if "prefect" in words], "a server of its own was started"
+
+
+def _children() -> list[str]:
+    """Command lines of the processes that this one started."""
+    found = [child for task in Path("/proc/self/task").glob("*/children") for child in task.read_text().split()]
+    return [Path(f"/proc/{child}/cmdline").read_text() for child in found]
 
 
 def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_path: Path) -> None:
