@@ -34,8 +34,9 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._instruments import instruments_beside
 from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
-from dtwin.kinds.linear._one_place import one_place, require_several_places
+from dtwin.kinds.linear._one_place import one_place, trials_um
 from dtwin.kinds.linear._order import no_direction, ways_in_order
+from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
@@ -57,7 +58,6 @@ from dtwin.kinds.linear._table_heads import (
     names_no_direction,
     other_targets,
     scale_of,
-    table_of,
     told_unit,
     way_of,
     wide_of,
@@ -81,9 +81,8 @@ def is_position_table(path: Path) -> bool:
         return True
     text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
-    require_several_places(rows, path)
-    known = table_of(rows) is not None or bool(names_no_direction(rows))
-    return known or bool(report_tables(text)) or bool(instruments_beside(rows))
+    known = table_of(rows) is not None or bool(names_no_direction(rows)) or bool(trials_um(rows))
+    return known or bool(report_tables(text, rows)) or bool(instruments_beside(rows))
 
 
 def read_position_runs(
@@ -96,49 +95,46 @@ def read_position_runs(
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
     text = part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
-    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows_of(text)[:MOST_TITLES] for cell in row)
+    rows = rows_of(text)
+    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
     if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
         raise _angles(path, f"axis {axis}, and no unit")
-    table = _read(text, path, str(condition.get("instrument", "")))
+    table = table_in(text, rows, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     return runs_of(table, path, stated, said), []
 
 
-def read_position_table(path: Path) -> PositionTable:
-    """Read a table of any of the forms.
+def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: str = "") -> PositionTable:
+    """Return the table of a text of any of the forms, whose cells are ``rows``; ``instrument``: of a report of several.
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    return _read(part_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path), path)
-
-
-def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
-    """Read a text; ``instrument``: of a report of several."""
     if is_assigned(text):
         of_one_instrument([], instrument, path)
         return matrix_of(assigned_readings(text, path), path)
-    report = of_one_instrument(report_tables(text) or instruments_beside(rows_of(text)), instrument, path)
+    if trials := trials_um(rows):
+        raise one_place(path, trials)
+    report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables = [table.rows for table in report]
     if not tables:
-        every = rows_of(text)
-        _require_positioning(every, path)
-        plain = table_of(every)
-        _require_one_axis(axes_beside([*every[:MOST_TITLES], [row[0] for row in every]]), str(path))
-        if plain is None and (head := names_no_direction(every)):
+        _require_positioning(rows, path)
+        plain = table_of(rows)
+        _require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
+        if plain is None and (head := names_no_direction(rows)):
             raise no_direction(
                 path,
                 head,
                 "heads such as forward 1 [mm], reverse 1 [mm]; of a test in one direction forward 1 [mm], forward 2 [mm]",
             )
         if plain is None:
-            raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
+            raise wrong_form("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
         tables = [plain]
     read: list[list[Reading]] = []
     in_order = False
-    for rows in tables:
-        _require_lengths(rows[:2], path)
-        wide, long = wide_of(rows[0]), long_of(rows[0])
-        read.append(_from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else [])
+    for lines in tables:
+        _require_lengths(lines[:2], path)
+        wide, long = wide_of(lines[0]), long_of(lines[0])
+        read.append(_from_wide(lines, wide, path) if wide else _from_long(lines, long, path) if long else [])
         in_order = in_order or (wide is None and long is not None and long.way is None)
     # A single pass of its own beside repeated cycles is another test.
     several = [any(reading[2] > 1 for reading in readings) for readings in read]

@@ -7,13 +7,12 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
-MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
+MOST_TITLES = 20
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
 _ANGLES = "deg|grad|gon|mdeg|arcsec|arcmin|[mµμu]?rad"
 ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)
@@ -32,7 +31,7 @@ _OF_AXIS = re.compile(
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
-_UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
+UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
@@ -253,7 +252,7 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
     return ""
 
 
-def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
+def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
     names = [head.strip() for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
@@ -269,60 +268,6 @@ def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], .
     # Readings of several cycles are called alike.
     alike = {re.sub(r"\d+", "", names[i], count=1) for i, _ in cycles}
     return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
-
-
-def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, which may stand in its first column; None when there is none."""
-    table = _below_titles(rows)
-    # Titles have one cell.
-    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
-        table = _below_titles(list(zip_longest(*wide, fillvalue="")))
-    return table
-
-
-def _one_reading_a_row(
-    heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
-) -> list[Sequence[str]]:
-    """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
-    target, way, cycles = by_way
-    out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
-    last = ""
-    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
-        last = row[target].strip() or last
-        out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
-    return out
-
-
-def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
-    for begin, row in enumerate(rows[:MOST_TITLES]):
-        below = list(rows[begin + 1 :])
-        by_way = _by_way_of(row)
-        if by_way is not None:
-            return _one_reading_a_row(row, below, by_way)
-        if wide_of(row) is not None or long_of(row) is not None:
-            return [row, *below]
-        numbers = any(is_number(a) and is_number(b) for a, b in zip(row, below[0] if below else (), strict=False))
-        if below and sum(bool(cell.strip()) for cell in row) > 1 and not numbers:
-            filled, last = [], ""
-            for cell in row:
-                last = cell.strip() or last
-                filled.append(last)
-            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
-            lying = any(cell.strip()[:1].isalpha() and not is_unit(cell) for line in below[1:2] for cell in line[:1])
-            wide = wide_of(joined)
-            # A number below the target's head is a target, and its row no second row of heads.
-            target = below[0][wide.target : wide.target + 1] if wide is not None else []
-            if wide is not None and not any(map(is_number, target)) and not way_of(filled[0]) and not lying:
-                return [[_unit_last(head) for head in joined], *below[1:]]
-    return None
-
-
-def _unit_last(head: str) -> str:
-    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
-    unit = _UNIT_INSIDE.search(head)
-    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
 
 
 def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
@@ -353,7 +298,7 @@ def is_deviation(head: str) -> bool:
 
 def unit_of(head: str) -> str:
     """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
-    match = _UNIT_INSIDE.search(head) or _UNIT.search(head)
+    match = UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
 

@@ -16,12 +16,16 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from dtwin.acquire._tabular import kind_of_table
+from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.importing import understand
+from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
-from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
+from dtwin.kinds.linear._position_runs import PositionTable
+from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, table_in
 from dtwin.kinds.registry import kind_named
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
@@ -30,6 +34,11 @@ ROOT = Path(__file__).parents[3]
 TARGETS = np.array([0.0, 50.0, 100.0])
 FORWARD = np.array([[1.0, 1.5], [2.0, 2.5], [-3.0, -3.5]])
 REVERSE = FORWARD + 4.0
+
+
+def read_position_table(path: Path) -> PositionTable:
+    text = part_of_axis(decoded(table_bytes(path, 2**24)), "", path)
+    return table_in(text, rows_of(text), path)
 
 
 def wide(head: str, scale: float, by_position: bool, part: str = ",", comma: str = ".") -> str:
@@ -560,6 +569,65 @@ def test_what_is_written_between_and_below_the_targets_is_none(tmp_path: Path) -
     assert np.allclose(table.forward_um, FORWARD)
 
 
+def in_blocks(title: str, heads: str, once: bool = False) -> str:
+    """As VDI/DGQ 3441 prints: a block for each sweep; ``once``: heads stand above all of them."""
+    lines = ["Positioniergenauigkeit", *([heads] if once else [])]
+    for c in range(2):
+        for way, values, order in (("vorwärts", FORWARD, 1), ("rückwärts", REVERSE, -1)):
+            lines += [title.format(c=c + 1, way=way), *([] if once else ["20,1 °C", heads])]
+            lines += [f"{TARGETS[i]:g};{values[i, c]:g}".replace(".", ",") for i in range(3)[::order]]
+            lines += [f"Mittelwert;{values[:, c].mean():g}".replace(".", ","), ""]
+    return "\n".join(lines)
+
+
+def marked(row: str, heads: str, up: str, down: str) -> str:
+    """Targets that tell their direction themselves."""
+    lines = [
+        row.format(t=f"{TARGETS[i]:g}{up if values is FORWARD else down}", a=values[i, 0], b=values[i, 1])
+        for values in (FORWARD, REVERSE)
+        for i in range(3)
+    ]
+    return "\n".join([heads, *lines])
+
+
+BY_SWEEP = {
+    "blocks": in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]"),
+    "units below": in_blocks("Series {c} {way};", "Soll;Abweichung\nmm;µm"),
+    "without numbers": in_blocks("{way}", "Sollposition [mm];Abweichung [µm]"),
+    "heads once": in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]", once=True),
+    "signs": marked("{t},{a}\n{t},{b}", "Target [mm],Deviation [µm]", "+", "-"),
+    "arrows": marked("{t};{a};{b}", "Soll [mm];Messung 1 [µm];Messung 2 [µm]", " ↑", " ↓"),
+    "words": marked("{t};{a};{b}", "Soll;Messung 1 [µm];Messung 2 [µm]", " mm vor", " mm rück"),
+}
+
+
+@pytest.mark.parametrize("text", BY_SWEEP.values(), ids=BY_SWEEP.keys())
+def test_titles_of_blocks_and_targets_may_tell_the_direction(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text(text, encoding="utf-8")
+    assert is_position_table(path)
+    table = read_position_table(path)
+    assert table.target_mm.tolist() == TARGETS.tolist()
+    assert np.allclose(table.forward_um, FORWARD)
+    assert np.allclose(table.reverse_um, REVERSE)
+    assert [rows for _, rows in understand(path, Home(tmp_path / "home"), {"axis": "X"}, {}).runs] == [6, 6]
+
+
+def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path: Path) -> None:
+    text = in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]")
+    path = tmp_path / "axis.csv"
+    path.write_text(text.split("°C\n", 1)[1], encoding="utf-8")
+    with pytest.raises(InputError):
+        read_position_table(path)
+
+
+def test_a_minus_behind_every_target_is_no_direction(tmp_path: Path) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text("Target [mm],Deviation [um]\n0-,1\n100-,2\n200-,3\n0-,2\n100-,2\n200-,1")
+    with pytest.raises(InputError):
+        read_position_table(path)
+
+
 def test_numbers_of_targets_are_no_targets(tmp_path: Path) -> None:
     rows = [f"{i},{t:g},{FORWARD[i, 0]},{REVERSE[i, 0]}" for i, t in enumerate(TARGETS, start=0)]
     upright = ["Target i,Position [mm],forward 1 [µm],reverse 1 [µm]", *rows]
@@ -862,8 +930,9 @@ def test_one_place_approached_again_and_again_is_refused_with_how_it_repeats(tmp
     path = tmp_path / "home.csv"
     rows = [f"{n % 10},{n // 10},{12 + (n % 2) / 1000 + 0.02 * (n // 10)}" for n in range(20)]
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "linear"
     with pytest.raises(InputError) as refused:
-        kind_of_table(path)
+        read_position_table(path)
     assert refused.value.code == "position_table.one_place"
     assert "standard deviation 0.527 µm" in refused.value.got
     assert "differ by 20 µm" in refused.value.got
