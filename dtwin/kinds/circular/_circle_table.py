@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import PROBES, Column, below_heads, columns_of, header_row, in_english, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -53,6 +53,9 @@ _SPELT = (
         "ccw",
     ),
     (re.compile(r"clockwise|(im )?uhrzeigersinn|(sens )?horaire|\borario|\bhorario", re.I), "cw"),
+    # The probe on the left is no direction.
+    (re.compile(rf"^(?!.*({PROBES})).*\b(left|links(lauf|herum|drehend)?)\b.*"), "ccw"),
+    (re.compile(rf"^(?!.*({PROBES})).*\b(right|rechts(lauf|herum|drehend)?)\b.*"), "cw"),
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
@@ -242,7 +245,7 @@ def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any]
 
 def _bare(column: Column) -> str:
     """Return a head without its unit, in small letters, with blanks."""
-    base = re.sub(r"[\[(].*?[\])]", "", column.head).strip()
+    base = re.sub(r"[\[(].*?[\])]", "", in_english(column.head)).strip()
     return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
 
 

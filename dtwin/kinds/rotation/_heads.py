@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from dtwin.acquire.foreign_columns import PROBES, in_english
 from dtwin.schema import Finding
 from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
 
@@ -82,7 +83,7 @@ _RUNOUT = re.compile(
     r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
 _PROBE = re.compile(
-    r"displ|\bdisp\b|probe|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|sensor|\bdial\b|indicator|messuhr|comparateur"
+    rf"displ|\bdisp\b|\b({PROBES})|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|\bdial\b|indicator|comparateur"
 )
 _AXIAL = re.compile(r"axial|face|planlauf|轴向|端面|^d?z\d?$")
 _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
@@ -135,7 +136,9 @@ def _whole_unit(share: re.Match[str]) -> str:
 
 
 def _column_of(head: str, unit_below: str) -> Column:
-    head, unit_below = (cell.replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below))
+    head, unit_below = (
+        in_english(cell).replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below)
+    )
     text = " ".join(head.replace("_", " ").split()).lower()
     unit_said = _UNIT.search(head.lower())
     inside = _IN_BRACKETS.search(head.lower())

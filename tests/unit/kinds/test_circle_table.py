@@ -165,6 +165,7 @@ def test_rows_without_a_number_are_told_and_left_out(tmp_path: Path) -> None:
         "t_s,x_mm,y_mm,z_mm,error_x_um",
         "target,forward 1,reverse 1",
         "angle_deg,x_um,y_um",
+        "t_s,angle_deg,left probe [µm],right probe [µm]",
     ],
 )
 def test_tables_of_others_are_left_to_them(tmp_path: Path, heads: str) -> None:
@@ -233,6 +234,10 @@ def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads:
         ("Gegenuhrzeigersinn", "Uhrzeigersinn"),
         ("antihoraire", "horaire"),
         ("senso antiorario", "senso orario"),
+        ("links", "rechts"),
+        ("Linkslauf 1", "Rechtslauf 1"),
+        ("反時計回り", "時計回り"),
+        ("左回り", "右回り"),
     ],
 )
 def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) -> None:

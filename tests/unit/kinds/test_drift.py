@@ -394,6 +394,11 @@ def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, head
         "Zeit / min;Taster / µm;Temperatur / °C",
         "Time (minutes);Probe (microns);Temp (deg C)",
         "sep=;\nTime [min];Z [µm];T [°C]",
+        "Zeit [min];Sonde 1 [µm];Luft [°C]",
+        "time [min];ch1 [µm];room [°C]",
+        "Zeit [min];Kanal 1 [µm];Luft [°C]",
+        "時間 [分];変位 Z [μm];主軸温度 [℃]",
+        "Temps [min];Déplacement Z [µm];Température [°C]",
     ],
 )
 def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:

@@ -283,6 +283,13 @@ def test_every_way_to_write_a_run_is_read(tmp_path: Path, text: str) -> None:
     assert run.meta.condition["speed_rpm"] == pytest.approx(RPM, rel=1e-3)
 
 
+@pytest.mark.parametrize("probe", ["Sonde 1", "Taster 2", "ch1", "Kanal 1", "変位"])
+def test_probes_under_other_names(tmp_path: Path, probe: str) -> None:
+    (run,) = read(tmp_path, table({"Zeit [s]": TIME, "角度 [°]": ANGLE, f"{probe} [µm]": UM}))
+    assert is_rotation_file(tmp_path / "a.csv")
+    assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
+
+
 def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
     pulse = (ANGLE % 360.0 < 20.0).astype(float)
     (run,) = read(tmp_path, table({"t_s": TIME, "index pulse": pulse, "radial_um": UM}))
