@@ -700,6 +700,26 @@ def test_several_speeds_in_a_file_are_a_run_each(tmp_path: Path, timed: bool) ->
         assert abs(figures_of(turns).once) == pytest.approx(size, abs=0.05)
 
 
+@pytest.mark.parametrize("title", ["Speed: {:g} rpm", "Drehzahl;{:g} 1/min;", "n = {:g} 1/min", "主軸回転数 {:g} rpm"])
+def test_blocks_below_their_speeds_are_a_run_each(tmp_path: Path, title: str) -> None:
+    blocks = ["Max. speed: 8000 rpm", "Station 3"]
+    for rpm in (1000.0, 2000.0):
+        blocks += [title.format(rpm), table({"Time [s]": ANGLE / 6.0 / rpm, "Radial X [µm]": UM + rpm / 1000.0}, ";")]
+    runs = read(tmp_path, "\n".join(blocks))
+    assert is_rotation_file(tmp_path / "a.csv")
+    assert [run.meta.condition["speed_rpm"] for run in runs] == pytest.approx([1000.0, 2000.0], rel=1e-3)
+    assert [run.n_samples for run in runs] == [len(UM), len(UM)]
+
+
+def test_run_outs_below_their_speeds_are_repeats_and_their_means_are_none(tmp_path: Path) -> None:
+    lines = []
+    for rpm in ("1.000", "4.000"):
+        lines += [f"Drehzahl: {rpm} 1/min", "Lauf;Rundlauf [µm]", "1;5,1", "2;5,3", "Mittelwert;5,2"]
+    (run,) = read(tmp_path, "\n".join(lines))
+    assert run.samples["speed_rpm"].tolist() == [1000.0, 1000.0, 4000.0, 4000.0]
+    assert run.samples["runout_um"].tolist() == [5.1, 5.3, 5.1, 5.3]
+
+
 def test_speeds_that_change_from_row_to_row_need_a_time(tmp_path: Path) -> None:
     columns = {"speed [rpm]": np.linspace(100.0, 900.0, ANGLE.size), "angle [deg]": ANGLE % 360.0, "radial [um]": UM}
     with pytest.raises(InputError) as refused:
