@@ -13,6 +13,8 @@ _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
 _BARE = re.compile(r"[xyzabcuvw]\d?", re.I)
+AXIS_CHOSEN = "file.axis"
+"""Code of the finding that the file holds other axes, too: a run of it cannot be called one of another axis afterwards."""
 _CELLS = re.compile(r"[;\t|]")
 _MARKS = "#*|=-,;:\t \"'"
 

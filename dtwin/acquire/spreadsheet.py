@@ -65,7 +65,12 @@ def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
     if not is_spreadsheet(path):
         return _table_of_text(path, read_bounded(path, max_bytes))
     require_bounded(path, _MAX_BYTES)
-    return _converted(path, path.stat().st_mtime_ns, axis)
+    return _converted(path, path.stat().st_mtime_ns, axis)[0]
+
+
+def has_other_axes(path: Path, axis: str) -> bool:
+    """Return whether a sheet is taken of several because it is called as an axis is."""
+    return is_spreadsheet(path) and _converted(path, path.stat().st_mtime_ns, axis)[1]
 
 
 def first_text(path: Path, max_bytes: int) -> str:
@@ -73,7 +78,7 @@ def first_text(path: Path, max_bytes: int) -> str:
     if is_spreadsheet(path):
         require_bounded(path, _MAX_BYTES)
         # Sheets of several axes are of one form.
-        return decoded(_converted(path, path.stat().st_mtime_ns, None)[:_SNIFFED])
+        return decoded(_converted(path, path.stat().st_mtime_ns, None)[0][:_SNIFFED])
     return decoded(_table_of_text(path, _begin(path, _SNIFFED)))
 
 
@@ -83,8 +88,8 @@ def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
 
 
 @lru_cache(maxsize=4)
-def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
-    """Return a sheet as CSV, or the table of text that is there in its place or packed.
+def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, bool]:
+    """Return a sheet as CSV, or the table of text that is there in its place or packed; and whether others were left for the axis.
 
     ``axis``: None takes the first of those with the same heads that are called as axes are.
     """
@@ -95,7 +100,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
         if data.startswith(_ZIP) and not _is_workbook(data):
             data = _only_table(path, data)
         if not _is_workbook(data):
-            return _table_of_text(path, data)
+            return _table_of_text(path, data), False
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
             calculated = unpacked <= _MAX_UNPACKED and _has_formulas(archive)
@@ -114,6 +119,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
             tables = [title for title, found in heads.items() if found]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
             called = [title for title in tables if axis and axis_of(title, bare=True) == axis.upper()]
+            others = len(called) == 1 < len(tables)
             if len(called) == 1:
                 tables = called
             elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
@@ -122,7 +128,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
-                    return _as_csv(rows)
+                    return _as_csv(rows), others
         finally:
             book.close()
     except InputError:

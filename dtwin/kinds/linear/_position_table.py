@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import part_of_axis, parts_by_axis
+from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
@@ -57,13 +57,14 @@ from dtwin.kinds.linear._table_heads import (
     long_of,
     names_no_direction,
     other_targets,
+    rows_of_axis,
     scale_of,
     told_unit,
     way_of,
     wide_of,
     without_remarks,
 )
-from dtwin.schema import Campaign, Run
+from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
@@ -94,13 +95,19 @@ def read_position_runs(
     """
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
-    text = part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
-    rows = rows_of(text)
+    whole = decoded(table_bytes(path, _MAX_BYTES, axis))
+    text = part_of_axis(whole, axis, path)
+    every = rows_of(text)
+    rows = rows_of_axis(every, axis)
+    others = text != whole or len(rows) < len(every) or has_other_axes(path, axis)
     tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
     if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
         raise _angles(path, f"axis {axis}, and no unit")
     table = table_in(text, rows, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
+    if others:
+        only = f"the file holds other axes, too: what is called {axis} in it was read"
+        said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
 
 
@@ -248,9 +255,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} mm"
             raise wrong_form(
-                "a reading stands there twice: say which cycle each belongs to; each axis needs a file of its own",
-                path,
-                got,
+                "a reading stands there twice: say which cycle each belongs to, and of which axis it is", path, got
             )
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
@@ -348,7 +353,7 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
             where=where,
             got=", ".join(axes)[:60],
             allowed="one",
-            hint="a file for each axis",
+            hint="rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
         )
 
 

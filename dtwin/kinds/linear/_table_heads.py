@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.units import LENGTHS_MM, UM_PER_MM
@@ -135,6 +136,22 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
         if several is not None:
             return list(several.values())
     return []
+
+
+def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> list[Sequence[str]]:
+    """Return a table without the rows that its column of axes says are of others; any other table as it is."""
+    for begin, row in enumerate(rows[:MOST_TITLES]):
+        column = next((i for i, head in enumerate(row) if AXIS.match(head.strip())), None)
+        if column is not None:
+            kept, there, mine = list(rows[: begin + 1]), False, True
+            for line in rows[begin + 1 :]:
+                # Of merged cells the first alone is filled.
+                named = axis_of(line[column], bare=True) if column < len(line) else ""
+                mine = named == axis.upper() if named else mine
+                there = there or named == axis.upper()
+                kept += [line] if mine else []
+            return kept if there else list(rows)
+    return list(rows)
 
 
 def is_index(head: str) -> bool:

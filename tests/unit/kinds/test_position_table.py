@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from dtwin.acquire._tabular import kind_of_table
+from dtwin.acquire.amending import amend
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.importing import understand
+from dtwin.acquire.ingest import ingest
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
@@ -27,6 +29,7 @@ from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.linear._position_runs import PositionTable
 from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, table_in
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -903,6 +906,31 @@ def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: P
         read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
     assert "X" in refused.value.got
     assert "--axis X" in refused.value.hint
+
+
+def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_path: Path) -> None:
+    path = tmp_path / "axes.csv"
+    rows = [
+        f"{axis if t == 0 else ''},{t},{way},{t / 100 + off}"
+        for axis, off in (("X", 0.0), ("Y axis", 50.0))
+        for way in ("+", "-")
+        for t in (0, 100, 200)
+    ]
+    path.write_text("\n".join(["Axis,Target [mm],Direction,Deviation [µm]", *rows]), encoding="utf-8")
+    for axis, off in (("X", 0.0), ("Y", 50.0)):
+        runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": axis}})
+        assert runs[0].samples["error_um"].tolist() == pytest.approx([off, 1 + off, 2 + off, 2 + off, 1 + off, off])
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
+    assert "--axis X" in str(refused.value.hint)
+    lake = Lake(tmp_path / "lake")
+    ingest(path, lake, told={"axis": "X", "machine": "m"})
+    with pytest.raises(InputError) as wrong:
+        amend(lake, "axes", ["condition.axis=Y"], "typed wrongly")
+    assert wrong.value.code == "amend.read_with"
+    path.write_text("\n".join(["Axis,Target [mm],Direction,Deviation [µm]", *rows[:6]]), encoding="utf-8")
+    ingest(path, lake, told={"axis": "Y", "machine": "m", "campaign": "one"})
+    assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
 
 
 def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
