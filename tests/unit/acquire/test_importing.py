@@ -313,3 +313,22 @@ def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(
     head, first, second, third, *_ = found.text.splitlines()
     assert head == "t_s,temperature_frame_c,displacement_um"
     assert (first, second, third) == ("0,19.5,0", "60,19.5,0.5", "89.75,20.1,0.5")
+
+
+@pytest.mark.parametrize(
+    ("heads", "told", "proposed"),
+    [
+        ("Winkel [deg],Wert [um],Zeit [s]", {}, '"Wert [um]=deviation_um"'),
+        ("Weg,Wert", {"axis": "X"}, '"Weg=position_mm"'),
+        ("Zeit [s],Taster [um]", CIRCLE, '"Taster [um]=deviation_um"'),
+        ("A,B", {}, '"HEAD=NAME"'),
+    ],
+)
+def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
+    tmp_path: Path, heads: str, told: dict[str, Any], proposed: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(",".join("123"[: heads.count(",") + 1]) for _ in range(3))]))
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), told, {})
+    assert proposed in str(refused.value.hint)
