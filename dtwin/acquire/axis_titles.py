@@ -33,6 +33,11 @@ def axis_of(title: str, *, bare: bool = False) -> str:
 
 def parts_by_axis(text: str) -> dict[str, str]:
     """Return the tables of a text that stand below titles of several axes, with what stands above the first; empty where there are no two."""
+    parts = _parts(text)
+    return parts if len(parts) > 1 else {}
+
+
+def _parts(text: str) -> dict[str, str]:
     above: list[str] = []
     parts: dict[str, list[str]] = {}
     lines = above
@@ -44,22 +49,26 @@ def parts_by_axis(text: str) -> dict[str, str]:
             lines = parts.setdefault(axis, [])
         else:
             lines.append(line)
-    return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()} if len(parts) > 1 else {}
+    return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()}
 
 
 def part_of_axis(text: str, axis: str, path: Path) -> str:
     """Return the part of a text that stands below the title of an axis; a text without titles of several as it is.
 
-    Raises ``InputError`` when the axis that is asked for is none of those.
+    Raises ``InputError`` when the axis that is asked for is none of those, or not the one that the title tells.
     """
-    parts = parts_by_axis(text)
-    if parts and axis.upper() not in parts:
+    parts, asked = _parts(text), axis.upper()
+    one = next(iter(parts), "")
+    other = one.isalnum() and not one.isdigit() and asked[:1] not in ("", one[:1])
+    if (asked not in parts) if len(parts) > 1 else other:
         raise InputError(
-            "the file holds tables of several axes, and none of the one that is asked for",
+            "the file holds tables of several axes, and none of the one that is asked for"
+            if len(parts) > 1
+            else "the title of the table tells another axis",
             code="position_table.axes",
             where=str(path),
             got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
-            allowed="one of them, one campaign each",
-            hint=f"--axis {next(iter(parts))}",
+            allowed="one of them, one campaign each" if len(parts) > 1 else "the axis that was measured",
+            hint=f"--axis {one}",
         )
-    return parts.get(axis.upper(), text)
+    return parts[asked] if len(parts) > 1 else text

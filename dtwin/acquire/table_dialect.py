@@ -113,8 +113,8 @@ def typed(cell: str) -> str:
 def _grouped(rows: list[list[str]]) -> str:
     """Return the decimal sign that digits in groups tell; nothing where none are, or both.
 
-    ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800``, and ``2.000`` and ``4.500``, where the table
-    writes decimals by the other sign and no point stands elsewhere.
+    ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800`` where no point stands elsewhere, and ``2.000`` and
+    ``4.500``, where the table writes decimals by the other sign, too.
     """
     cells = [cell.strip() for row in rows for cell in row]
     told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
@@ -129,12 +129,12 @@ def _grouped(rows: list[list[str]]) -> str:
         mark, other = (",", ".") if sign == "comma" else (".", ",")
         parted = [number for number in numbers if other in number]
         decimals = any(mark in number and not _WHOLE_EITHER.fullmatch(number) for number in numbers)
-        if parted and decimals and all(map(form.fullmatch, parted)):
+        if parted and all(map(form.fullmatch, parted)):
             columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
             among = any(
                 any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns
             )
-            if among or all(number.endswith("00") for number in parted):
+            if among or (decimals and all(number.endswith("00") for number in parted)):
                 return sign
     return ""
 

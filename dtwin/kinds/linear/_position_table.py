@@ -38,13 +38,19 @@ from dtwin.kinds.linear._one_place import one_place, trials_um
 from dtwin.kinds.linear._order import no_direction, ways_in_order
 from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
+from dtwin.kinds.linear._refusals import (
+    LITTLE,
+    of_angles,
+    require_lengths,
+    require_near,
+    require_positioning,
+    require_unit_of_heads,
+)
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
-    ANGLE,
     AXIS,
     MISSING,
     MOST_TITLES,
-    OTHER_TEST,
     TURNS,
     Long,
     Wide,
@@ -68,8 +74,6 @@ from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
-# Of the travel: no linear axis errs by so much.
-_LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -102,7 +106,7 @@ def read_position_runs(
     others = text != whole or len(rows) < len(every) or has_other_axes(path, axis)
     tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
     if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
-        raise _angles(path, f"axis {axis}, and no unit")
+        raise of_angles(path, f"axis {axis}, and no unit")
     table = table_in(text, rows, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     if others:
@@ -124,7 +128,7 @@ def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: s
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables = [table.rows for table in report]
     if not tables:
-        _require_positioning(rows, path)
+        require_positioning(rows, path)
         plain = table_of(rows)
         _require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
         if plain is None and (head := names_no_direction(rows)):
@@ -139,7 +143,8 @@ def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: s
     read: list[list[Reading]] = []
     in_order = False
     for lines in tables:
-        _require_lengths(lines[:2], path)
+        require_lengths(lines[:2], path)
+        require_unit_of_heads(rows, lines, path)
         wide, long = wide_of(lines[0]), long_of(lines[0])
         read.append(_from_wide(lines, wide, path) if wide else _from_long(lines, long, path) if long else [])
         in_order = in_order or (wide is None and long is not None and long.way is None)
@@ -149,68 +154,9 @@ def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: s
     single = zip(report, read, several, strict=bool(report))
     left_out = dict.fromkeys(t.title for t, readings, more in single if readings and not more and any(several))
     table = matrix_of(_as_they_are([reading for readings in kept for reading in readings]), path)
-    _require_near(table, path)
+    require_near(table, path)
     name = report[0].read_with if report else ""
     return replace(table, in_order=in_order, read_with=name, left_out=tuple(left_out))
-
-
-def _require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table whose title or heads say that it is of another test along an axis."""
-    titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
-    other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
-    if other is not None:
-        raise InputError(
-            "title or heads say that this is no test of positioning",
-            code="position_table.test",
-            where=str(path),
-            got=other[:60],
-            allowed="linear positioning",
-            hint="deviations across the axis, and angles, are not read",
-        )
-
-
-def _require_near(table: PositionTable, path: Path) -> None:
-    """Refuse what was taken for positions and does not follow its targets: deviations without a unit, most likely."""
-    read_um = np.hstack([table.forward_um, table.reverse_um])
-    there = np.isfinite(read_um).any(axis=1)
-    target_mm, off_mm = table.target_mm[there], np.nanmean(read_um[there], axis=1) / UM_PER_MM
-    against_mm = 2.0 * target_mm + off_mm
-    if table.by_position and np.ptp(against_mm) < _LITTLE * np.ptp(table.target_mm):
-        raise InputError(
-            "the readings run against the targets: the scale or the instrument counts the other way",
-            code="position_table.mirrored",
-            where=str(path),
-            got=f"{target_mm[0] + off_mm[0]:z.6g} to {target_mm[-1] + off_mm[-1]:z.6g} mm at targets of {target_mm[0]:z.6g} to {target_mm[-1]:z.6g} mm",
-            allowed="readings that grow as the targets do",
-            hint="change the sign of all readings, or of all targets where those count the other way",
-        )
-    if table.by_position and np.median(np.abs(off_mm - np.median(off_mm))) > _LITTLE * np.ptp(table.target_mm):
-        raise InputError(
-            "the readings are taken for positions, and do not follow their targets",
-            code="position_table.unit",
-            where=str(path),
-            got=f"{target_mm[-1] + off_mm[-1]:z.6g} mm at a target of {target_mm[-1]:z.6g} mm",
-            allowed="positions; or deviations whose heads say so and state the unit",
-            hint="write the unit of deviations into their heads, such as: forward 1 [µm]",
-        )
-
-
-def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table of angles: its figures would be taken for lengths."""
-    angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
-    if angles:
-        raise _angles(path, angles[0][:40])
-
-
-def _angles(path: Path, got: str) -> InputError:
-    return InputError(
-        "the table is in angles, and only linear axes are judged",
-        code="position_table.unit",
-        where=str(path),
-        got=got,
-        allowed="mm, µm, nm, in",
-        hint="positioning of a rotary axis is not evaluated here; where the axis is a linear one of this name, write [mm] into the heads",
-    )
 
 
 def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
@@ -222,7 +168,7 @@ def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
     for by_position, sign in ((False, 1.0), (True, -1.0)):
         alike = all(reading[4] is by_position for reading in readings)
         off = told_um - sign * target_um
-        if alike and size > 0.0 and float(np.ptp(off)) < _LITTLE * size:
+        if alike and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
             return [
                 (target, way, cycle, float(um), not by_position)
                 for (target, way, cycle, _, _), um in zip(readings, off, strict=True)

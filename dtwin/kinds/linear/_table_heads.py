@@ -15,7 +15,7 @@ from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 MOST_TITLES = 20
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
-_ANGLES = "deg|grad|gon|mdeg|arcsec|arcmin|[mµμu]?rad"
+_ANGLES = "deg|grad|gon|mdeg|arc ?sec|arc ?min|[mµμu]?rad"
 ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)
 TURNS = re.compile(r"[ABC]\d?", re.I)
 """Name of an axis that turns, after ISO 841."""
@@ -302,7 +302,7 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
     # A unit may stand behind the sign.
-    told = _IN_BRACKETS.sub("", told).strip()
+    told = _IN_BRACKETS.sub(lambda inside: inside[1] if inside[1] in _SIGNS else "", told).strip()
     if not named and told:
         named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
     return named.pop() if len(named) == 1 else None

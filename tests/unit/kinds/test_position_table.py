@@ -624,6 +624,34 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         read_position_table(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("Axis: C\nTarget,fwd 1,rev 1\n0,0.001,0.002\n90,90.001,90.002", "position_table.axes"),
+        ("Einheit: µm\nSoll;hin 1;rück 1\n0;1;2\n50000;50001;50002", "position_table.unit"),
+        ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
+        ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
+    ],
+)
+def test_what_would_be_read_as_millimetres_of_another_axis_or_unit_is_refused(
+    tmp_path: Path, text: str, code: str
+) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.code == code
+
+
+def test_targets_in_groups_of_digits_and_signs_in_brackets(tmp_path: Path) -> None:
+    path = tmp_path / "axis.csv"
+    heads = "Soll [mm];Lauf 1 (+) [µm];Lauf 2 (-) [µm];Lauf 3 (+) [µm];Lauf 4 (-) [µm]"
+    path.write_text(f"Unit: mm\n{heads}\n0;1;5;2;6\n500;1;5;2;6\n1.000;1;5;2;6\n1.500;1;5;2;6", encoding="utf-8")
+    table = read_position_table(path)
+    assert table.target_mm.tolist() == [0.0, 500.0, 1000.0, 1500.0]
+    assert (table.forward_um[0].tolist(), table.reverse_um[0].tolist()) == ([1.0, 2.0], [5.0, 6.0])
+
+
 def test_a_minus_behind_every_target_is_no_direction(tmp_path: Path) -> None:
     path = tmp_path / "axis.csv"
     path.write_text("Target [mm],Deviation [um]\n0-,1\n100-,2\n200-,3\n0-,2\n100-,2\n200-,1")
