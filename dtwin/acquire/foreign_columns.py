@@ -126,7 +126,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
 def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return the rows of a table with one row of heads where they stand in two, as under merged cells; other rows as they are.
 
-    A head that is empty and has a word above it says so, or heads that are alike; a merged cell's word goes on until the next one.
+    A head that is empty, or a unit, and has a word above it says so, or heads that are alike; a merged cell's word goes on until the next one.
     """
     try:
         begin = header_row(rows, path)
@@ -136,7 +136,7 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     said = [cell.strip() for cell in above]
     merged = len(above) == len(heads) and sum(map(bool, said)) > 1 and not any(map(_VALUE.search, said))
     told = [head.strip() for head in heads if head.strip()]
-    empty = merged and any(word and not head.strip() for word, head in zip(said, heads, strict=True))
+    empty = merged and any(word and (not head or all_units([head])) for word, head in zip(said, heads, strict=True))
     if not merged or not (empty or len(set(told)) < len(told)):
         return list(rows)
     joined, last = [], ""

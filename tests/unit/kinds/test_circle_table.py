@@ -248,6 +248,30 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
 
 
 @pytest.mark.parametrize(
+    ("title", "heads", "row"),
+    [
+        ("R100 {}", "angle [deg],radius [mm]", "{0},{2}"),
+        ("Run 1 {},", "angle [deg],deviation_um", "{0},{1}"),
+        ("", "angle [deg],deviation [µm],direction", "{0},{1},{3}"),
+        ("CW42, right spindle", "Winkel [°],Abweichung [µm],Drehrichtung", "{0},{1},{3}"),
+    ],
+)
+def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_round(
+    tmp_path: Path, title: str, heads: str, row: str
+) -> None:
+    lines: list[str] = []
+    for way, deviation in (("CCW", error_um(ANGLE, 1.0)), ("CW", error_um(ANGLE, -1.0))):
+        lines += [title.format(way), heads] if not lines or "{}" in title else []
+        lines += [
+            row.format(a, d, 150.0 + d / 1000.0, way) for a, d in zip(ANGLE.tolist(), deviation.tolist(), strict=True)
+        ]
+    ccw, cw = read(tmp_path / "a.csv", "\n".join(line for line in lines if line))
+    assert (ccw.meta.direction, cw.meta.direction) == ("CCW", "CW")
+    assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
+    assert cw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::-1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
     "heads",
     [
         "time [s],X cmd [mm],Y cmd [mm],X act [mm],Y act [mm]",
@@ -262,7 +286,9 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
     assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 0.0), abs=0.05)
 
 
-@pytest.mark.parametrize("title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min"])
+@pytest.mark.parametrize(
+    "title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min", "Feed: 2 m/min"]
+)
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
     text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
     right = "Radius: 150,0 mm, Vorschub: 1000 mm/min"
