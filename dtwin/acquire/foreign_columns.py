@@ -66,7 +66,9 @@ _ENGLISH = tuple(
         ("displacement", r"変位量?|位移量?|\b(?:déplacement|spostamento|desplazamiento)\b"),
         ("target", r"(?:指令|目標|目标)[値值位置]*|\b(?:cible|consigne)\b"),
         ("measured", r"(?:測定|計測|実測|测量|实测)[値值位置]*|\bmesurée?\b"),
-        ("angle", r"角度|\b(?:angolo|ángulo)\b"),
+        ("radial", "半径方向|径向"),
+        ("axial", "軸方向|轴向"),
+        ("angle", r"(?:回転)?角度|\b(?:angolo|ángulo)\b"),
         ("radius", r"半径|\b(?:rayon|raggio|radio)\b"),
         ("deviation", r"偏差|\b(?:écart|scostamento|desviación)\b"),
         ("error", r"誤差|误差|\b(?:erreur|errore)\b"),
@@ -144,6 +146,22 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
         last = word or last
         joined.append(f"{last} {head.strip()}".strip())
     return [*rows[: begin - 1], joined, *rows[begin + 1 :]]
+
+
+def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own."""
+    told = [head.strip() for head in heads]
+    rows = ([cell.strip() for cell in row] for row in body)
+    other = next((row for row in rows if row and row[0] and row[0] == told[0] and row != told), None)
+    if other is not None:
+        raise InputError(
+            "a second table stands below the first",
+            code="table.second",
+            where=str(path),
+            got=", ".join(other)[:120],
+            allowed="one table",
+            hint="a file for each, or columns beside each other",
+        )
 
 
 def _has_gaps(row: Sequence[str]) -> bool:

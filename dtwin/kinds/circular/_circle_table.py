@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads, require_one_table
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -98,7 +98,7 @@ def read_circle_runs(
     form = _form_of(columns)
     _require_as_titled(lines[: len(lines) - len(body)], stated, path)
     _require_one_meaning(columns, path)
-    _require_one_table(columns, body, path)
+    require_one_table([column.head for column in columns], body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
         raise _wrong("a table of a circle needs its programmed radius and feed", path, "radius_mm, feed_mm_min", "both")
@@ -203,20 +203,6 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
         alike = [column.head for column in columns if pattern.match(bare(column))]
         if len(alike) > 1:
             raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")
-
-
-def _require_one_table(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own."""
-    heads = [column.head for column in columns]
-    rows = ([cell.strip() for cell in row] for row in body)
-    other = next((row for row in rows if row[0] and row[0] == heads[0] and row != heads), None)
-    if other is not None:
-        raise _wrong(
-            "a second table stands below the first",
-            path,
-            ", ".join(other),
-            "a file for each, or columns beside each other",
-        )
 
 
 def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:

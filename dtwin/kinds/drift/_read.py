@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import CLOCK, PROBES, below_heads, columns_of, header_row, in_english, joined_heads
+from dtwin.acquire.foreign_columns import (
+    CLOCK,
+    PROBES,
+    below_heads,
+    columns_of,
+    header_row,
+    in_english,
+    joined_heads,
+    require_one_table,
+)
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -68,6 +77,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)
+    require_one_table(said, body, path)
     _require_degrees(said, units, recipe, path)
     heads, factors, zeros = _named(said, units, recipe)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}

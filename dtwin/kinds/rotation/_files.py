@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
-from dtwin.acquire.foreign_columns import joined_heads
+from dtwin.acquire.foreign_columns import joined_heads, require_one_table
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -162,6 +162,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     begin, columns, first = headed
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
+    require_one_table(heads, rows[first:], path)
     roles = {c.role for c in columns}
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})

@@ -410,6 +410,16 @@ def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:
     assert any(name.startswith("temperature_") for name in run.samples)
 
 
+def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> None:
+    lines = []
+    for head, start in (("dZ", 0), ("dX", 60)):
+        lines += [f"Zeit [min];{head} [µm];T [°C]", *(f"{start + n};{n};20" for n in range(60))]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError, match="second table"):
+        read(path)
+
+
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{60 * n},0,{n / 2},{20 + n / 10}" for n in range(60)]

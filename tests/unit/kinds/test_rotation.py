@@ -285,7 +285,7 @@ def test_every_way_to_write_a_run_is_read(tmp_path: Path, text: str) -> None:
 
 @pytest.mark.parametrize("probe", ["Sonde 1", "Taster 2", "ch1", "Kanal 1", "変位"])
 def test_probes_under_other_names(tmp_path: Path, probe: str) -> None:
-    (run,) = read(tmp_path, table({"Zeit [s]": TIME, "角度 [°]": ANGLE, f"{probe} [µm]": UM}))
+    (run,) = read(tmp_path, table({"Zeit [s]": TIME, "回転角度 [°]": ANGLE, f"{probe} [µm]": UM}))
     assert is_rotation_file(tmp_path / "a.csv")
     assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
 
