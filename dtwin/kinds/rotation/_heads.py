@@ -87,7 +87,7 @@ _PROBE = re.compile(
 )
 _AXIAL = re.compile(r"axial|face|planlauf|轴向|端面|^d?z\d?$")
 _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
-_OTHER = re.compile(r"temp|cmd|act\b")
+_OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
 _LETTER = re.compile(r"d?[xyz]\d?")
@@ -167,7 +167,7 @@ def _column_of(head: str, unit_below: str) -> Column:
                     role, factor=_FACTORS[role].get(told or (inside[1] if inside else _USUAL[role]), 0.0), likely=True
                 )
         # A probe in volts is one without its scale, which is refused; what else is in volts is of no use here.
-        if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(words)):
+        if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(f"{words} {told}")):
             return Column("")
     name = re.sub(r"[^\w.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)
@@ -175,7 +175,7 @@ def _column_of(head: str, unit_below: str) -> Column:
         return Column(RUNOUT, name, scale, likely=True)
     if _PATH.search(words):
         return Column(PATH)
-    if _OTHER.search(words):
+    if _OTHER.search(f"{words} {told}"):
         return Column("")
     likely = bool(_PROBE.search(words))
     return Column(PROBE, name, scale, likely) if scale or likely else Column("")

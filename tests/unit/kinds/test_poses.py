@@ -475,6 +475,9 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     ((run,), _) = next(iter(runs))
     assert run.samples["target_x_mm"][1] == pytest.approx(100.0 * per_unit)
     assert run.samples["measured_x_mm"][1] == pytest.approx(101.0 * per_unit)
+    table.write_text("\n".join([XYZ.format("Target", "Error"), *rows]), encoding="utf-8")
+    ((run,), _) = next(iter(open_source(table, {})[1]))
+    assert run.samples["error_x_mm"][1] == pytest.approx(101.0)
 
 
 def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:

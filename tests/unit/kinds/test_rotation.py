@@ -290,6 +290,13 @@ def test_probes_under_other_names(tmp_path: Path, probe: str) -> None:
     assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
 
 
+@pytest.mark.parametrize("heads", ["t_s,angle_deg,ch1 [µm],ch2 [°C]", "t,angle,ch1,sensor 2\ns,deg,µm,℃"])
+def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> None:
+    rows = table({"t_s": TIME, "angle_deg": ANGLE, "a": UM, "b": 0.0 * UM + 20.0}).split("\n", 1)[1]
+    (run,) = read(tmp_path, f"{heads}\n{rows}")
+    assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
+
+
 def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
     pulse = (ANGLE % 360.0 < 20.0).astype(float)
     (run,) = read(tmp_path, table({"t_s": TIME, "index pulse": pulse, "radial_um": UM}))
