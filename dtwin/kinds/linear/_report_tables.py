@@ -69,7 +69,7 @@ def report_tables(text: str, rows: Sequence[Sequence[str]]) -> list[ReportTable]
 
 
 def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
-    """Return the tables below titles of a single cell that name the directions; none where they do not name both."""
+    """Return the tables below titles of a single cell that name the directions; none where there are no two."""
     parts: list[tuple[str, list[list[str]]]] = [("", [])]
     for row in rows:
         filled = [cell.strip() for cell in row if cell.strip()]
@@ -80,21 +80,25 @@ def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
         else:
             parts[-1][1].append([cell.strip() for cell in row])
     told = [(title, body) for title, body in parts if way_of(title) and len(body) > 1]
-    if {way_of(title) for title, _ in told} != {"forward", "reverse"} or any(OTHER_TEST.search(t) for t, _ in parts):
+    both = {way_of(title) for title, _ in told} == {"forward", "reverse"}
+    if len(told) < 2 or any(OTHER_TEST.search(t) for t, _ in parts):
         return []
     # Heads may stand once, above the first title; readings there are of no direction.
     above = parts[0][1]
     if any(all(is_number(cell) for cell in row if cell) for row in above):
         return []
     told = [(title, [*above[-1:], *body] if any(map(is_number, body[0])) else body) for title, body in told]
-    return _of_each_sweep(told) or [t for title, body in told for t in _told_by_heading(body[0], body[1:], [title])]
+    tables = (t for title, body in told for t in _told_by_heading(body[0], body[1:], [title])) if both else ()
+    return _of_each_sweep(told) or list(tables)
 
 
 def _of_each_sweep(told: Sequence[tuple[str, Sequence[Sequence[str]]]]) -> list[ReportTable]:
     """Return as one the tables of a row a reading below titles such as ``Messreihe 1 vorwärts``; none where they are of another form."""
     heads = told[0][1][0]
     long = long_of(heads)
-    if long is None or long.way is not None or long.cycle is not None or any(body[0] != heads for _, body in told):
+    # Blocks before and after a change are no sweeps of one test.
+    alike = len({name_of(title) for title, _ in told}) == 1 and all(body[0] == heads for _, body in told)
+    if long is None or long.way is not None or long.cycle is not None or not alike:
         return []
     numbers = [re.search(r"\d+", title) for title, _ in told]
     seen: Counter[str | None] = Counter()
@@ -163,7 +167,7 @@ def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> li
     target = min(
         (i for i, head in enumerate(heads) if names_target(head)), key=lambda i: not unit_of(heads[i]), default=None
     )
-    cycle = next((i for i, head in enumerate(heads) if _CYCLES.search(head)), None)
+    cycle = next((i for i, head in enumerate(heads) if _CYCLES.search(head) and not unit_of(head)), None)
     read = [
         i
         for i, head in enumerate(heads)

@@ -44,7 +44,9 @@ _TARGET = re.compile(
 _SURELY_TARGET = re.compile(
     r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
 )
-_INDEX = re.compile(r"#$|i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
+_INDEX = re.compile(
+    r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
+)
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
@@ -57,11 +59,29 @@ OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
-_WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
+_SERIES = re.compile(
+    r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
+    re.I,
+)
+"""Title of a block of a test, one a cycle."""
+_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
 _WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"}
+    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
     | {"aller", "andata", "ida", "正向", "往路", "正方向"},
-    "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
+    "reverse": {
+        "bwd",
+        "backward",
+        "backwards",
+        "b",
+        "rev",
+        "reverse",
+        "r",
+        "down",
+        "neg",
+        "negative",
+        "negativ",
+        "minus",
+    }
     | {"rück", "rückwärts", "zurück", "her"}
     | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向"},
 }
@@ -184,9 +204,12 @@ def other_targets(heads: Sequence[str], target: int) -> list[int]:
 
 
 def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target: int) -> list[Sequence[str]]:
-    """Return the rows of a table without blank ones, heads that are repeated, and what is written below the last target."""
+    """Return the rows of a table without blank ones, heads that are repeated, titles above those, and what is written below the last target."""
     told = [cell.strip() for cell in heads]
-    rows = [row for row in body if any(cell.strip() for cell in row) and [cell.strip() for cell in row] != told]
+    filled = [row for row in body if any(cell.strip() for cell in row)]
+    again = [[cell.strip() for cell in row] == told for row in [*filled, ()]]
+    title = [bool(_SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
+    rows = [row for row, head, above in zip(filled, again, title, strict=False) if not head and not above]
     whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
     while rows and _is_remark(rows[-1], target, whole):
         del rows[-1]

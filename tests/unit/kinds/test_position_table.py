@@ -593,7 +593,27 @@ def marked(row: str, heads: str, up: str, down: str) -> str:
     return "\n".join([heads, *lines])
 
 
+def in_cycles(title: str) -> str:
+    """A block a cycle, both directions beside each other."""
+    lines = []
+    for c in range(2):
+        lines += [title.format(c + 1), "Zielpunkt Nr.;Soll [mm];hin [µm];rück [µm]"]
+        lines += [f"{i + 1};{TARGETS[i]:g};{FORWARD[i, c]};{REVERSE[i, c]}" for i in range(3)]
+    return "\n".join(lines)
+
+
+def by_direction() -> str:
+    """A table for each direction, a column of positions for each run."""
+    lines = []
+    for way, values in (("Forward", FORWARD), ("Reverse", REVERSE)):
+        lines += [way, "Target [mm],Run 1 [mm],Run 2 [mm]"]
+        lines += [f"{t:g},{t + um[0] / 1e3:.4f},{t + um[1] / 1e3:.4f}" for t, um in zip(TARGETS, values, strict=True)]
+    return "\n".join(lines)
+
+
 BY_SWEEP = {
+    "blocks of a cycle": in_cycles("Messreihe {}"),
+    "runs below directions": by_direction(),
     "blocks": in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]"),
     "units below": in_blocks("Series {c} {way};", "Soll;Abweichung\nmm;µm"),
     "without numbers": in_blocks("{way}", "Sollposition [mm];Abweichung [µm]"),
@@ -614,6 +634,17 @@ def test_titles_of_blocks_and_targets_may_tell_the_direction(tmp_path: Path, tex
     assert np.allclose(table.forward_um, FORWARD)
     assert np.allclose(table.reverse_um, REVERSE)
     assert [rows for _, rows in understand(path, Home(tmp_path / "home"), {"axis": "X"}, {}).runs] == [6, 6]
+
+
+@pytest.mark.parametrize("title", ["Before compensation,After compensation", "Forward before,Forward after"])
+def test_blocks_before_and_after_a_change_are_not_cycles_of_one_test(tmp_path: Path, title: str) -> None:
+    rows = [f"{t:g},{um[0]},{um[1]}" for t, um in zip(TARGETS, FORWARD, strict=True)]
+    for heads in ("Target [mm],fwd [µm],rev [µm]", "Target [mm],Deviation [µm],Air [°C]"):
+        lines = [line for name in title.split(",") for line in (name, heads, *rows)]
+        path = tmp_path / "axis.csv"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        with pytest.raises(InputError):
+            read_position_table(path)
 
 
 def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path: Path) -> None:
