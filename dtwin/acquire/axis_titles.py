@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
@@ -57,18 +58,22 @@ def part_of_axis(text: str, axis: str, path: Path) -> str:
 
     Raises ``InputError`` when the axis that is asked for is none of those, or not the one that the title tells.
     """
-    parts, asked = _parts(text), axis.upper()
-    one = next(iter(parts), "")
-    other = one.isalnum() and not one.isdigit() and asked[:1] not in ("", one[:1])
-    if (asked not in parts) if len(parts) > 1 else other:
+    parts = _parts(text)
+    require_axis(list(parts), axis, path)
+    return parts[axis.upper()] if len(parts) > 1 else text
+
+
+def require_axis(told: Sequence[str], axis: str, path: Path) -> None:
+    """Refuse an axis that is none of those that a file tells; a lone number, or a letter more, is no other axis."""
+    several, asked, one = len(told) > 1, axis.upper(), next(iter(told), "")
+    if (asked not in told) if several else bool(one) and not one.isdigit() and asked[:1] not in ("", one[:1]):
         raise InputError(
             "the file holds tables of several axes, and none of the one that is asked for"
-            if len(parts) > 1
-            else "the title of the table tells another axis",
+            if several
+            else "the table says that it is of another axis",
             code="position_table.axes",
             where=str(path),
-            got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
-            allowed="one of them, one campaign each" if len(parts) > 1 else "the axis that was measured",
+            got=f"axis {axis or 'not told'}; in the file {', '.join(told)}"[:80],
+            allowed="one of them, one campaign each" if several else "the axis that was measured",
             hint=f"--axis {one}",
         )
-    return parts[asked] if len(parts) > 1 else text

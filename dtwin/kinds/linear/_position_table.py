@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis
+from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis, require_axis
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
@@ -102,7 +102,8 @@ def read_position_runs(
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     text = part_of_axis(whole, axis, path)
     every = rows_of(text)
-    rows = rows_of_axis(every, axis)
+    rows, told = rows_of_axis(every, axis)
+    require_axis(told, axis, path)
     others = text != whole or len(rows) < len(every) or has_other_axes(path, axis)
     tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
     if TURNS.fullmatch(axis) and not tells and not is_assigned(text):

@@ -51,7 +51,10 @@ _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
-_REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
+_REVERSED = re.compile(
+    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)",
+    re.I,
+)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
@@ -158,20 +161,21 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> list[Sequence[str]]:
-    """Return a table without the rows that its column of axes says are of others; any other table as it is."""
+def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
+    """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
     for begin, row in enumerate(rows[:MOST_TITLES]):
         column = next((i for i, head in enumerate(row) if AXIS.match(head.strip())), None)
         if column is not None:
-            kept, there, mine = list(rows[: begin + 1]), False, True
+            kept, mine = list(rows[: begin + 1]), True
+            told: dict[str, None] = {}
             for line in rows[begin + 1 :]:
                 # Of merged cells the first alone is filled.
                 named = axis_of(line[column], bare=True) if column < len(line) else ""
                 mine = named == axis.upper() if named else mine
-                there = there or named == axis.upper()
+                told |= {named: None} if named else {}
                 kept += [line] if mine else []
-            return kept if there else list(rows)
-    return list(rows)
+            return (kept if axis.upper() in told else list(rows)), list(told)
+    return list(rows), []
 
 
 def is_index(head: str) -> bool:

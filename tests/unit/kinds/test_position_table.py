@@ -661,6 +661,7 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Axis: C\nTarget,fwd 1,rev 1\n0,0.001,0.002\n90,90.001,90.002", "position_table.axes"),
         ("Einheit: µm\nSoll;hin 1;rück 1\n0;1;2\n50000;50001;50002", "position_table.unit"),
         ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
+        ("Target [mm],Target - measured fwd 1 [µm],Target - measured rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
     ],
 )
@@ -981,13 +982,16 @@ def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_
         assert runs[0].samples["error_um"].tolist() == pytest.approx([off, 1 + off, 2 + off, 2 + off, 1 + off, off])
     with pytest.raises(InputError, match="several axes") as refused:
         read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
-    assert "--axis X" in str(refused.value.hint)
+    assert refused.value.hint == "--axis X"
     lake = Lake(tmp_path / "lake")
     ingest(path, lake, told={"axis": "X", "machine": "m"})
     with pytest.raises(InputError) as wrong:
         amend(lake, "axes", ["condition.axis=Y"], "typed wrongly")
     assert wrong.value.code == "amend.read_with"
     path.write_text("\n".join(["Axis,Target [mm],Direction,Deviation [µm]", *rows[:6]]), encoding="utf-8")
+    with pytest.raises(InputError, match="of another axis"):
+        ingest(path, lake, told={"axis": "Y", "machine": "m", "campaign": "one"})
+    path.write_text(path.read_text("utf-8").replace("Axis", "Stage").replace("\nX", "\n7"), encoding="utf-8")
     ingest(path, lake, told={"axis": "Y", "machine": "m", "campaign": "one"})
     assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
 
