@@ -179,7 +179,8 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     started = ""
     if TIME in single:
         clock, started = _clock([cell_of(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
-    assumed = assumed_of([cell for row in rows[begin:first] for cell in row])
+    bare = {heads[n]: columns[n] for role, n in single.items() if not (role == TIME and started)}
+    assumed = assumed_of([cell for row in rows[begin:first] for cell in row], bare)
     reading = Reading(by_speed=by_speed, timed=TIME in single, started=started, assumed=assumed)
     shared = np.isfinite(clock)
     for role, n in single.items():

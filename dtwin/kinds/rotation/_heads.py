@@ -113,12 +113,14 @@ class Column:
     ``name``: of a probe: its name, without the unit.
     ``factor``: to the unit of the role; of a probe, to µm; 0 where no unit is told.
     ``likely``: whether the words alone say so, or only a unit of length.
+    ``assumed``: the unit that is taken, where none is told.
     """
 
     role: str
     name: str = ""
     factor: float = 0.0
     likely: bool = False
+    assumed: str = ""
 
 
 def column_of(head: str, unit_below: str = "") -> Column:
@@ -163,9 +165,9 @@ def _column_of(head: str, unit_below: str) -> Column:
             return Column(SPEED, factor=_TURNS_RPM[told], likely=True)
         for role, word in _WORDS.items():
             if word.search(words) or word.search(text):
-                return Column(
-                    role, factor=_FACTORS[role].get(told or (inside[1] if inside else _USUAL[role]), 0.0), likely=True
-                )
+                unit = told or (inside[1] if inside else "")
+                usual = "" if unit else _USUAL[role]
+                return Column(role, factor=_FACTORS[role].get(unit or usual, 0.0), likely=True, assumed=usual)
         # A probe in volts is one without its scale, which is refused; what else is in volts is of no use here.
         if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(f"{words} {told}")):
             return Column("")
@@ -187,11 +189,14 @@ def figure_of(name: str) -> tuple[str, str]:
     return next(((symbol, said) for symbol, said, word in _ERROR_MOTION if word.search(text)), ("TIR", "run-out"))
 
 
-def assumed_of(cells: Sequence[str]) -> tuple[Finding, ...]:
-    """Return what is assumed of heads and units: which tenths are meant."""
+def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Finding, ...]:
+    """Return what is assumed of heads and units: which tenths are meant, and units of ``columns``, by their heads."""
+    units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
+    said = f"columns tell no unit, and are taken: {', '.join(units)}"
+    found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
     if not any(_TENTHS.search(cell) and not _SHARE.search(cell) for cell in cells):
-        return ()
-    return (Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"),)
+        return found
+    return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
 
 
 def direction_of(name: str) -> str:

@@ -297,6 +297,13 @@ def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> N
     assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
 
 
+def test_a_unit_that_is_not_told_is_said_to_be_assumed(tmp_path: Path) -> None:
+    (run,) = read(tmp_path, table({"time": TIME, "angle [deg]": ANGLE, "radial x [µm]": UM}))
+    assert [f.message for f in run.findings if f.code == "rotation.unit_assumed"] == [
+        "columns tell no unit, and are taken: time in s"
+    ]
+
+
 def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
     pulse = (ANGLE % 360.0 < 20.0).astype(float)
     (run,) = read(tmp_path, table({"t_s": TIME, "index pulse": pulse, "radial_um": UM}))
