@@ -148,11 +148,14 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     return [*rows[: begin - 1], joined, *rows[begin + 1 :]]
 
 
-def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own."""
+def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, once: bool = False) -> None:
+    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own.
+
+    ``once``: the same heads are refused, too, where titles tell the tables apart, which are not read.
+    """
     told = [head.strip() for head in heads]
     rows = ([cell.strip() for cell in row] for row in body)
-    other = next((row for row in rows if row and row[0] and row[0] == told[0] and row != told), None)
+    other = next((row for row in rows if row and row[0] and row[0] == told[0] and (once or row != told)), None)
     if other is not None:
         raise InputError(
             "a second table stands below the first",

@@ -22,7 +22,15 @@ from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire._recipes import recipe_of, recipe_path
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, is_number, joined_heads
+from dtwin.acquire.foreign_columns import (
+    Column,
+    below_heads,
+    columns_of,
+    header_row,
+    is_number,
+    joined_heads,
+    require_one_table,
+)
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
@@ -245,6 +253,7 @@ def understand(
             known, plain = True, part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
             write_text(lone, plain, "a table")
         if not known:
+            require_one_table(heads, looked.body, path, once=True)
             columns = columns_of(heads, looked.units, answers)
             plain = _converted(columns, looked.body)
             write_text(lone, plain, "a table")
@@ -368,14 +377,10 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     meant = max(kinds(), key=likely)
     free = [column for column in columns if column.name not in meant.columns] if any(likely(meant)) else []
     # A length is no angle.
-    pairs = ((c.head, name) for name in meant.columns[1:] if name not in names for c in free if _may_be(c, name))
+    lacking = [name for name in meant.columns[1:] if name not in names]
+    pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'
-
-
-def _may_be(column: Column, name: str) -> bool:
-    (answered,) = columns_of([column.head], [column.unit], {column.head: name})
-    return bool(answered.name)
 
 
 def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:

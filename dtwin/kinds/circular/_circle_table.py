@@ -36,10 +36,11 @@ _MAX_BYTES = 64 * 1024**2
 _FEWEST = 36
 """Rows of a circle."""
 _TOLD_ABOVE = (
-    ("radius_mm", re.compile(r"\bradius\b\W*(\d+(?:[.,]\d+)?)\s*mm\b(?!\s*/)", re.I)),
+    ("radius_mm", re.compile(r"(?:\bradius\b\W*(?=\S+\s*mm)|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I)),
     ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*(m?m)\s*/\s*min", re.I)),
 )
 """Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
+_PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
 _SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
@@ -206,16 +207,24 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
 
 
 def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:
-    """Refuse a radius or a feed that is not the one which the titles of the table tell."""
+    """Refuse a radius, a feed or a plane that is not the one which the titles of the table tell."""
+    titles = [" ".join(row) for row in above]
+
+    def found(form: re.Pattern[str]) -> re.Match[str] | None:
+        return next((match for title in titles if (match := form.search(title)) is not None), None)
+
     for name, form in _TOLD_ABOVE:
-        titles = (" ".join(row) for row in above)
-        found = next((match for title in titles if (match := form.search(title)) is not None), None)
-        told = stated.get(name)
-        scale = 1000.0 if found is not None and found[found.re.groups].lower() == "m" else 1.0
-        if found is not None and told and abs(scale * float(found[1].replace(",", ".")) - told) > _SAME * told:
-            raise _wrong(
-                "the titles of the table tell another condition", path, found[0], f"{name} {told:g}, as it is told"
-            )
+        read, told = found(form), stated.get(name)
+        scale = 1000.0 if read is not None and read[form.groups].lower() == "m" else 1.0
+        if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
+            raise _titled(read[0], f"{name} {told:g}", path)
+    plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
+    if plane is not None and told and {plane[1].upper(), plane[2].upper()} != set(told):
+        raise _titled(plane[0], f"plane {told}", path)
+
+
+def _titled(got: str, told: str, path: Path) -> InputError:
+    return _wrong("the titles of the table tell another condition", path, got, f"{told}, as it is told")
 
 
 def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is: bool = False) -> Floats:

@@ -191,7 +191,8 @@ def is_opposite(head: str) -> bool:
 def names_target(head: str) -> bool:
     """Return whether a column holds targets; positional deviations, as ISO 230-2 calls them, are none."""
     surely = _SURELY_TARGET.match(head.strip()) is not None
-    return (surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))) and not is_index(head)
+    told = surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))
+    return told and not is_index(head) and "radius" not in head.lower()
 
 
 def _targets(names: Sequence[str]) -> list[int]:

@@ -332,3 +332,11 @@ def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), told, {})
     assert proposed in str(refused.value.hint)
+
+
+def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    block = ["angle [deg],deviation [µm]", *(f"{n},{n % 7}" for n in range(360))]
+    path.write_text("\n".join(["G03", *block, "G02", *block]), encoding="utf-8")
+    with pytest.raises(InputError, match="second table"):
+        understand(path, Home(tmp_path / "home"), CIRCLE, {})
