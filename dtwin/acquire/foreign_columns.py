@@ -144,7 +144,9 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     joined, last = [], ""
     for word, head in zip(said, heads, strict=True):
         last = word or last
-        joined.append(f"{last} {head.strip()}".strip())
+        unit = _WITH_UNIT.match(last)
+        # The unit of the merged cell is that of each head below it.
+        joined.append(f"{unit[1]} {head} [{unit[2]}]" if unit and head.strip() else f"{last} {head.strip()}".strip())
     return [*rows[: begin - 1], joined, *rows[begin + 1 :]]
 
 
