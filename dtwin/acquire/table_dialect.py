@@ -83,7 +83,7 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     """Return the cells of a table without comments and empty lines; a decimal comma becomes a point.
 
     ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
-    semicolons or tabs part the columns.
+    semicolons or tabs part the columns, or where it is quoted and no point stands in a number.
     """
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     mark = mark_of(lines)
@@ -98,7 +98,10 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     decimal = decimal or _grouped(rows)
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
-    return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+    # Quoted, a decimal comma stands among commas, too.
+    numbers = [cell.strip() for row in rows for cell in row if mark == "," and _NUMBER.fullmatch(cell.strip())]
+    quoted = any("," in n and not _WHOLE["point"].fullmatch(n) for n in numbers) and not any("." in n for n in numbers)
+    return [[cell.replace(",", ".") for cell in row] for row in rows] if mark != "," or quoted else rows
 
 
 def typed(cell: str) -> str:

@@ -682,6 +682,8 @@ def test_targets_in_groups_of_digits_and_signs_in_brackets(tmp_path: Path) -> No
     table = read_position_table(path)
     assert table.target_mm.tolist() == [0.0, 500.0, 1000.0, 1500.0]
     assert (table.forward_um[0].tolist(), table.reverse_um[0].tolist()) == ([1.0, 2.0], [5.0, 6.0])
+    path.write_text('target [mm],fwd 1 [µm],rev 1 [µm]\n0,"1,5","2,25"\n100,"1,500","2"', encoding="utf-8")
+    assert read_position_table(path).forward_um.tolist() == [[1.5], [1.5]]
 
 
 def test_a_minus_behind_every_target_is_no_direction(tmp_path: Path) -> None:
