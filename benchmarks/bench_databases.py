@@ -80,13 +80,13 @@ def grown(home: Home, size: int, twins: int) -> dict[str, float]:
     """Bring the databases to a size; return what logging each further version cost, nothing where there was none."""
     shelf = TwinShelf(home, PATHS)
     document, _ = shelf.newest_document("first")
-    there = sum(shelf.next_version(name) - 1 for name in shelf.names() if name.startswith("t"))
+    there = sum(shelf.next_version(name, document["machine"]) - 1 for name in shelf.names() if name.startswith("t"))
     began = time.process_time()
     # Each store would start a process of its own: all are logged at once after it.
     with mock.patch("dtwin.twins.shelf.log_soon"):
         for number in range(there, size):
             name = f"t{number % twins:03d}"
-            shelf.store({**document, "twin": name, "version": shelf.next_version(name)})
+            shelf.store({**document, "twin": name, "version": shelf.next_version(name, document["machine"])})
     left = log_waiting(home)
     if left:
         raise SystemExit(f"MLflow did not take {left[0].label}: {left[0].failed}")

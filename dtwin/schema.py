@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Direction = Literal["CCW", "CW"]
 Plane = Literal["XY", "YZ", "ZX"]
 

@@ -52,9 +52,9 @@ LENGTHS_MM = (
 """How many millimetres a unit of length of a foreign file is, as people spell it."""
 TIMES_S = (
     {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3}
-    | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), 60.0)
+    | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten", "分"), 60.0)
     | dict.fromkeys(("d", "day", "days", "tage"), 86_400.0)
-    | dict.fromkeys(("s", "sec", "secs", "sek", "second", "seconds", "sekunden"), 1.0)
+    | dict.fromkeys(("s", "sec", "secs", "sek", "second", "seconds", "sekunden", "秒"), 1.0)
     | dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "std", "stunden"), 3600.0)
 )
 """The same of times, in seconds."""

@@ -11,14 +11,17 @@ import numpy as np
 from cases import Case
 from causes import Cause
 
+from dtwin.errors import GateRefusal
 from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
-from dtwin.physics.fit import fit
+from dtwin.physics.effect import Instance
+from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import chosen_terms, frozen_residual_um, twin_of
+from dtwin.train.place_map import place_map, place_map_effect
 
 NAMING = ("missing_effect", "ambiguous")
 ALARMS = (*NAMING, "unknown_effect")
@@ -144,7 +147,7 @@ def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     terms = _but(_terms(obs, found), right)
     out["covered"] = _coverage(replace(case, hidden=right), obs, terms) if case.truths else []
     if case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
-        out["held_out_um"] = _untold_held_out(obs, case)
+        out["held_out_um"], out["held_out_map_um"] = _untold_held_out(obs, case)
     return out
 
 
@@ -163,13 +166,27 @@ def _but(terms: Sequence[Term], right: Sequence[Cause]) -> list[Term]:
     return [t for t in terms if t.label not in {cause.label for cause in right}]
 
 
-def _untold_held_out(obs: Observations, case: Case) -> float:
-    """Return the systematic RMS on the middle feed, found and fitted without it."""
+def _untold_held_out(obs: Observations, case: Case) -> tuple[float, float]:
+    """Return the systematic RMS on the middle feed, found and fitted without it; and with a map of what was left."""
     feeds = np.array([m.feed_mm_min for m in obs.runs], dtype=float)
     middle = np.isclose(feeds, np.median(feeds))
     train, held = obs.take(np.flatnonzero(~middle)), obs.take(np.flatnonzero(middle))
     terms = _terms(train, diagnose(train, [], LIBRARY, seed=case.number))
-    twin = twin_of(fit(train, terms), train, name="t", version=1, action="exam", data={})
+    fitted = fit(train, terms)
+    plain = _left_um(fitted, train, held)
+    try:
+        found = place_map(train, localise.residual_um(train, fitted.terms))
+    except GateRefusal:
+        # Of one place nothing can be left out.
+        return plain, plain
+    if found.gain <= 0.0:
+        return plain, plain
+    learned = Term(Instance(place_map_effect("learned_map", found.text)), {})
+    return plain, _left_um(fit(train, [*terms, learned]), train, held)
+
+
+def _left_um(fitted: Fit, train: Observations, held: Observations) -> float:
+    twin = twin_of(fitted, train, name="t", version=1, action="exam", data={})
     return float(localise.systematic_rms_um(held, frozen_residual_um(twin, held)))
 
 
@@ -194,11 +211,7 @@ def _held_out(obs: Observations, known: Sequence[Term], found: Diagnosis) -> lis
     feeds = np.array([m.feed_mm_min for m in obs.runs], dtype=float)
     middle = np.isclose(feeds, np.median(feeds))
     train, held = obs.take(np.flatnonzero(~middle)), obs.take(np.flatnonzero(middle))
-    out = []
-    for terms in (list(known), [*known, *_added(train, found)]):
-        twin = twin_of(fit(train, terms), train, name="t", version=1, action="exam", data={})
-        out.append(float(localise.systematic_rms_um(held, frozen_residual_um(twin, held))))
-    return out
+    return [_left_um(fit(train, terms), train, held) for terms in (known, [*known, *_added(train, found)])]
 
 
 def _added(obs: Observations, found: Diagnosis) -> list[Term]:

@@ -58,30 +58,36 @@ def _untold(by_row: Mapping[str, list[Record]]) -> str:
     """Return what was found of many faults at once; the unit of replication is the machine."""
     lines = [
         "| row | faults named, in groups of at most three (everyday: four effects) | must reach | false names per machine | must stay "
-        "| unresolved said | sizes covered (k = 2), named alone | in a group | held-out systematic RMS / floor | s | machines |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| unresolved said | sizes covered (k = 2), named alone | in a group | held-out systematic RMS / floor | with a map | s | machines |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in ROWS.items():
         records = by_row.get(name, [])
         if row.right != "every":
             continue
         if not records:
-            lines.append(f"| {name} | not run | | | | | | | | | 0 ({row.cases}) |")
+            lines.append(f"| {name} | not run | | | | | | | | | | 0 ({row.cases}) |")
             continue
         named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
         limits = _limits(row)
         false = sum(r["false"] for r in records) / len(records)
         alone, grouped = _covered(records)
-        held = [r["held_out_um"] / r["floor_um"] for r in records if "held_out_um" in r]
+        held, mapped = (_over_floor(records, key) for key in ("held_out_um", "held_out_map_um"))
         lines.append(
             f"| {name} | {named}/{of} = {named / of:.3f} "
             f"| {f'{limits[0]:.2f} {_said(named / of >= limits[0])}' if limits else '-'} | {false:.2f} "
             f"| {f'{limits[1]:.2f} {_said(false <= limits[1])}' if limits else '-'} "
             f"| {sum(r['unresolved'] for r in records)}/{len(records)} "
-            f"| {sum(alone)}/{len(alone)} | {sum(grouped)}/{len(grouped)} | {np.median(held) if held else math.nan:.2f} "
+            f"| {sum(alone)}/{len(alone)} | {sum(grouped)}/{len(grouped)} | {held} | {mapped} "
             f"| {np.median([r['seconds'] for r in records]):.1f} | {len(records)} ({row.cases}) |"
         )
     return "\n".join(lines)
+
+
+def _over_floor(records: Sequence[Record], key: str) -> str:
+    """Return the median over the machines of what is left, in noise floors."""
+    left = [r[key] / r["floor_um"] for r in records if key in r]
+    return f"{np.median(left):.2f}" if left else "-"
 
 
 def _covered(records: Sequence[Record]) -> tuple[list[bool], list[bool]]:

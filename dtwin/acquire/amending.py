@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from dtwin.acquire import _stated as stated
+from dtwin.acquire.axis_titles import AXIS_CHOSEN
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
@@ -213,7 +214,8 @@ def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) ->
 
 
 def _require_not_read_with(name: str, row: Mapping[str, Any], where: str) -> None:
-    if name in kind_named(row["kind"]).read_with:
+    chosen = name == "condition.axis" and any(f["code"] == AXIS_CHOSEN for f in json.loads(row["findings_json"]))
+    if chosen or name in kind_named(row["kind"]).read_with:
         raise InputError(
             "the file was read with this: stated anew, it changes nothing of what was read",
             code="amend.read_with",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
@@ -13,6 +14,8 @@ _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
 _BARE = re.compile(r"[xyzabcuvw]\d?", re.I)
+AXIS_CHOSEN = "file.axis"
+"""Code of the finding that the file holds other axes, too: a run of it cannot be called one of another axis afterwards."""
 _CELLS = re.compile(r"[;\t|]")
 _MARKS = "#*|=-,;:\t \"'"
 
@@ -31,6 +34,11 @@ def axis_of(title: str, *, bare: bool = False) -> str:
 
 def parts_by_axis(text: str) -> dict[str, str]:
     """Return the tables of a text that stand below titles of several axes, with what stands above the first; empty where there are no two."""
+    parts = _parts(text)
+    return parts if len(parts) > 1 else {}
+
+
+def _parts(text: str) -> dict[str, str]:
     above: list[str] = []
     parts: dict[str, list[str]] = {}
     lines = above
@@ -42,22 +50,30 @@ def parts_by_axis(text: str) -> dict[str, str]:
             lines = parts.setdefault(axis, [])
         else:
             lines.append(line)
-    return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()} if len(parts) > 1 else {}
+    return {axis: "\n".join([*above, *lines]) for axis, lines in parts.items()}
 
 
 def part_of_axis(text: str, axis: str, path: Path) -> str:
     """Return the part of a text that stands below the title of an axis; a text without titles of several as it is.
 
-    Raises ``InputError`` when the axis that is asked for is none of those.
+    Raises ``InputError`` when the axis that is asked for is none of those, or not the one that the title tells.
     """
-    parts = parts_by_axis(text)
-    if parts and axis.upper() not in parts:
+    parts = _parts(text)
+    require_axis(list(parts), axis, path)
+    return parts[axis.upper()] if len(parts) > 1 else text
+
+
+def require_axis(told: Sequence[str], axis: str, path: Path) -> None:
+    """Refuse an axis that is none of those that a file tells; a lone number, or a letter more, is no other axis."""
+    several, asked, one = len(told) > 1, axis.upper(), next(iter(told), "")
+    if (asked not in told) if several else bool(one) and not one.isdigit() and asked[:1] not in ("", one[:1]):
         raise InputError(
-            "the file holds tables of several axes, and none of the one that is asked for",
+            "the file holds tables of several axes, and none of the one that is asked for"
+            if several
+            else "the table says that it is of another axis",
             code="position_table.axes",
             where=str(path),
-            got=f"axis {axis or 'not told'}; in the file {', '.join(parts)}"[:80],
-            allowed="one of them, one campaign each",
-            hint=f"--axis {next(iter(parts))}",
+            got=f"axis {axis or 'not told'}; in the file {', '.join(told)}"[:80],
+            allowed="one of them, one campaign each" if several else "the axis that was measured",
+            hint=f"--axis {one}",
         )
-    return parts.get(axis.upper(), text)

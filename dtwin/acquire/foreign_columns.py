@@ -26,7 +26,7 @@ _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 _UNITS: Mapping[str, tuple[str, float]] = {
     **{name: ("um", UM_PER_MM * mm) if mm < _LEAST_MM else ("mm", mm) for name, mm in LENGTHS_MM.items()},
     **{name: ("s", seconds) for name, seconds in TIMES_S.items()},
-    **dict.fromkeys(("°", "deg", "degree", "degrees"), ("deg", 1.0)),
+    **dict.fromkeys(("°", "deg", "degree", "degrees", "度"), ("deg", 1.0)),
     **dict.fromkeys(("gon", "gons", "gradian", "gradians"), ("deg", 0.9)),
     "rad": ("deg", 180.0 / math.pi),
     **dict.fromkeys(("°c", "c", "degc", "c°", "celsius", "gradc", "gradcelsius"), ("c", 1.0)),
@@ -53,6 +53,30 @@ _HEADS = (
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
+PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
+"""Words of a head that name what reads a displacement."""
+_ENGLISH = tuple(
+    (english, re.compile(rf"\s*(?:{words})\s*", re.I))
+    for english, words in (
+        ("counterclockwise", "(?:反時計|左)[回周]り|逆时针"),
+        ("clockwise", "(?:時計|右)[回周]り|顺时针"),
+        ("time", r"(?:測定|計測)?(?:時刻|日時)|(?:経過|測定|計測)?時間|时间|\b(?:temps|tempo|tiempo)\b"),
+        ("room temperature", "室温|気温"),
+        ("temperature", "温度"),
+        ("displacement", r"変位量?|位移量?|\b(?:déplacement|spostamento|desplazamiento)\b"),
+        ("target", r"(?:指令|目標|目标)[値值位置]*|\b(?:cible|consigne)\b"),
+        ("measured", r"(?:測定|計測|実測|测量|实测)[値值位置]*|\bmesurée?\b"),
+        ("radial", "半径方向|径向"),
+        ("axial", "軸方向|轴向"),
+        ("angle", r"(?:回転)?角度|\b(?:angolo|ángulo)\b"),
+        ("radius", r"半径|\b(?:rayon|raggio|radio)\b"),
+        ("deviation", r"偏差|\b(?:écart|scostamento|desviación)\b"),
+        ("error", r"誤差|误差|\b(?:erreur|errore)\b"),
+        ("speed", "回転(?:速度|数)|转速|轉速"),
+        ("spindle", "主軸|主轴"),
+    )
+)
+"""Words of heads in other languages."""
 _WITH_UNIT = re.compile("^(.*?)\\s*[\\[(\uff08\uff3b]\\s*([^\\])\uff09\uff3d]*?)\\s*[\\])\uff09\uff3d]\\s*$")
 # Weg in µm, Weg / µm; a lone letter may be the name of a channel.
 _SAID = re.compile(r"^(.+?)(?:\s+in\s+|\s*/\s*)((?![afgv]$)\S+)$", re.I)
@@ -71,6 +95,13 @@ class Column:
     factor: float = 1.0
     zero: float = 0.0
     why_not: str = ""
+
+
+def in_english(head: str) -> str:
+    """Return a head with the words that are known of other languages in English: ``変位X [μm]`` as ``displacement X [μm]``."""
+    for english, words in _ENGLISH:
+        head = words.sub(f" {english} ", head)
+    return head.strip()
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
@@ -97,7 +128,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
 def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return the rows of a table with one row of heads where they stand in two, as under merged cells; other rows as they are.
 
-    A head that is empty and has a word above it says so; a merged cell's word goes on until the next one.
+    A head that is empty, or a unit, and has a word above it says so, or heads that are alike; a merged cell's word goes on until the next one.
     """
     try:
         begin = header_row(rows, path)
@@ -106,13 +137,36 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     above, heads = rows[begin - 1] if begin else [], rows[begin]
     said = [cell.strip() for cell in above]
     merged = len(above) == len(heads) and sum(map(bool, said)) > 1 and not any(map(_VALUE.search, said))
-    if not merged or not any(word and not head.strip() for word, head in zip(said, heads, strict=True)):
+    told = [head.strip() for head in heads if head.strip()]
+    empty = merged and any(word and (not head or all_units([head])) for word, head in zip(said, heads, strict=True))
+    if not merged or not (empty or len(set(told)) < len(told)):
         return list(rows)
     joined, last = [], ""
     for word, head in zip(said, heads, strict=True):
         last = word or last
-        joined.append(f"{last} {head.strip()}".strip())
+        unit = _WITH_UNIT.match(last)
+        # The unit of the merged cell is that of each head below it.
+        joined.append(f"{unit[1]} {head} [{unit[2]}]" if unit and head.strip() else f"{last} {head.strip()}".strip())
     return [*rows[: begin - 1], joined, *rows[begin + 1 :]]
+
+
+def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, once: bool = False) -> None:
+    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own.
+
+    ``once``: the same heads are refused, too, where titles tell the tables apart, which are not read.
+    """
+    told = [head.strip() for head in heads]
+    rows = ([cell.strip() for cell in row] for row in body)
+    other = next((row for row in rows if row and row[0] and row[0] == told[0] and (once or row != told)), None)
+    if other is not None:
+        raise InputError(
+            "a second table stands below the first",
+            code="table.second",
+            where=str(path),
+            got=", ".join(other)[:120],
+            allowed="one table",
+            hint="a file for each, or columns beside each other",
+        )
 
 
 def _has_gaps(row: Sequence[str]) -> bool:
@@ -133,19 +187,20 @@ def columns_of(heads: Sequence[str], units: Sequence[str] | None, answers: Mappi
 
 
 def _column(head: str, unit_below: str, answer: str | None) -> Column:
-    match = _WITH_UNIT.match(head) or _SAID.match(head)
+    said = in_english(head)
+    match = _WITH_UNIT.match(said) or _SAID.match(said)
     if match and match.re is _SAID and _plain(match[2]) not in _UNITS:
         match = None
-    base, unit = (match[1], match[2]) if match else (head, unit_below.strip("[]() "))
+    base, unit = (match[1], match[2]) if match else (said, unit_below.strip("[]() "))
     plain = _plain(unit)
     if plain == _GRAD and "winkel" not in base.lower():
         return Column(head, unit, "", why_not=_GRAD_WHY_NOT)
     if unit:
         here, factor = _UNITS.get(plain if plain != _GRAD else "deg", ("", 1.0))
     else:
-        unit = here = _ending(head)
-        base, factor = head.removesuffix(f"_{here}"), 1.0
-        before, mark, last = head.rpartition("_")
+        unit = here = _ending(said)
+        base, factor = said.removesuffix(f"_{here}"), 1.0
+        before, mark, last = said.rpartition("_")
         # Behind an underline f is a name, as of what is in front.
         if not here and mark and last.lower() in _UNITS and last.lower() != "f":
             base, unit, (here, factor) = before, last, _UNITS[last.lower()]

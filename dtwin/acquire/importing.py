@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import tempfile
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +19,25 @@ from typing import Any
 import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
+from dtwin.acquire._recipes import recipe_of, recipe_path
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, is_number, joined_heads
+from dtwin.acquire.foreign_columns import (
+    Column,
+    below_heads,
+    columns_of,
+    header_row,
+    is_number,
+    joined_heads,
+    require_one_table,
+)
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
-from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.atomic import make_folder, write_text, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kinds
 
 _MAX_BYTES = 64 * 1024**2
@@ -182,7 +190,7 @@ def _seen(
                 continue
             begin = 0
         heads = tuple(cell.strip() for cell in rows[begin])
-        stored = _recipe(home, heads)
+        stored = recipe_of(home, heads)
         if decimal or stored.get("decimal", "") == sign:
             return rows, begin, heads, stored, sign
     assert refused is not None
@@ -239,15 +247,17 @@ def understand(
         write_text(lone, plain, "a table")
         columns: tuple[Column, ...] = ()
         known = not answers and any(kind.takes_alone(lone) for kind in kinds())
-        if not (answers or known or looked.of_channels) and any(kind.takes_alone(path) for kind in kinds()):
-            # What was taken for titles belongs to it, as in a table on its side.
+        of_file = not (answers or looked.of_channels) and any(kind.takes_alone(path) for kind in kinds())
+        if of_file and not (known and looked.decimal):
+            # What was taken for titles belongs to it, as the directions above blocks, or in a table on its side.
             known, plain = True, part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
             write_text(lone, plain, "a table")
         if not known:
+            require_one_table(heads, looked.body, path, once=True)
             columns = columns_of(heads, looked.units, answers)
             plain = _converted(columns, looked.body)
             write_text(lone, plain, "a table")
-        kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path)
+        kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:
@@ -321,7 +331,7 @@ def write_folder(understood: Understood, folder: Path, home: Home, *, confirmed:
     }
     if understood.decimal:
         recipe["decimal"] = understood.decimal
-    place = _recipe_path(home, understood.header)
+    place = recipe_path(home, understood.header)
     try:
         make_folder(home.made().root / place.parent.name)
         make_folder(folder)
@@ -343,18 +353,34 @@ def write_folder(understood: Understood, folder: Path, home: Home, *, confirmed:
     return write_text(folder / "campaign.toml", source + tomli_w.dumps(document), "the campaign")
 
 
-def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Path) -> str:
+def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Path, told: Mapping[str, Any]) -> str:
     for kind in kinds():
         if kind.takes_alone(lone) or (columns and set(names) >= set(kind.columns)):
             return kind.name
+
     raise InputError(
         "the columns are those of no kind of test",
         code="import.kind",
         where=str(path),
         got="; ".join(f"{c.head}: {c.name or c.why_not}" for c in columns)[:300],
         allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
-        hint='--column "HEAD=position_mm" says what a column is, with the unit that the file has',
+        hint=f"{_example(names, columns, told)} says what a column is, with the unit that the file has",
     )
+
+
+def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str, Any]) -> str:
+    """Return the option for a column that a kind of test lacks: of the kind whose conditions are told, else of that whose columns are there."""
+
+    def likely(kind: Kind) -> tuple[bool, int]:
+        return bool(set(kind.stated or ()) & set(told)), len(set(kind.columns[1:]) & set(names))
+
+    meant = max(kinds(), key=likely)
+    free = [column for column in columns if column.name not in meant.columns] if any(likely(meant)) else []
+    # A length is no angle.
+    lacking = [name for name in meant.columns[1:] if name not in names]
+    pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
+    head, name = next(pairs, ("", ""))
+    return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'
 
 
 def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
@@ -370,23 +396,3 @@ def _as_csv(rows: Sequence[Sequence[str]]) -> str:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue()
-
-
-def _recipe_path(home: Home, heads: Sequence[str]) -> Path:
-    key = hashlib.sha256(json.dumps(list(heads)).encode()).hexdigest()[:16]
-    return home.root / "recipes" / f"{key}.toml"
-
-
-def _recipe(home: Home, heads: Sequence[str]) -> dict[str, Any]:
-    """Return what was answered for a file with this header; empty without one, or when it cannot be read."""
-    place = _recipe_path(home, heads)
-    if not place.is_file():
-        return {}
-    try:
-        recipe = tomllib.loads(read_bounded(place).decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            "the recipe for this header cannot be read", code="import.recipe", where=str(place), hint="delete the file"
-        ) from error
-    columns, told = recipe.get("columns", {}), recipe.get("told", {})
-    return recipe if isinstance(columns, dict) and isinstance(told, dict) else {}

@@ -1,4 +1,4 @@
-"""Tables in a spreadsheet (.xlsx), read as the CSV that they would be saved as."""
+"""Tables in a spreadsheet (.xlsx), or packed (.zip), read as the CSV that they would be saved as; files that are no tables, whatever their ending."""
 
 from __future__ import annotations
 
@@ -19,10 +19,14 @@ from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
-SUFFIXES = (".xlsx", ".xlsm")
+SUFFIXES = (".xlsx", ".xlsm", ".xls", ".zip")
+_ZIP, _OLE = b"PK\x03\x04", bytes.fromhex("d0cf11e0a1b11ae1")
+_MARKUP = re.compile(r"\s*(<(!doctype|html|head|meta|body|table|style|\?xml|!--)|mime-version:)", re.I)
+_TITLE = re.compile(r"<title[^>]*>\s*(.*?)\s*</title", re.I | re.S)
 _MAX_BYTES = 32 * 1024**2
 # Unpacked: a small archive may be a bomb.
 _MAX_UNPACKED = 256 * 1024**2
+_IN_ARCHIVES = (".csv", ".tsv", ".txt", ".dat", ".md", ".xlsx", ".xlsm", ".xls")
 _SNIFFED, _FIRST_LINES = 65_536, 100
 _LOOKED_AT = 200
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
@@ -31,8 +35,13 @@ _CHUNK = 1024**2
 
 
 def is_spreadsheet(path: Path) -> bool:
-    """Tell by its ending whether a file is a spreadsheet."""
-    return path.suffix.lower() in SUFFIXES
+    """Tell by its ending, or its first bytes, whether a file is a spreadsheet or packed."""
+    return path.suffix.lower() in SUFFIXES or (path.is_file() and _begin(path, len(_ZIP)) == _ZIP)
+
+
+def _begin(path: Path, size: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(size)
 
 
 def ending_as_table(path: Path) -> str:
@@ -54,9 +63,14 @@ def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
         When the file cannot be read, or is larger than ``max_bytes`` or than the limits of this module.
     """
     if not is_spreadsheet(path):
-        return read_bounded(path, max_bytes)
+        return _table_of_text(path, read_bounded(path, max_bytes))
     require_bounded(path, _MAX_BYTES)
-    return _converted(path, path.stat().st_mtime_ns, axis)
+    return _converted(path, path.stat().st_mtime_ns, axis)[0]
+
+
+def has_other_axes(path: Path, axis: str) -> bool:
+    """Return whether a sheet is taken of several because it is called as an axis is."""
+    return is_spreadsheet(path) and _converted(path, path.stat().st_mtime_ns, axis)[1]
 
 
 def first_text(path: Path, max_bytes: int) -> str:
@@ -64,9 +78,8 @@ def first_text(path: Path, max_bytes: int) -> str:
     if is_spreadsheet(path):
         require_bounded(path, _MAX_BYTES)
         # Sheets of several axes are of one form.
-        return decoded(_converted(path, path.stat().st_mtime_ns, None)[:_SNIFFED])
-    with path.open("rb") as file:
-        return decoded(file.read(_SNIFFED))
+        return decoded(_converted(path, path.stat().st_mtime_ns, None)[0][:_SNIFFED])
+    return decoded(_table_of_text(path, _begin(path, _SNIFFED)))
 
 
 def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
@@ -75,22 +88,30 @@ def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
 
 
 @lru_cache(maxsize=4)
-def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
-    """Return a sheet as CSV; ``axis``: None takes the first of those with the same heads that are called as axes are."""
+def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, bool]:
+    """Return a sheet as CSV, or the table of text that is there in its place or packed; and whether others were left for the axis.
+
+    ``axis``: None takes the first of those with the same heads that are called as axes are.
+    """
     import openpyxl
 
+    data: bytes = path.read_bytes()
     try:
-        with zipfile.ZipFile(path) as archive:
+        if data.startswith(_ZIP) and not _is_workbook(data):
+            data = _only_table(path, data)
+        if not _is_workbook(data):
+            return _table_of_text(path, data), False
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
             calculated = unpacked <= _MAX_UNPACKED and _has_formulas(archive)
         if unpacked > _MAX_UNPACKED:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
         try:
             # What is hidden is not what its reader sees.
             shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
             if calculated:
-                _require_saved(path, shown)
+                _require_saved(path, data, shown)
             heads = {
                 sheet.title: _heads(_rows(path, islice(sheet.iter_rows(values_only=True), _LOOKED_AT)))
                 for sheet in shown
@@ -98,6 +119,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
             tables = [title for title, found in heads.items() if found]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
             called = [title for title in tables if axis and axis_of(title, bare=True) == axis.upper()]
+            others = len(called) == 1 < len(tables)
             if len(called) == 1:
                 tables = called
             elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
@@ -106,7 +128,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
-                    return _as_csv(rows)
+                    return _as_csv(rows), others
         finally:
             book.close()
     except InputError:
@@ -115,6 +137,50 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> bytes:
     except Exception as error:
         raise _refused(path, f"{type(error).__name__}: {error}"[:160], "a workbook of Excel 2007 or later") from error
     raise _refused(path, "no sheet holds a table", "a sheet with a row of names and rows of values")
+
+
+def _is_workbook(data: bytes) -> bool:
+    if not data.startswith(_ZIP):
+        return False
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return any(name.startswith("xl/") for name in archive.namelist())
+
+
+def _only_table(path: Path, data: bytes) -> bytes:
+    """Return the only file of an archive; refuse those of several: one would be read for all."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = [entry for entry in archive.infolist() if not entry.is_dir()]
+        files = [entry for entry in files if not re.search(r"(^|/)(\.|__MACOSX/|Thumbs\.db$)", entry.filename)]
+        small = len(files) == 1 and files[0].file_size <= _MAX_UNPACKED
+        if small and Path(files[0].filename).suffix.lower() in _IN_ARCHIVES:
+            return archive.read(files[0])
+    raise InputError(
+        "the archive is no single table",
+        code="spreadsheet.archive",
+        where=str(path),
+        got=", ".join(entry.filename for entry in files)[:160] or "no file",
+        allowed=f"one file, {', '.join(_IN_ARCHIVES)}, of up to {_MAX_UNPACKED / 1e6:z.0f} MB",
+        hint="unpack it, and bring the folder with its campaign.toml, or each table",
+    )
+
+
+def _table_of_text(path: Path, data: bytes) -> bytes:
+    """Return a text as it is; refuse what is none, or is a page: its rows would be taken for those of a table."""
+    begin = decoded(data[:_SNIFFED])
+    got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else ""
+    if _MARKUP.match(begin):
+        title = _TITLE.search(begin)
+        got = "a page in HTML or XML" + (f", {title[1][:60]!r}" if title else "")
+    if not got:
+        return data
+    raise InputError(
+        "the file is no table of text, whatever its ending",
+        code="spreadsheet.form",
+        where=str(path),
+        got=got,
+        allowed="text with commas, semicolons or tabs between columns; .xlsx",
+        hint="open it in a spreadsheet program, look whether it shows the table, and save it as .xlsx or .csv",
+    )
 
 
 def _has_formulas(archive: zipfile.ZipFile) -> bool:
@@ -130,11 +196,11 @@ def _has_formulas(archive: zipfile.ZipFile) -> bool:
     return False
 
 
-def _require_saved(path: Path, sheets: Sequence[Any]) -> None:
+def _require_saved(path: Path, data: bytes, sheets: Sequence[Any]) -> None:
     """Refuse a formula whose value was never calculated, as programs write it: it would count as a cell without a reading."""
     import openpyxl
 
-    book = openpyxl.load_workbook(path, read_only=True, keep_links=False)
+    book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, keep_links=False)
     try:
         for sheet in sheets:
             for told, read in zip(book[sheet.title].iter_rows(), sheet.iter_rows(), strict=False):

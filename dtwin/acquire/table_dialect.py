@@ -83,7 +83,7 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     """Return the cells of a table without comments and empty lines; a decimal comma becomes a point.
 
     ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
-    semicolons or tabs part the columns.
+    semicolons or tabs part the columns, or where it is quoted and no point stands in a number.
     """
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     mark = mark_of(lines)
@@ -98,7 +98,10 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     decimal = decimal or _grouped(rows)
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
-    return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+    # Quoted, a decimal comma stands among commas, too.
+    numbers = [cell.strip() for row in rows for cell in row if mark == "," and _NUMBER.fullmatch(cell.strip())]
+    quoted = any("," in n and not _WHOLE["point"].fullmatch(n) for n in numbers) and not any("." in n for n in numbers)
+    return [[cell.replace(",", ".") for cell in row] for row in rows] if mark != "," or quoted else rows
 
 
 def typed(cell: str) -> str:
@@ -113,8 +116,8 @@ def typed(cell: str) -> str:
 def _grouped(rows: list[list[str]]) -> str:
     """Return the decimal sign that digits in groups tell; nothing where none are, or both.
 
-    ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800``, and ``2.000`` and ``4.500``, where the table
-    writes decimals by the other sign and no point stands elsewhere.
+    ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800`` where no point stands elsewhere, and ``2.000`` and
+    ``4.500``, where the table writes decimals by the other sign, too.
     """
     cells = [cell.strip() for row in rows for cell in row]
     told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
@@ -129,12 +132,12 @@ def _grouped(rows: list[list[str]]) -> str:
         mark, other = (",", ".") if sign == "comma" else (".", ",")
         parted = [number for number in numbers if other in number]
         decimals = any(mark in number and not _WHOLE_EITHER.fullmatch(number) for number in numbers)
-        if parted and decimals and all(map(form.fullmatch, parted)):
+        if parted and all(map(form.fullmatch, parted)):
             columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
             among = any(
                 any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns
             )
-            if among or all(number.endswith("00") for number in parted):
+            if among or (decimals and all(number.endswith("00") for number in parted)):
                 return sign
     return ""
 

@@ -18,6 +18,7 @@ FORMS = "ISO 8601, 31.12.2026 08:00, 12/31/2026 8:00:00 PM, 31-Dec-2026 08:00:00
 _OF_DAY = r"(\d{1,3}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([ap]\.?m\.?)?"
 _STAMP = re.compile(rf"(\d{{1,4}})([./-])(\d{{1,2}})\2(\d{{1,4}})(?:[ T,-]+{_OF_DAY})?", re.I)
 _CLOCK = re.compile(_OF_DAY, re.I)
+_EASTERN = re.compile(r"(\d{4})年(\d{1,2})月(\d{1,2})日")
 _DATED, _ORDER = re.compile(r"date|datum", re.I), re.compile(r"(?<![a-z])(dd?\W?mm?|mm?\W?dd?)\W?yy", re.I)
 _HOURS = re.compile(r"uhr|clock|of day|h:mm", re.I)
 _NAMED = ("%d-%b-%Y %H:%M:%S", "%d %b %Y %H:%M:%S", "%d-%b-%Y %H:%M", "%b %d, %Y %I:%M:%S %p")
@@ -46,7 +47,7 @@ def seconds_of(cells: Sequence[str], where: str, head: str = "") -> tuple[Floats
     InputError
         When days and months may be exchanged.
     """
-    told = [cell.strip() for cell in cells]
+    told = [_EASTERN.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
     numbers = np.array([float(cell) if is_number(cell) else math.nan for cell in told])
     if np.isfinite(numbers).any():
         return _of_numbers(numbers, dated=_DATED.search(head) is not None)

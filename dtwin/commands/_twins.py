@@ -192,26 +192,28 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
 def learn_effect(
     name: Name,
     seed: Seed = 0,
-    symbolic: Annotated[
-        bool, typer.Option("--symbolic", help="A formula by symbolic regression, not a power law.")
-    ] = False,
+    symbolic: Annotated[bool, typer.Option("--symbolic", help="A formula by symbolic regression instead.")] = False,
+    as_map: Annotated[bool, typer.Option("--map", help="A map of what is the same at every feed instead.")] = False,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
     """Add a law for structure that no effect explains: a description, provisional."""
+    if symbolic and as_map:
+        raise InputError(
+            "a law is a formula or a map", code="twin.learn", got="--symbolic --map", allowed="one of them"
+        )
+    from dtwin.train.symbolic import OperonEngine
+    from dtwin.twins.learn import learn_formula, learn_law, learn_map
+
     twins = _twins(effects_path)
     before = twins.newest(name)
     if symbolic:
-        from dtwin.train.symbolic import OperonEngine
-
-        twin, learned = twins.learn_formula(name, OperonEngine(), seed=seed)
-        gain, said = learned.gain, f"\nformula, µm: {learned.shown}"
+        learned = learn_formula(twins, name, OperonEngine(), seed=seed)
     else:
-        twin, gain = twins.learn(name, seed=seed)
-        said = ""
+        learned = (learn_map if as_map else learn_law)(twins, name, seed=seed)
     if not as_json:
-        print(f"gain on left-out conditions: {100 * gain:z.1f} %{said}")
-    _show_rung(before, twin, as_json=as_json)
+        print(f"gain on left-out conditions: {100 * learned.gain:z.1f} %{learned.said}")
+    _show_rung(before, learned.twin, as_json=as_json)
 
 
 @app.command("budget")

@@ -24,10 +24,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.schema import require_name
-from dtwin.train.residual_formula import ResidualFormula
-from dtwin.train.symbolic import Engine
-from dtwin.twins._formulas import WithFormulas
-from dtwin.twins._learn import learn_formula, learn_law
+from dtwin.twins._learned import WithLearned
 from dtwin.twins._recorded import with_record
 from dtwin.twins._stored import twin_from
 from dtwin.twins.measured import Comparison, Loaded, load
@@ -53,10 +50,10 @@ class Twins(TwinShelf):
         self._others = library
 
     @cached_property
-    def library(self) -> WithFormulas:
-        """Effects, and the formulas that were learned; looking for those of entry points takes longer than a page may."""
+    def library(self) -> WithLearned:
+        """Effects, and what was learned beside them; looking for those of entry points takes longer than a page may."""
         others = Library() if self._others is None else self._others
-        return WithFormulas(others, self.home.root / "formulas")
+        return WithLearned(others, self.home.root / "formulas")
 
     def fit(self, campaign: str | Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
         """Fit a twin to campaigns of a machine; an existing twin of that name gets a new version.
@@ -206,14 +203,6 @@ class Twins(TwinShelf):
         """
         old = self.newest(name, version)
         return self._store(name, self._load(old.campaigns), old.terms, f"restore v{version}")
-
-    def learn(self, name: str, *, seed: int = 0) -> tuple[Twin, float]:
-        """Add the scaling law that describes unknown structure best; see :func:`learn_law`."""
-        return learn_law(self, name, seed)
-
-    def learn_formula(self, name: str, engine: Engine, *, seed: int = 0) -> tuple[Twin, ResidualFormula]:
-        """Add a formula for unknown structure; see :func:`dtwin.twins._learn`."""
-        return learn_formula(self, name, engine, seed)
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found that is large enough.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,10 +22,12 @@ from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
-from dtwin.workbench._uploads import safe_path, sources
+from dtwin.workbench._uploads import safe_path, sources, tables_alone
 
 router = APIRouter()
 _MOST_TABLES = 200
+_OPTION = re.compile(r"--(\w+) ")
+"""An option of the command line, within a sentence."""
 
 
 class _Told(BaseModel):
@@ -86,6 +89,14 @@ def drop_tray(request: Request, tray: str) -> dict[str, str]:
     return {"dropped": tray}
 
 
+@router.post("/api/trays/{tray}/tables")
+def tables_of_tray(request: Request, tray: str) -> list[str]:
+    """Return the tables of a tray that lie alone, in archives, too."""
+    folder = bench_of(request).trays.folder(tray)
+    with _said_of_the_tray(folder):
+        return tables_alone(folder)
+
+
 @router.post("/api/trays/{tray}/understand")
 def understand_table(request: Request, tray: str, table: _Table) -> dict[str, Any]:
     """Return what a table of a tray is taken for; where it cannot be, its heads and the reason."""
@@ -122,17 +133,23 @@ def _refused_as_it_is(path: Path, told: Mapping[str, Any]) -> str:
 
 @contextmanager
 def _said_of_the_tray(folder: Path) -> Iterator[None]:
-    """Let refusals name files as they were dropped, without the tray's place on this computer."""
+    """Let refusals name files as they were dropped, without the tray's place on this computer, and fields of the form for options."""
     try:
         yield
     except InputError as error:
-        error.where = error.where and error.where.replace(f"{folder}/", "")
+        _for_the_page(error, folder)
         raise
+
+
+def _for_the_page(error: InputError, folder: Path) -> None:
+    error.where = error.where and error.where.replace(f"{folder}/", "")
+    if error.hint and not error.hint.startswith("dtwin "):
+        error.hint = _OPTION.sub(r"\1 in the form: ", error.hint)
 
 
 def _said(error: InputError, path: Path) -> str:
     """Return a refusal without the tray's place on this computer."""
-    error.where = error.where and error.where.replace(f"{path.parent}/", "")
+    _for_the_page(error, path.parent)
     return error.render()
 
 

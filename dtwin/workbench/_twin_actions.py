@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Literal
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
@@ -14,6 +15,7 @@ from dtwin.kinds.volumetric import HeatTwin, HeatTwins
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
+from dtwin.twins.learn import learn_law, learn_map
 from dtwin.twins.of_kind import fit_twin, twins_for
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
@@ -98,12 +100,13 @@ def _changed(request: Request, name: str, wanted: _EffectRequest, verb: str) -> 
     return _start(bench, title, name, change, "/twins/{name}/versions")
 
 
-@router.post("/api/twins/{name}/learn")
-def learn(request: Request, name: str) -> JSONResponse:
-    """Add a law for structure that no effect explains."""
+@router.post("/api/twins/{name}/learn/{what}")
+def learn(request: Request, name: str, what: Literal["law", "map"]) -> JSONResponse:
+    """Add a law, or a map, for structure that no effect explains."""
     bench = bench_of(request)
     bench.twins.newest(name)
-    return _start(bench, f"Learn a law for {name}", name, lambda: bench.twins.learn(name)[0], "/twins/{name}/versions")
+    learned = partial(learn_law if what == "law" else learn_map, bench.twins, name)
+    return _start(bench, f"Learn a {what} for {name}", name, lambda: learned().twin, "/twins/{name}/versions")
 
 
 @router.post("/api/twins/{name}/rollback")

@@ -27,7 +27,8 @@ _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH, _MAX_PART_BYTES = 4, 200
 _CHUNK = 1024 * 1024
 _PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
-_ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a campaign folder, or all files of one with its campaign.toml"
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".md", ".rtl", ".pos", ".parquet", *SPREADSHEETS)
+_ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a table or of a campaign folder, or all files of one with its campaign.toml"
 
 
 class Trays:
@@ -120,15 +121,21 @@ def safe_path(name: str) -> PurePosixPath:
     return PurePosixPath(*parts)
 
 
+def tables_alone(folder: Path) -> list[str]:
+    """Return the tables of a tray that no ``campaign.toml`` names, which do not say how they were measured; archives are unpacked first."""
+    _unpack_all(folder)
+    if any(folder.rglob("campaign.toml")):
+        return []
+    tables = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in _TABLES)
+    return [str(path.relative_to(folder)) for path in tables]
+
+
 def sources(folder: Path, told: Collection[Path] = ()) -> list[Path]:
     """Return what a tray holds that can be ingested; archives are unpacked first.
 
     ``told``: tables that lie alone, of which conditions were told: they are sources beside campaign folders, too.
     """
-    for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
-        target = archive.with_name(f"{archive.stem}-unpacked")
-        _unpack(archive, target)
-        archive.unlink()
+    _unpack_all(folder)
     folders = sorted(folder.rglob("campaign.toml"))
     homes = [toml.parent for toml in folders]
     alone = {".b5r"} if homes else {".b5r", ".csv", ".parquet", *SPREADSHEETS}
@@ -149,11 +156,17 @@ def sources(folder: Path, told: Collection[Path] = ()) -> list[Path]:
     )
 
 
+def _unpack_all(folder: Path) -> None:
+    for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
+        _unpack(archive, archive.with_name(f"{archive.stem}-unpacked"))
+        archive.unlink()
+
+
 def _unpack(archive: Path, target: Path) -> None:
     """Unpack an archive that nobody vouches for."""
     try:
         with zipfile.ZipFile(archive) as opened:
-            members = [m for m in opened.infolist() if not m.is_dir()]
+            members = [m for m in opened.infolist() if not m.is_dir() and not m.filename.startswith("__MACOSX/")]
             if len(members) > _MAX_FILES:
                 raise _too_much("files", str(len(members)), str(_MAX_FILES))
             left = MAX_UNPACKED_BYTES

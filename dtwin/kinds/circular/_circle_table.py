@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads, require_one_table
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
+from dtwin.kinds.circular._circle_ways import DEVIATION, DIRECTION, bare, blocks, deviates, way_of
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -35,31 +36,19 @@ _MAX_BYTES = 64 * 1024**2
 _FEWEST = 36
 """Rows of a circle."""
 _TOLD_ABOVE = (
-    ("radius_mm", re.compile(r"\bradius\b\W*(\d+(?:[.,]\d+)?)\s*mm\b(?!\s*/)", re.I)),
-    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*mm\s*/\s*min", re.I)),
+    ("radius_mm", re.compile(r"(?:\bradius\b\W*(?=\S+\s*mm)|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I)),
+    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*(m?m)\s*/\s*min", re.I)),
 )
-"""Conditions as titles above the heads tell them."""
+"""Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
+_PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
 _SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
 _MOST_OFF = 0.1
 """Of the programmed radius."""
-_SPELT = (
-    (
-        re.compile(
-            r"(counter|anti)[- ]?clockwise|gegen( ?den)? ?uhrzeigersinn|gegenuhrzeiger(sinn)?|anti ?horaire|antiorario|antihorario",
-            re.I,
-        ),
-        "ccw",
-    ),
-    (re.compile(r"clockwise|(im )?uhrzeigersinn|(sens )?horaire|\borario|\bhorario", re.I), "cw"),
-)
-"""How a direction is spelt out, those against the clock first: their names hold the others."""
-_WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
-_DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)
 _BESIDE = re.compile(
     r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
     re.I,
@@ -110,7 +99,7 @@ def read_circle_runs(
     form = _form_of(columns)
     _require_as_titled(lines[: len(lines) - len(body)], stated, path)
     _require_one_meaning(columns, path)
-    _require_one_table(columns, body, path)
+    require_one_table([column.head for column in columns], body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
         raise _wrong("a table of a circle needs its programmed radius and feed", path, "radius_mm, feed_mm_min", "both")
@@ -121,9 +110,7 @@ def read_circle_runs(
             got = f"{columns[i].head}: {columns[i].why_not}" if columns[i].unit else columns[i].head
             raise _wrong("a column tells no unit that is known", path, got, "such as ccw [µm], angle [deg], X [mm]")
     values = {i: _numbers(body, i, columns[i]) for i in needed}
-    beside = {
-        i: c.name for i, c in enumerate(columns) if i not in needed and c.name and not _COMMANDED.search(_bare(c))
-    }
+    beside = {i: c.name for i, c in enumerate(columns) if i not in needed and c.name and not _COMMANDED.search(bare(c))}
     kept = {name: _numbers(body, i, columns[i], as_it_is=True) for i, name in beside.items()}
     rejects = [
         {
@@ -151,7 +138,9 @@ def read_circle_runs(
             | ({} if form.time is None else {"t_s": values[form.time]})
             | kept
         )
-        runs += _runs({name: column[good] for name, column in rows.items()}, way, stated, str(path))
+        for told, part in blocks(columns, lines[: len(lines) - len(body)], body):
+            block = {name: column[good & part] for name, column in rows.items()}
+            runs += _runs(block, way if form.pair else way or told, stated, str(path))
     if not runs:
         raise _wrong(
             "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
@@ -171,15 +160,18 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
 
 
 def _form_of(columns: Sequence[Column]) -> _Form | None:
-    names = [_bare(column) for column in columns]
+    names = [bare(column) for column in columns]
     first = {
         pattern: next((i for i, n in enumerate(names) if pattern.match(n)), None)
         for pattern in (_ANGLE, _TIME, _RADIUS)
     }
     ways: tuple[tuple[int, Direction | None], ...] = tuple(
-        (i, _way(name)) for i, name in enumerate(names) if _way(name)
+        (i, way_of(name)) for i, name in enumerate(names) if way_of(name)
     )
-    ways = ways or tuple((i, None) for i, column in enumerate(columns) if column.head == "deviation_um")
+    told_by_row = any(map(DIRECTION.match, names))
+    ways = ways or tuple(
+        (i, None) for i, c in enumerate(columns) if c.head == "deviation_um" or (told_by_row and deviates(c))
+    )
     pair = tuple(
         (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
     )
@@ -193,7 +185,7 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
         return None
     # Deviations under another name are imported, column by column.
-    foreign = not ways and any(map(_DEVIATION.match, names))
+    foreign = not ways and any(map(DEVIATION.match, names))
     if form.angle is not None and not pair and not foreign and (ways or form.radius is not None):
         return form
     return None
@@ -202,57 +194,37 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
 def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
     """Refuse a column whose head names a direction and is no deviation in a length, and one that stands there twice."""
     for column in columns:
-        name = _bare(column)
+        name = bare(column)
         no_length = column.unit and not column.name.endswith(("_um", "_mm"))
-        if _way(name) and (no_length or _BESIDE.search(name)):
+        if way_of(name) and (no_length or _BESIDE.search(name)):
             raise _wrong(
                 "a column names a direction and is no deviation", path, column.head, "deviations: ccw [µm], cw [µm]"
             )
-    for pattern in (_ANGLE, _TIME, _RADIUS, _DEVIATION):
-        alike = [column.head for column in columns if pattern.match(_bare(column))]
+    for pattern in (_ANGLE, _TIME, _RADIUS, DEVIATION):
+        alike = [column.head for column in columns if pattern.match(bare(column))]
         if len(alike) > 1:
             raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")
 
 
-def _require_one_table(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own."""
-    heads = [column.head for column in columns]
-    rows = ([cell.strip() for cell in row] for row in body)
-    other = next((row for row in rows if row[0] and row[0] == heads[0] and row != heads), None)
-    if other is not None:
-        raise _wrong(
-            "a second table stands below the first",
-            path,
-            ", ".join(other),
-            "a file for each, or columns beside each other",
-        )
-
-
 def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:
-    """Refuse a radius or a feed that is not the one which the titles of the table tell."""
+    """Refuse a radius, a feed or a plane that is not the one which the titles of the table tell."""
+    titles = [" ".join(row) for row in above]
+
+    def found(form: re.Pattern[str]) -> re.Match[str] | None:
+        return next((match for title in titles if (match := form.search(title)) is not None), None)
+
     for name, form in _TOLD_ABOVE:
-        titles = (" ".join(row) for row in above)
-        found = next((match for title in titles if (match := form.search(title)) is not None), None)
-        told = stated.get(name)
-        if found is not None and told and abs(float(found[1].replace(",", ".")) - told) > _SAME * told:
-            raise _wrong(
-                "the titles of the table tell another condition", path, found[0], f"{name} {told:g}, as it is told"
-            )
+        read, told = found(form), stated.get(name)
+        scale = 1000.0 if read is not None and read[form.groups].lower() == "m" else 1.0
+        if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
+            raise _titled(read[0], f"{name} {told:g}", path)
+    plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
+    if plane is not None and told and {plane[1].upper(), plane[2].upper()} != set(told):
+        raise _titled(plane[0], f"plane {told}", path)
 
 
-def _bare(column: Column) -> str:
-    """Return a head without its unit, in small letters, with blanks."""
-    base = re.sub(r"[\[(].*?[\])]", "", column.head).strip()
-    return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
-
-
-def _way(name: str) -> Direction | None:
-    for spelt, short in _SPELT:
-        name = spelt.sub(f" {short} ", name)
-    words = [re.sub(r"\d+$", "", word) if not re.fullmatch(r"g0?[23]", word) else word for word in name.split()]
-    told = {_WAYS[word] for word in words if word in _WAYS}
-    way = told.pop() if len(told) == 1 else None
-    return "CCW" if way == "CCW" else "CW" if way == "CW" else None
+def _titled(got: str, told: str, path: Path) -> InputError:
+    return _wrong("the titles of the table tell another condition", path, got, f"{told}, as it is told")
 
 
 def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is: bool = False) -> Floats:
@@ -271,7 +243,7 @@ def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is:
     if as_it_is:
         return scaled
     here = column.name.rpartition("_")[2]
-    wanted = "um" if _way(_bare(column)) or column.head == "deviation_um" else "mm"
+    wanted = "um" if way_of(bare(column)) or deviates(column) else "mm"
     return np.asarray(scaled * {("mm", "um"): UM_PER_MM, ("um", "mm"): 1.0 / UM_PER_MM}.get((here, wanted), 1.0))
 
 

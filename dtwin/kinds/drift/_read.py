@@ -17,7 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dtwin.acquire.foreign_columns import CLOCK, below_heads, columns_of, header_row, joined_heads
+from dtwin.acquire.foreign_columns import (
+    CLOCK,
+    PROBES,
+    below_heads,
+    columns_of,
+    header_row,
+    in_english,
+    joined_heads,
+    require_one_table,
+)
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -30,10 +39,7 @@ from dtwin.units import is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
-_MOVED = re.compile(
-    r"(displacement|deviation|verlagerung|drift|probe|gauge|(mess)?taster|messuhr|lvdt|[d\u03b4]?[xyz]\d?)(_?\d+)?(_\w+)?_um",
-    re.I,
-)
+_MOVED = re.compile(rf"(displacement|deviation|verlagerung|drift|{PROBES}|[d\u03b4]?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I)
 _AXIS = re.compile(r"(?:^|_)[d\u03b4]?([xyz])\d?(?=_)", re.I)
 _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
@@ -71,6 +77,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)
+    require_one_table(said, body, path)
     _require_degrees(said, units, recipe, path)
     heads, factors, zeros = _named(said, units, recipe)
     column = {name: [row[i] for row in body] for i, name in enumerate(heads)}
@@ -231,7 +238,7 @@ def _named(
     plain = [cell.strip() for cell in row]
     names, factors, zeros = [], [], []
     for head, column in zip(plain, columns_of(plain, units, {}), strict=True):
-        name, factor, zero = str(recipe.get(head, head)), 1.0, 0.0
+        name, factor, zero = str(recipe.get(head, in_english(head))), 1.0, 0.0
         if head not in recipe and column.name:
             name = column.name
         # A name that the campaign gives does not say another unit of temperature than the head does.

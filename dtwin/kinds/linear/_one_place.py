@@ -27,8 +27,8 @@ _OTHER = re.compile(STATISTICS, re.I)
 _FEWEST = 5
 
 
-def require_several_places(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table of trials, perhaps of sessions, and one reading each, with what it tells: of no place is said where it should be."""
+def trials_um(rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[float]]:
+    """Return the readings by session of a table of trials and one reading each, which says of no place where it should be; else nothing."""
     for begin, row in enumerate(rows[:20]):
         heads = [cell.strip() for cell in row]
         counts = [i for i, head in enumerate(heads) if _COUNTS.match(head) or is_index(head)]
@@ -49,7 +49,8 @@ def require_several_places(rows: Sequence[Sequence[str]], path: Path) -> None:
                 name = line[session].strip() if session is not None and session < len(line) else ""
                 told.setdefault(name, []).append(value * scale * UM_PER_MM)
         if sum(map(len, told.values())) >= _FEWEST:
-            raise one_place(path, told)
+            return told
+    return {}
 
 
 def one_place(path: Path, groups_um: Mapping[str, Sequence[float]]) -> InputError:

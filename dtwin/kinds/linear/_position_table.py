@@ -25,25 +25,32 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import part_of_axis, parts_by_axis
+from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis, require_axis
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
-from dtwin.acquire.spreadsheet import first_text, table_bytes
+from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
 from dtwin.kinds.linear._instruments import instruments_beside
 from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
-from dtwin.kinds.linear._one_place import one_place, require_several_places
+from dtwin.kinds.linear._one_place import one_place, trials_um
 from dtwin.kinds.linear._order import no_direction, ways_in_order
+from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
+from dtwin.kinds.linear._refusals import (
+    LITTLE,
+    of_angles,
+    require_lengths,
+    require_near,
+    require_positioning,
+    require_unit_of_heads,
+)
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.kinds.linear._table_heads import (
-    ANGLE,
     AXIS,
     MISSING,
     MOST_TITLES,
-    OTHER_TEST,
     TURNS,
     Long,
     Wide,
@@ -56,19 +63,17 @@ from dtwin.kinds.linear._table_heads import (
     long_of,
     names_no_direction,
     other_targets,
+    rows_of_axis,
     scale_of,
-    table_of,
     told_unit,
     way_of,
     wide_of,
     without_remarks,
 )
-from dtwin.schema import Campaign, Run
+from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
-# Of the travel: no linear axis errs by so much.
-_LITTLE = 0.02
 _MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -81,9 +86,8 @@ def is_position_table(path: Path) -> bool:
         return True
     text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
-    require_several_places(rows, path)
-    known = table_of(rows) is not None or bool(names_no_direction(rows))
-    return known or bool(report_tables(text)) or bool(instruments_beside(rows))
+    known = table_of(rows) is not None or bool(names_no_direction(rows)) or bool(trials_um(rows))
+    return known or bool(report_tables(text, rows)) or bool(instruments_beside(rows))
 
 
 def read_position_runs(
@@ -95,50 +99,55 @@ def read_position_runs(
     """
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
-    text = part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)
-    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows_of(text)[:MOST_TITLES] for cell in row)
+    whole = decoded(table_bytes(path, _MAX_BYTES, axis))
+    text = part_of_axis(whole, axis, path)
+    every = rows_of(text)
+    rows, told = rows_of_axis(every, axis)
+    require_axis(told, axis, path)
+    others = text != whole or len(rows) < len(every) or has_other_axes(path, axis)
+    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
     if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
-        raise _angles(path, f"axis {axis}, and no unit")
-    table = _read(text, path, str(condition.get("instrument", "")))
+        raise of_angles(path, f"axis {axis}, and no unit")
+    table = table_in(text, rows, path, str(condition.get("instrument", "")))
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
+    if others:
+        only = f"the file holds other axes, too: what is called {axis} in it was read"
+        said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
 
 
-def read_position_table(path: Path) -> PositionTable:
-    """Read a table of any of the forms.
+def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: str = "") -> PositionTable:
+    """Return the table of a text of any of the forms, whose cells are ``rows``; ``instrument``: of a report of several.
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    return _read(part_of_axis(decoded(table_bytes(path, _MAX_BYTES)), "", path), path)
-
-
-def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
-    """Read a text; ``instrument``: of a report of several."""
     if is_assigned(text):
         of_one_instrument([], instrument, path)
         return matrix_of(assigned_readings(text, path), path)
-    report = of_one_instrument(report_tables(text) or instruments_beside(rows_of(text)), instrument, path)
+    if trials := trials_um(rows):
+        raise one_place(path, trials)
+    report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables = [table.rows for table in report]
     if not tables:
-        every = rows_of(text)
-        _require_positioning(every, path)
-        plain = table_of(every)
-        _require_one_axis(axes_beside([*every[:MOST_TITLES], [row[0] for row in every]]), str(path))
-        if plain is None and (head := names_no_direction(every)):
+        require_positioning(rows, path)
+        plain = table_of(rows)
+        _require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
+        if plain is None and (head := names_no_direction(rows)):
             raise no_direction(
                 path,
                 head,
                 "heads such as forward 1 [mm], reverse 1 [mm]; of a test in one direction forward 1 [mm], forward 2 [mm]",
             )
         if plain is None:
-            raise wrong_form("the table is of no known form", path, ", ".join(every[0])[:120] if every else "nothing")
+            raise wrong_form("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
         tables = [plain]
     read: list[list[Reading]] = []
     in_order = False
-    for rows in tables:
-        _require_lengths(rows[:2], path)
-        wide, long = wide_of(rows[0]), long_of(rows[0])
-        read.append(_from_wide(rows, wide, path) if wide else _from_long(rows, long, path) if long else [])
+    for lines in tables:
+        require_lengths(lines[:2], path)
+        require_unit_of_heads(rows, lines, path)
+        wide, long = wide_of(lines[0]), long_of(lines[0])
+        read.append(_from_wide(lines, wide, path) if wide else _from_long(lines, long, path) if long else [])
         in_order = in_order or (wide is None and long is not None and long.way is None)
     # A single pass of its own beside repeated cycles is another test.
     several = [any(reading[2] > 1 for reading in readings) for readings in read]
@@ -146,68 +155,9 @@ def _read(text: str, path: Path, instrument: str = "") -> PositionTable:
     single = zip(report, read, several, strict=bool(report))
     left_out = dict.fromkeys(t.title for t, readings, more in single if readings and not more and any(several))
     table = matrix_of(_as_they_are([reading for readings in kept for reading in readings]), path)
-    _require_near(table, path)
+    require_near(table, path)
     name = report[0].read_with if report else ""
     return replace(table, in_order=in_order, read_with=name, left_out=tuple(left_out))
-
-
-def _require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table whose title or heads say that it is of another test along an axis."""
-    titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
-    other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
-    if other is not None:
-        raise InputError(
-            "title or heads say that this is no test of positioning",
-            code="position_table.test",
-            where=str(path),
-            got=other[:60],
-            allowed="linear positioning",
-            hint="deviations across the axis, and angles, are not read",
-        )
-
-
-def _require_near(table: PositionTable, path: Path) -> None:
-    """Refuse what was taken for positions and does not follow its targets: deviations without a unit, most likely."""
-    read_um = np.hstack([table.forward_um, table.reverse_um])
-    there = np.isfinite(read_um).any(axis=1)
-    target_mm, off_mm = table.target_mm[there], np.nanmean(read_um[there], axis=1) / UM_PER_MM
-    against_mm = 2.0 * target_mm + off_mm
-    if table.by_position and np.ptp(against_mm) < _LITTLE * np.ptp(table.target_mm):
-        raise InputError(
-            "the readings run against the targets: the scale or the instrument counts the other way",
-            code="position_table.mirrored",
-            where=str(path),
-            got=f"{target_mm[0] + off_mm[0]:z.6g} to {target_mm[-1] + off_mm[-1]:z.6g} mm at targets of {target_mm[0]:z.6g} to {target_mm[-1]:z.6g} mm",
-            allowed="readings that grow as the targets do",
-            hint="change the sign of all readings, or of all targets where those count the other way",
-        )
-    if table.by_position and np.median(np.abs(off_mm - np.median(off_mm))) > _LITTLE * np.ptp(table.target_mm):
-        raise InputError(
-            "the readings are taken for positions, and do not follow their targets",
-            code="position_table.unit",
-            where=str(path),
-            got=f"{target_mm[-1] + off_mm[-1]:z.6g} mm at a target of {target_mm[-1]:z.6g} mm",
-            allowed="positions; or deviations whose heads say so and state the unit",
-            hint="write the unit of deviations into their heads, such as: forward 1 [µm]",
-        )
-
-
-def _require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse a table of angles: its figures would be taken for lengths."""
-    angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
-    if angles:
-        raise _angles(path, angles[0][:40])
-
-
-def _angles(path: Path, got: str) -> InputError:
-    return InputError(
-        "the table is in angles, and only linear axes are judged",
-        code="position_table.unit",
-        where=str(path),
-        got=got,
-        allowed="mm, µm, nm, in",
-        hint="positioning of a rotary axis is not evaluated here; where the axis is a linear one of this name, write [mm] into the heads",
-    )
 
 
 def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
@@ -219,7 +169,7 @@ def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
     for by_position, sign in ((False, 1.0), (True, -1.0)):
         alike = all(reading[4] is by_position for reading in readings)
         off = told_um - sign * target_um
-        if alike and size > 0.0 and float(np.ptp(off)) < _LITTLE * size:
+        if alike and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
             return [
                 (target, way, cycle, float(um), not by_position)
                 for (target, way, cycle, _, _), um in zip(readings, off, strict=True)
@@ -252,9 +202,7 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} mm"
             raise wrong_form(
-                "a reading stands there twice: say which cycle each belongs to; each axis needs a file of its own",
-                path,
-                got,
+                "a reading stands there twice: say which cycle each belongs to, and of which axis it is", path, got
             )
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
@@ -352,7 +300,7 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
             where=where,
             got=", ".join(axes)[:60],
             allowed="one",
-            hint="a file for each axis",
+            hint="rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
         )
 
 

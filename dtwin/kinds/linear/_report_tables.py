@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,11 +19,13 @@ from dtwin.kinds.linear._table_heads import (
     OWN_SENSOR,
     is_deviation,
     is_index,
+    is_row_of_units,
     long_of,
     names_target,
     unit_of,
     way_of,
     wide_of,
+    without_remarks,
 )
 from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
@@ -57,24 +60,57 @@ class ReportTable:
     title: str = ""
 
 
-def report_tables(text: str) -> list[ReportTable]:
-    """Return the tables of readings of a text in Markdown, or of one with a table for each direction; none when it is neither."""
-    return _of_markdown(text) or _of_each_way(rows_of(text))
+def report_tables(text: str, rows: Sequence[Sequence[str]]) -> list[ReportTable]:
+    """Return the tables of readings of a text in Markdown, or of one with a table for each direction; none when it is neither.
+
+    ``rows``: those of the text.
+    """
+    return _of_markdown(text) or _of_each_way(rows)
 
 
 def _of_each_way(rows: Sequence[Sequence[str]]) -> list[ReportTable]:
-    """Return the tables below titles of a single cell that name the directions; none where they do not name both."""
-    parts: list[tuple[str, list[list[str]]]] = []
+    """Return the tables below titles of a single cell that name the directions; none where there are no two."""
+    parts: list[tuple[str, list[list[str]]]] = [("", [])]
     for row in rows:
         filled = [cell.strip() for cell in row if cell.strip()]
         if len(filled) == 1 and not is_number(filled[0]):
-            parts.append((filled[0], []))
-        elif parts:
+            # A remark between such a title and its rows is none.
+            if way_of(filled[0]) or parts[-1][1]:
+                parts.append((filled[0], []))
+        else:
             parts[-1][1].append([cell.strip() for cell in row])
     told = [(title, body) for title, body in parts if way_of(title) and len(body) > 1]
-    if {way_of(title) for title, _ in told} != {"forward", "reverse"} or any(OTHER_TEST.search(t) for t, _ in parts):
+    both = {way_of(title) for title, _ in told} == {"forward", "reverse"}
+    if len(told) < 2 or any(OTHER_TEST.search(t) for t, _ in parts):
         return []
-    return [table for title, body in told for table in _told_by_heading(body[0], body[1:], [title])]
+    # Heads may stand once, above the first title; readings there are of no direction.
+    above = parts[0][1]
+    if any(all(is_number(cell) for cell in row if cell) for row in above):
+        return []
+    told = [(title, [*above[-1:], *body] if any(map(is_number, body[0])) else body) for title, body in told]
+    tables = (t for title, body in told for t in _told_by_heading(body[0], body[1:], [title])) if both else ()
+    return _of_each_sweep(told) or list(tables)
+
+
+def _of_each_sweep(told: Sequence[tuple[str, Sequence[Sequence[str]]]]) -> list[ReportTable]:
+    """Return as one the tables of a row a reading below titles such as ``Messreihe 1 vorwärts``; none where they are of another form."""
+    heads = told[0][1][0]
+    long = long_of(heads)
+    # Blocks before and after a change are no sweeps of one test.
+    alike = len({name_of(title) for title, _ in told}) == 1 and all(body[0] == heads for _, body in told)
+    if long is None or long.way is not None or long.cycle is not None or not alike:
+        return []
+    numbers = [re.search(r"\d+", title) for title, _ in told]
+    seen: Counter[str | None] = Counter()
+    rows: list[Sequence[str]] = []
+    for (title, body), number in zip(told, numbers, strict=True):
+        way = way_of(title)
+        seen[way] += 1
+        cycle = number[0] if number is not None and all(numbers) else str(seen[way])
+        units = body[1:2] if len(body) > 1 and is_row_of_units(body[1], long.target) else []
+        rows += [["", "", *unit] for unit in units if not rows]
+        rows += [[str(way), cycle, *row] for row in without_remarks(heads, body[1 + len(units) :], long.target)]
+    return [ReportTable([["direction", "cycle", *heads], *rows], "")]
 
 
 def _of_markdown(text: str) -> list[ReportTable]:
@@ -131,7 +167,7 @@ def _beside(heads: Sequence[str], body: Sequence[Sequence[str]], way: str) -> li
     target = min(
         (i for i, head in enumerate(heads) if names_target(head)), key=lambda i: not unit_of(heads[i]), default=None
     )
-    cycle = next((i for i, head in enumerate(heads) if _CYCLES.search(head)), None)
+    cycle = next((i for i, head in enumerate(heads) if _CYCLES.search(head) and not unit_of(head)), None)
     read = [
         i
         for i, head in enumerate(heads)

@@ -7,15 +7,15 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 
+from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
-MOST_TITLES, _MOST_ON_ITS_SIDE = 20, 2000
+MOST_TITLES = 20
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
-_ANGLES = "deg|grad|gon|mdeg|arcsec|arcmin|[mµμu]?rad"
+_ANGLES = "deg|grad|gon|mdeg|arc ?sec|arc ?min|[mµμu]?rad"
 ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)
 TURNS = re.compile(r"[ABC]\d?", re.I)
 """Name of an axis that turns, after ISO 841."""
@@ -32,7 +32,7 @@ _OF_AXIS = re.compile(
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
-_UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
+UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
@@ -44,12 +44,17 @@ _TARGET = re.compile(
 _SURELY_TARGET = re.compile(
     r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
 )
-_INDEX = re.compile(r"#$|i\b|(target|point|punkt|pos\w*|mess\w*)?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I)
+_INDEX = re.compile(
+    r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
+)
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
-_REVERSED = re.compile(r"(nominal|soll)\s*[^\w\s/]\s*(actual|ist)", re.I)
+_REVERSED = re.compile(
+    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)",
+    re.I,
+)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
@@ -57,11 +62,29 @@ OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
 _CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
-_WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
+_SERIES = re.compile(
+    r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
+    re.I,
+)
+"""Title of a block of a test, one a cycle."""
+_WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
 _WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"}
+    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
     | {"aller", "andata", "ida", "正向", "往路", "正方向"},
-    "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
+    "reverse": {
+        "bwd",
+        "backward",
+        "backwards",
+        "b",
+        "rev",
+        "reverse",
+        "r",
+        "down",
+        "neg",
+        "negative",
+        "negativ",
+        "minus",
+    }
     | {"rück", "rückwärts", "zurück", "her"}
     | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向"},
 }
@@ -138,6 +161,23 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
+def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
+    """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
+    for begin, row in enumerate(rows[:MOST_TITLES]):
+        column = next((i for i, head in enumerate(row) if AXIS.match(head.strip())), None)
+        if column is not None:
+            kept, mine = list(rows[: begin + 1]), True
+            told: dict[str, None] = {}
+            for line in rows[begin + 1 :]:
+                # Of merged cells the first alone is filled.
+                named = axis_of(line[column], bare=True) if column < len(line) else ""
+                mine = named == axis.upper() if named else mine
+                told |= {named: None} if named else {}
+                kept += [line] if mine else []
+            return (kept if axis.upper() in told else list(rows)), list(told)
+    return list(rows), []
+
+
 def is_index(head: str) -> bool:
     """Return whether a column counts its rows: ``i``, ``i-th``, ``Pos No.``."""
     return _INDEX.match(head.strip()) is not None
@@ -151,7 +191,8 @@ def is_opposite(head: str) -> bool:
 def names_target(head: str) -> bool:
     """Return whether a column holds targets; positional deviations, as ISO 230-2 calls them, are none."""
     surely = _SURELY_TARGET.match(head.strip()) is not None
-    return (surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))) and not is_index(head)
+    told = surely or (_TARGET.match(head.strip()) is not None and not is_deviation(head))
+    return told and not is_index(head) and "radius" not in head.lower()
 
 
 def _targets(names: Sequence[str]) -> list[int]:
@@ -168,9 +209,12 @@ def other_targets(heads: Sequence[str], target: int) -> list[int]:
 
 
 def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target: int) -> list[Sequence[str]]:
-    """Return the rows of a table without blank ones, heads that are repeated, and what is written below the last target."""
+    """Return the rows of a table without blank ones, heads that are repeated, titles above those, and what is written below the last target."""
     told = [cell.strip() for cell in heads]
-    rows = [row for row in body if any(cell.strip() for cell in row) and [cell.strip() for cell in row] != told]
+    filled = [row for row in body if any(cell.strip() for cell in row)]
+    again = [[cell.strip() for cell in row] == told for row in [*filled, ()]]
+    title = [bool(_SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
+    rows = [row for row, head, above in zip(filled, again, title, strict=False) if not head and not above]
     whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
     while rows and _is_remark(rows[-1], target, whole):
         del rows[-1]
@@ -253,7 +297,7 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
     return ""
 
 
-def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
+def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
     names = [head.strip() for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
@@ -271,60 +315,6 @@ def _by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], .
     return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
 
 
-def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, which may stand in its first column; None when there is none."""
-    table = _below_titles(rows)
-    # Titles have one cell.
-    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
-        table = _below_titles(list(zip_longest(*wide, fillvalue="")))
-    return table
-
-
-def _one_reading_a_row(
-    heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
-) -> list[Sequence[str]]:
-    """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
-    target, way, cycles = by_way
-    out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
-    last = ""
-    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
-        last = row[target].strip() or last
-        out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
-    return out
-
-
-def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
-    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
-    for begin, row in enumerate(rows[:MOST_TITLES]):
-        below = list(rows[begin + 1 :])
-        by_way = _by_way_of(row)
-        if by_way is not None:
-            return _one_reading_a_row(row, below, by_way)
-        if wide_of(row) is not None or long_of(row) is not None:
-            return [row, *below]
-        numbers = any(is_number(a) and is_number(b) for a, b in zip(row, below[0] if below else (), strict=False))
-        if below and sum(bool(cell.strip()) for cell in row) > 1 and not numbers:
-            filled, last = [], ""
-            for cell in row:
-                last = cell.strip() or last
-                filled.append(last)
-            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
-            lying = any(cell.strip()[:1].isalpha() and not is_unit(cell) for line in below[1:2] for cell in line[:1])
-            wide = wide_of(joined)
-            # A number below the target's head is a target, and its row no second row of heads.
-            target = below[0][wide.target : wide.target + 1] if wide is not None else []
-            if wide is not None and not any(map(is_number, target)) and not way_of(filled[0]) and not lying:
-                return [[_unit_last(head) for head in joined], *below[1:]]
-    return None
-
-
-def _unit_last(head: str) -> str:
-    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
-    unit = _UNIT_INSIDE.search(head)
-    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
-
-
 def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
     """Return the deviation, and whether the column holds positions."""
     by_position = not is_deviation(head) and scale >= 1.0
@@ -340,7 +330,7 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
     # A unit may stand behind the sign.
-    told = _IN_BRACKETS.sub("", told).strip()
+    told = _IN_BRACKETS.sub(lambda inside: inside[1] if inside[1] in _SIGNS else "", told).strip()
     if not named and told:
         named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
     return named.pop() if len(named) == 1 else None
@@ -353,7 +343,7 @@ def is_deviation(head: str) -> bool:
 
 def unit_of(head: str) -> str:
     """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
-    match = _UNIT_INSIDE.search(head) or _UNIT.search(head)
+    match = UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
 

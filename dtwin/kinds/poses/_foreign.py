@@ -5,11 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from dtwin.acquire.foreign_columns import in_english
+
 _MOST_TITLES = 12
 _UNITS = {"meters": "m", "millimeters": "mm", "m": "m", "mm": "mm"}
 _ROS = re.compile(r"(?:.*[./ ])?(position|translation|orientation|rotation)[./]([xyzw])$", re.I)
-_GERMAN = re.compile(
-    r"(?:(?P<what>soll|ist)[ _-]*(?:pos(?:ition)?\.?|wert)?[ _-]*(?P<axis>[xyz])|(?P<axis2>[xyz])[ _-]*(?P<what2>soll|ist)(?:pos(?:ition)?\.?|wert)?)"
+_WORDS = {
+    **dict.fromkeys(("soll", "target", "nominal", "command", "commanded", "cmd"), "target"),
+    **dict.fromkeys(("error", "deviation", "fehler", "abweichung"), "error"),
+    **dict.fromkeys(("ist", "measured", "meas", "actual", "act"), "measured"),
+}
+_WORD = "|".join(sorted(_WORDS, key=len, reverse=True))
+_PLACE = r"(?:pos(?:ition)?\.?|wert)?"
+_TOLD = re.compile(
+    rf"(?:(?P<what>{_WORD})[ _-]*{_PLACE}[ _-]*(?P<axis>[xyz])|(?P<axis2>[xyz])[ _-]*(?P<what2>{_WORD})[ _-]*{_PLACE})"
     r"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>mm|m|µm|μm|um)[\])]?)?",
     re.I,
 )
@@ -45,14 +54,20 @@ def of_ros(heads: Sequence[str]) -> bool:
     return any(_ROS.match(head.strip()) for head in heads)
 
 
-def of_german(head: str) -> str:
-    """Return the house's name of ``Soll X [mm]`` or ``x_ist``, in millimetres where no unit is told; other heads as they are."""
-    found = _GERMAN.fullmatch(head)
+def of_words(head: str, below: str = "") -> str:
+    """Return the house's name of ``Soll X [mm]``, ``x_ist`` or ``Actual X``, in millimetres where no unit is told; other heads as they are.
+
+    ``below``: the unit that a row below the heads tells.
+    """
+    found = _TOLD.fullmatch(in_english(head))
     if found is None:
         return head
+    if below and not found["unit"]:
+        # Of a unit that is not known here it is no head that is.
+        return of_words(f"{head} [{below.strip('[]() ')}]")
     what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
     unit = (found["unit"] or "mm").lower().replace("µ", "u").replace("μ", "u")
-    return f"{'target' if what == 'soll' else 'measured'}_{axis}_{unit}"
+    return f"{_WORDS[what]}_{axis}_{unit}"
 
 
 def lines_for(heads: Sequence[str], unit: str) -> list[str]:

@@ -6,19 +6,20 @@ has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degr
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
+from dtwin.acquire.foreign_columns import below_heads, joined_heads
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
-from dtwin.acquire.table_dialect import SUMMARY, decoded, mark_of, typed
+from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
 from dtwin.errors import InputError
-from dtwin.kinds.poses._foreign import joined, lines_for, of_german, of_ros
+from dtwin.kinds.poses._foreign import joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -96,7 +97,7 @@ def is_pose_table(path: Path) -> bool:
     if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
         return False
     rows = first_rows(path, _MOST_BYTES)
-    heads = [of_german(head.strip()) for head in next(iter(rows), [])]
+    heads = _headed(rows, {}, path)[0]
     if joined(rows) is not None or of_ros(heads):
         return True
     commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
@@ -105,13 +106,8 @@ def is_pose_table(path: Path) -> bool:
 
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
-    lines = decoded(table_bytes(path, _MOST_BYTES)).splitlines()
-    rows = [row for row in csv.reader(lines, delimiter=mark_of(lines)) if any(row)]
     recipe = campaign.instrument.get("columns", {})
-    named_in = (n for n, row in enumerate(rows[:_MOST_TITLES]) if any(cell.strip() in recipe for cell in row))
-    begin = next(named_in, 0)
-    heads, below, unit = joined(rows) or (list(rows[begin]) if rows else [], rows[begin + 1 :], "m")
-    named = [house_name(str(recipe.get(head.strip(), of_german(head.strip())))) for head in heads]
+    named, heads, below, unit = _headed(rows_of(decoded(table_bytes(path, _MOST_BYTES))), recipe, path)
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {
@@ -135,6 +131,31 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         # ROS tells whole seconds and the rest apart.
         columns["t_s"] = columns.get("t_s", 0.0) + 1e-9 * columns.pop("t_ns")
     return columns, heads, unit
+
+
+def _headed(
+    rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path
+) -> tuple[list[str], list[str], list[Sequence[str]], str]:
+    """Return the house's names of the columns, the heads, which may stand below titles, the rows below and the unit of lengths."""
+    exported = joined(rows)
+    if exported is not None:
+        heads, body, unit = exported
+        return [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads], heads, body, unit
+    rows = joined_heads(rows, path)
+    known = (*_NEEDED, "target_")
+    named_in = (
+        n
+        for n, row in enumerate(rows[:_MOST_TITLES])
+        if any(cell.strip() in recipe or of_words(cell.strip()).startswith(known) for cell in row)
+    )
+    begin = next(named_in, 0)
+    heads = [cell.strip() for cell in rows[begin]] if rows else []
+    units, body = below_heads(rows, begin)
+    named = [
+        house_name(str(recipe.get(head, of_words(head, below))))
+        for head, below in zip_longest(heads, (units or [])[: len(heads)], fillvalue="")
+    ]
+    return named, heads, body, "m"
 
 
 def _numbers(cells: list[str]) -> Floats:

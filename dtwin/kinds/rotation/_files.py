@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import zip_longest
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
-from dtwin.acquire.foreign_columns import joined_heads
+from dtwin.acquire.foreign_columns import joined_heads, require_one_table
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -22,6 +21,7 @@ from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._at_rest import is_at_rest
+from dtwin.kinds.rotation._blocks import SPEED_ABOVE, below_speeds, cell_of, repeats_below
 from dtwin.kinds.rotation._heads import (
     ANGLE,
     PATH,
@@ -44,13 +44,6 @@ _MOST_TITLES = 20
 _MOST_PROBES = 64
 _MOST_ON_ITS_SIDE = 200
 _UNIX_S = 1e9
-_REPEAT = re.compile(
-    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|turn|umdrehung|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
-    re.I,
-)
-"""In the head of a column: which of several readings of one probe it holds."""
-_SPEED_ABOVE = re.compile(r"([\d.]+)\s*(rpm|1/min|min-1|u/min|r/min|tr/min)", re.I)
-"""Head of a column at one speed."""
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
 
 
@@ -106,10 +99,11 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
 
 
 def _upright(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
-    """Return a table with its heads in a row, joined where they stand in two; one over speed may lie on its side."""
+    """Return a table with its heads in a row, joined where they stand in two; one over speed may lie on its side, or in blocks."""
+    rows = below_speeds(rows)
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
     if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE and _headed(rows, {}) is None:
-        told = [_SPEED_ABOVE.fullmatch(cell.strip()) for cell in wide[0][1:]]
+        told = [SPEED_ABOVE.fullmatch(cell.strip()) for cell in wide[0][1:]]
         if all(told) and len({cell[2] for cell in told if cell}) == 1:
             wide[0] = [f"speed {next(cell[2] for cell in told if cell)}", *(cell[1] for cell in told if cell)]
         numbers = all(number_or_none(cell) is not None for cell in wide[0][1:] if column_of(cell).role != SPEED)
@@ -117,6 +111,14 @@ def _upright(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
         if column_of(wide[0][0]).role == SPEED and numbers and _headed(standing, {}) is not None:
             return list(standing)
     return joined_heads(rows, path)
+
+
+def _going_on(clock: Floats, speed: Floats) -> Floats:
+    """Return a clock that goes on where it begins anew at another speed."""
+    steps = np.diff(clock)
+    anew = (steps < 0.0) & (np.abs(np.diff(speed)) > 0.0)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
+    return np.asarray(clock + np.concatenate([[0.0], np.cumsum(np.where(anew, usual - steps, 0.0))]))
 
 
 def _headed(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any]) -> tuple[int, list[Column], int] | None:
@@ -153,33 +155,6 @@ def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
     return column_of(name) if name else Column("")
 
 
-def _repeats_below(
-    heads: Sequence[str], columns: list[Column], probes: Sequence[int], body: Sequence[Sequence[str]]
-) -> tuple[list[Column], list[int], list[Sequence[str]]]:
-    """Return a table whose columns of one probe, ``run 1``, ``run 2``, stand as rows below each other: they are repeats."""
-    alike: dict[str, list[int]] = {}
-    for n in probes:
-        if _REPEAT.search(heads[n]):
-            alike.setdefault(_REPEAT.sub("", heads[n]), []).append(n)
-    first = {group[0]: group for group in alike.values() if len(group) > 1}
-    if not first:
-        return columns, list(probes), list(body)
-    others = {n for group in first.values() for n in group[1:]}
-    named = [
-        replace(c, name=_REPEAT.sub("", c.name).strip("_") or c.name) if n in first else c
-        for n, c in enumerate(columns)
-    ]
-    out: list[Sequence[str]] = []
-    for k in range(max(map(len, first.values()))):
-        for row in body:
-            cells = [cell if k == 0 or n not in probes else "" for n, cell in enumerate(row)]
-            for n, group in first.items():
-                if n < len(cells):
-                    cells[n] = _cell(row, group[k]) if k < len(group) else ""
-            out.append(cells)
-    return named, [n for n in probes if n not in others], out
-
-
 def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
     headed = _headed(rows, recipe)
     if headed is None:
@@ -187,6 +162,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     begin, columns, first = headed
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
+    require_one_table(heads, rows[first:], path)
     roles = {c.role for c in columns}
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
@@ -197,20 +173,22 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     body = list(rows[first:])
     by_hand = is_dial(columns) and _at_places(columns, body)
     if (by_speed and TIME not in single) or by_hand:
-        columns, probes, body = _repeats_below(heads, columns, probes, body)
+        columns, probes, body = repeats_below(heads, columns, probes, body)
     told = {n: _values(body, n, columns[n].factor) for n in (*single.values(), *probes) if n != single.get(TIME)}
     clock = np.arange(len(body), dtype=np.float64)
     started = ""
     if TIME in single:
-        clock, started = _clock([_cell(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
-    assumed = assumed_of([cell for row in rows[begin:first] for cell in row])
+        clock, started = _clock([cell_of(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
+    bare = {heads[n]: columns[n] for role, n in single.items() if not (role == TIME and started)}
+    assumed = assumed_of([cell for row in rows[begin:first] for cell in row], bare)
     reading = Reading(by_speed=by_speed, timed=TIME in single, started=started, assumed=assumed)
     shared = np.isfinite(clock)
-    if not by_speed:
-        clock[shared] = _rising(clock[shared], path)
     for role, n in single.items():
         if role != TIME:
             shared &= np.isfinite(told[n])
+    if not by_speed and shared.any():
+        clock[shared] = _going_on(clock[shared], told[single[SPEED]][shared]) if SPEED in single else clock[shared]
+        clock[shared] = _rising(clock[shared], path)
     names = _names([columns[n].name for n in probes])
     for role, n in single.items():
         if role != TIME:
@@ -219,9 +197,9 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
         good = shared & np.isfinite(told[n])
         if good.any():
             reading.probes[name] = Channel(clock[good], told[n][good])
-        bad = [r for r in np.flatnonzero(~good) if _cell(body[r], n).lower() not in _MISSING]
+        bad = [r for r in np.flatnonzero(~good) if cell_of(body[r], n).lower() not in _MISSING]
         reading.rejects += [
-            {"row": int(r), "reason": "not a number", "values": {heads[n]: _cell(body[r], n)[:40]}} for r in bad
+            {"row": int(r), "reason": "not a number", "values": {heads[n]: cell_of(body[r], n)[:40]}} for r in bad
         ]
     if needed == PROBE:
         _require_rows(reading, len(body), path)
@@ -361,12 +339,8 @@ def _names(names: Sequence[str]) -> list[str]:
     return out
 
 
-def _cell(row: Sequence[str], n: int) -> str:
-    return row[n].strip() if n < len(row) else ""
-
-
 def _values(body: Sequence[Sequence[str]], n: int, factor: float) -> Floats:
-    cells = (number_or_none(_cell(row, n)) for row in body)
+    cells = (number_or_none(cell_of(row, n)) for row in body)
     return np.array([np.nan if v is None else v * factor for v in cells], dtype=np.float64)
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from dtwin.acquire.foreign_columns import PROBES, in_english
 from dtwin.schema import Finding
 from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
 
@@ -82,11 +83,11 @@ _RUNOUT = re.compile(
     r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
 _PROBE = re.compile(
-    r"displ|\bdisp\b|probe|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|sensor|\bdial\b|indicator|messuhr|comparateur"
+    rf"displ|\bdisp\b|\b({PROBES})|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|\bdial\b|indicator|comparateur"
 )
 _AXIAL = re.compile(r"axial|face|planlauf|轴向|端面|^d?z\d?$")
 _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
-_OTHER = re.compile(r"temp|cmd|act\b")
+_OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
 _LETTER = re.compile(r"d?[xyz]\d?")
@@ -112,12 +113,14 @@ class Column:
     ``name``: of a probe: its name, without the unit.
     ``factor``: to the unit of the role; of a probe, to µm; 0 where no unit is told.
     ``likely``: whether the words alone say so, or only a unit of length.
+    ``assumed``: the unit that is taken, where none is told.
     """
 
     role: str
     name: str = ""
     factor: float = 0.0
     likely: bool = False
+    assumed: str = ""
 
 
 def column_of(head: str, unit_below: str = "") -> Column:
@@ -135,7 +138,9 @@ def _whole_unit(share: re.Match[str]) -> str:
 
 
 def _column_of(head: str, unit_below: str) -> Column:
-    head, unit_below = (cell.replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below))
+    head, unit_below = (
+        in_english(cell).replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below)
+    )
     text = " ".join(head.replace("_", " ").split()).lower()
     unit_said = _UNIT.search(head.lower())
     inside = _IN_BRACKETS.search(head.lower())
@@ -160,11 +165,11 @@ def _column_of(head: str, unit_below: str) -> Column:
             return Column(SPEED, factor=_TURNS_RPM[told], likely=True)
         for role, word in _WORDS.items():
             if word.search(words) or word.search(text):
-                return Column(
-                    role, factor=_FACTORS[role].get(told or (inside[1] if inside else _USUAL[role]), 0.0), likely=True
-                )
+                unit = told or (inside[1] if inside else "")
+                usual = "" if unit else _USUAL[role]
+                return Column(role, factor=_FACTORS[role].get(unit or usual, 0.0), likely=True, assumed=usual)
         # A probe in volts is one without its scale, which is refused; what else is in volts is of no use here.
-        if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(words)):
+        if told and told not in _LENGTH_UM and not (_PROBE.search(words) and not _OTHER.search(f"{words} {told}")):
             return Column("")
     name = re.sub(r"[^\w.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)
@@ -172,7 +177,7 @@ def _column_of(head: str, unit_below: str) -> Column:
         return Column(RUNOUT, name, scale, likely=True)
     if _PATH.search(words):
         return Column(PATH)
-    if _OTHER.search(words):
+    if _OTHER.search(f"{words} {told}"):
         return Column("")
     likely = bool(_PROBE.search(words))
     return Column(PROBE, name, scale, likely) if scale or likely else Column("")
@@ -184,11 +189,14 @@ def figure_of(name: str) -> tuple[str, str]:
     return next(((symbol, said) for symbol, said, word in _ERROR_MOTION if word.search(text)), ("TIR", "run-out"))
 
 
-def assumed_of(cells: Sequence[str]) -> tuple[Finding, ...]:
-    """Return what is assumed of heads and units: which tenths are meant."""
+def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Finding, ...]:
+    """Return what is assumed of heads and units: which tenths are meant, and units of ``columns``, by their heads."""
+    units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
+    said = f"columns tell no unit, and are taken: {', '.join(units)}"
+    found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
     if not any(_TENTHS.search(cell) and not _SHARE.search(cell) for cell in cells):
-        return ()
-    return (Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"),)
+        return found
+    return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
 
 
 def direction_of(name: str) -> str:

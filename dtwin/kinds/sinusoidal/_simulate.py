@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -212,10 +212,3 @@ def simulate_turning(
     machine = plan.machine if plan else "virtual-turning"
     write_tone_campaign(folder, runs, told, truth, name, machine, (progress, count))
     return count
-
-
-def noiseless() -> Instruments:
-    """Return instruments that add nothing."""
-    given = Instruments()
-    sensor = replace(given.accelerometer, gain_1=1.0, noise_g_per_root_hz=0.0, drift_g=0.0)
-    return replace(given, probe_um=0.0, encoder_um=1e-9, accelerometer=sensor)

@@ -400,7 +400,7 @@ function upload(gather) {
     const tables = [];
     try {
       // One after the other: what holds for one file need not hold for the next.
-      for (const [name] of tablesAlone(files)) tables.push(await understood(tray, name));
+      for (const name of await send(`/api/trays/${tray}/tables`, {})) tables.push(await understood(tray, name));
     } catch (error) {
       await ask(`/api/trays/${tray}`, { method: "DELETE" }).catch(() => null);
       throw error;
@@ -408,9 +408,6 @@ function upload(gather) {
     return send(`/api/trays/${tray}/ingest`, { tables });
   });
 }
-
-// Tables that no campaign.toml names do not say under which conditions they were measured.
-const tablesAlone = (files) => (files.some(([name]) => /(campaign\.toml|\.zip)$/i.test(name)) ? [] : files.filter(([name]) => /\.(csv|tsv|txt|dat|md|rtl|pos|parquet|xlsx|xlsm)$/i.test(name)));
 
 const CONDITIONS = ["machine", "campaign", "plane", "radius_mm", "feed_mm_min", "direction", "axis", "instrument"];
 

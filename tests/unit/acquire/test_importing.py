@@ -171,12 +171,8 @@ def test_a_decimal_sign_that_is_told(tmp_path: Path, decimal: str, cells: str, v
     path, home = tmp_path / "d.csv", Home(tmp_path / "home")
     rows = [f"{n}.0,{cells}" if decimal == "point" else f'"{n},0",{cells}' for n in range(20)]
     path.write_text("\n".join(["t_s,angle_deg,deviation_um", *rows]) + "\n", encoding="utf-8")
-    if "e2" in cells:
-        with pytest.raises(InputError):
-            understand(path, home, CIRCLE, {})
-    else:
-        # Digits in groups beside a decimal sign leave no doubt.
-        assert understand(path, home, CIRCLE, {}).kind == "circular"
+    # Digits in groups beside a decimal sign leave no doubt, nor do commas that part no three digits.
+    assert understand(path, home, CIRCLE, {}).kind == "circular"
     found = understand(path, home, CIRCLE, {}, decimal)
     write_folder(found, tmp_path / "c", home)
     (run,) = next(iter(open_source(tmp_path / "c")[1]))[0]
@@ -234,7 +230,7 @@ def test_a_table_from_china_or_japan(tmp_path: Path, encoding: str, heads: str) 
     rows = [f"{n},{0.9 * n},{0.1 * n},20.5" for n in range(400)]
     path.write_bytes("\n".join([heads, *rows]).encode(encoding))
     found = understand(path, Home(tmp_path / "home"), CIRCLE, {})
-    assert [c.name for c in found.columns] in ([f"{heads[:2]}_s", "angle_deg", "deviation_um", "室温_c"], [])
+    assert [c.name for c in found.columns] in (["t_s", "angle_deg", "deviation_um", "room_temperature_c"], [])
     assert found.runs
 
 
@@ -313,3 +309,30 @@ def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(
     head, first, second, third, *_ = found.text.splitlines()
     assert head == "t_s,temperature_frame_c,displacement_um"
     assert (first, second, third) == ("0,19.5,0", "60,19.5,0.5", "89.75,20.1,0.5")
+
+
+@pytest.mark.parametrize(
+    ("heads", "told", "proposed"),
+    [
+        ("Winkel [deg],Wert [um],Zeit [s]", {}, '"Wert [um]=deviation_um"'),
+        ("Weg,Wert", {"axis": "X"}, '"Weg=position_mm"'),
+        ("Zeit [s],Taster [um]", CIRCLE, '"Taster [um]=deviation_um"'),
+        ("A,B", {}, '"HEAD=NAME"'),
+    ],
+)
+def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
+    tmp_path: Path, heads: str, told: dict[str, Any], proposed: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heads, *(",".join("123"[: heads.count(",") + 1]) for _ in range(3))]))
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), told, {})
+    assert proposed in str(refused.value.hint)
+
+
+def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    block = ["angle [deg],deviation [µm]", *(f"{n},{n % 7}" for n in range(360))]
+    path.write_text("\n".join(["G03", *block, "G02", *block]), encoding="utf-8")
+    with pytest.raises(InputError, match="second table"):
+        understand(path, Home(tmp_path / "home"), CIRCLE, {})

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dtwin.acquire.ingest import ingest
+from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
@@ -189,3 +189,61 @@ def test_days_and_times_of_cells_are_stamps(tmp_path: Path) -> None:
     rows += [[datetime(2026, 11, 25), time(14, 3, n), timedelta(hours=25, seconds=n), 0.5] for n in range(3)]
     lines = table_bytes(write(tmp_path / "a.xlsx", rows), 1 << 20).decode().splitlines()
     assert lines[2] == "2026-11-25,14:03:01,25:00:01.000000,0.5"
+
+
+TABLE = "target [mm]{0}forward 1 [µm]{0}reverse 1 [µm]\n0{0}1{0}2\n100{0}2{0}3\n"
+PAGE = (
+    "<!DOCTYPE html>\n<html><head><title>Sign in</title></head><body><table><tr><td>1</td></tr></table></body></html>"
+)
+
+
+def packed(path: Path, members: dict[str, bytes]) -> bytes:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("ending", [".xls", ".xlsx", ".zip", ".csv"])
+def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, ending: str) -> None:
+    text = TABLE.format("\t").encode()
+    book = write(tmp_path / "book.xlsx", [["target [mm]", "forward 1 [µm]", "reverse 1 [µm]"], [0, 1, 2], [100, 2, 3]])
+    contents = {
+        "text": text,
+        "utf-16": TABLE.format("\t").encode("utf-16"),
+        "archive": packed(tmp_path / "a.zip", {"__MACOSX/._x": b"", "x/table.csv": text}),
+        "archive of a book": packed(tmp_path / "b.zip", {"book.xlsx": book.read_bytes()}),
+        "book": book.read_bytes(),
+    }
+    for name, content in contents.items():
+        path = tmp_path / f"{name}{ending}"
+        path.write_bytes(content)
+        runs = next(iter(open_source(path, {"axis": "X"})[1]))[0]
+        assert [run.n_samples for run in runs] == [4], name
+
+
+@pytest.mark.parametrize("ending", [".csv", ".xls", ".xlsx", ".txt"])
+@pytest.mark.parametrize(
+    ("content", "got"),
+    [
+        (PAGE.encode(), "'Sign in'"),
+        (PAGE.encode("utf-16"), "HTML"),
+        (b'<?xml version="1.0"?><Workbook/>', "XML"),
+        (bytes.fromhex("d0cf11e0a1b11ae1") + bytes(600), "Excel 97"),
+    ],
+)
+def test_pages_and_old_workbooks_are_told_as_what_they_are(
+    tmp_path: Path, content: bytes, got: str, ending: str
+) -> None:
+    path = tmp_path / f"table{ending}"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as refused:
+        open_source(path, {"axis": "X"})
+    assert refused.value.code == "spreadsheet.form"
+    assert got in str(refused.value.got)
+
+
+def test_an_archive_of_several_tables_is_refused(tmp_path: Path) -> None:
+    packed(tmp_path / "a.zip", {"x.csv": b"1", "y.csv": b"2"})
+    with pytest.raises(InputError, match="no single table"):
+        table_bytes(tmp_path / "a.zip", 10**6)

@@ -165,6 +165,7 @@ def test_rows_without_a_number_are_told_and_left_out(tmp_path: Path) -> None:
         "t_s,x_mm,y_mm,z_mm,error_x_um",
         "target,forward 1,reverse 1",
         "angle_deg,x_um,y_um",
+        "t_s,angle_deg,left probe [µm],right probe [µm]",
     ],
 )
 def test_tables_of_others_are_left_to_them(tmp_path: Path, heads: str) -> None:
@@ -233,6 +234,10 @@ def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads:
         ("Gegenuhrzeigersinn", "Uhrzeigersinn"),
         ("antihoraire", "horaire"),
         ("senso antiorario", "senso orario"),
+        ("links", "rechts"),
+        ("Linkslauf 1", "Rechtslauf 1"),
+        ("反時計回り", "時計回り"),
+        ("左回り", "右回り"),
     ],
 )
 def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) -> None:
@@ -240,6 +245,30 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
     cw, ccw = read(tmp_path / "a.csv", text)
     assert (cw.meta.direction, ccw.meta.direction) == ("CW", "CCW")
     assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("title", "heads", "row"),
+    [
+        ("R100 {}", "angle [deg],radius [mm]", "{0},{2}"),
+        ("Run 1 {},", "angle [deg],deviation_um", "{0},{1}"),
+        ("", "angle [deg],deviation [µm],direction", "{0},{1},{3}"),
+        ("CW42, right spindle", "Winkel [°],Abweichung [µm],Drehrichtung", "{0},{1},{3}"),
+    ],
+)
+def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_round(
+    tmp_path: Path, title: str, heads: str, row: str
+) -> None:
+    lines: list[str] = []
+    for way, deviation in (("CCW", error_um(ANGLE, 1.0)), ("CW", error_um(ANGLE, -1.0))):
+        lines += [title.format(way), heads] if not lines or "{}" in title else []
+        lines += [
+            row.format(a, d, 150.0 + d / 1000.0, way) for a, d in zip(ANGLE.tolist(), deviation.tolist(), strict=True)
+        ]
+    ccw, cw = read(tmp_path / "a.csv", "\n".join(line for line in lines if line))
+    assert (ccw.meta.direction, cw.meta.direction) == ("CCW", "CW")
+    assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
+    assert cw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::-1], abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -257,10 +286,12 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
     assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 0.0), abs=0.05)
 
 
-@pytest.mark.parametrize("title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min"])
+@pytest.mark.parametrize(
+    "title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min", "Feed: 2 m/min"]
+)
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
     text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
-    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min"
+    right = "Radius: 150,0 mm, Vorschub: 1000 mm/min, R=150, plane Y-X"
     (run,) = read(tmp_path / "a.csv", f"{right}\n{text}")
     assert run.meta.direction == "CCW"
     with pytest.raises(InputError, match="another condition"):

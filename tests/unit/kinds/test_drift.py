@@ -281,6 +281,7 @@ def test_stamps_of_loggers_are_read_and_a_log_from_the_newest_on_is_turned(
         ("Date (dd-mm-yyyy),Time (UTC)", [f"9-11-2026,08:{n:02d}:00" for n in range(60)]),
         ("Uhrzeit", [f"{8 + n // 60:02d}:{n % 60:02d}" for n in range(60)]),
         ("timestamp", [f"25-Nov-2026 14:{n:02d}:05" for n in range(60)]),
+        ("時刻", [f"2026年11月25日 14:{n:02d}:05" for n in range(60)]),
     ],
 )
 def test_stamps_of_spreadsheets_and_of_the_clock_alone_are_read(tmp_path: Path, head: str, stamps: list[str]) -> None:
@@ -394,6 +395,12 @@ def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, head
         "Zeit / min;Taster / µm;Temperatur / °C",
         "Time (minutes);Probe (microns);Temp (deg C)",
         "sep=;\nTime [min];Z [µm];T [°C]",
+        "Zeit [min];Sonde 1 [µm];Luft [°C]",
+        "time [min];ch1 [µm];room [°C]",
+        "Zeit [min];Kanal 1 [µm];Luft [°C]",
+        "Zeit [min];Verlagerung [µm];Temperatur [°C]\n;Z;Bett",
+        "時間 [分];変位 Z [μm];主軸温度 [℃]",
+        "Temps [min];Déplacement Z [µm];Température [°C]",
     ],
 )
 def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:
@@ -403,6 +410,16 @@ def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:
     assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
     assert run.samples["displacement_um"] == pytest.approx(0.5 * np.arange(60))
     assert any(name.startswith("temperature_") for name in run.samples)
+
+
+def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> None:
+    lines = []
+    for head, start in (("dZ", 0), ("dX", 60)):
+        lines += [f"Zeit [min];{head} [µm];T [°C]", *(f"{start + n};{n};20" for n in range(60))]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError, match="second table"):
+        read(path)
 
 
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:

@@ -451,6 +451,35 @@ def test_a_table_that_lies_alone_needs_no_campaign_file(tmp_path: Path) -> None:
     assert len(list(runs)) == 1
 
 
+XYZ = "{0} X,{0} Y,{0} Z,{1} X,{1} Y,{1} Z"
+
+
+@pytest.mark.parametrize(
+    ("heads", "per_unit"),
+    [
+        (XYZ.format("指令", "測定"), 1.0),
+        (XYZ.format("Commanded", "Actual"), 1.0),
+        ("X consigne [mm],Y consigne [mm],Z consigne [mm],X mesuré [mm],Y mesuré [mm],Z mesuré [mm]", 1.0),
+        ("Cell 3\n\n" + XYZ.format("Target", "Measured"), 1.0),
+        (XYZ.format("Soll", "Ist") + "\nm,m,m,m,m,m", 1000.0),
+        ("Soll,,,Ist,,\nX,Y,Z,X,Y,Z", 1.0),
+    ],
+)
+def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
+    tmp_path: Path, heads: str, per_unit: float
+) -> None:
+    rows = [f"{n % 5 * 100},{n % 3 * 50},{n % 5},{n % 5 * 100 + 1},{n % 3 * 50},{n % 5}" for n in range(30)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    _, runs, _ = open_source(table, {})
+    ((run,), _) = next(iter(runs))
+    assert run.samples["target_x_mm"][1] == pytest.approx(100.0 * per_unit)
+    assert run.samples["measured_x_mm"][1] == pytest.approx(101.0 * per_unit)
+    table.write_text("\n".join([XYZ.format("Target", "Error"), *rows]), encoding="utf-8")
+    ((run,), _) = next(iter(open_source(table, {})[1]))
+    assert run.samples["error_x_mm"][1] == pytest.approx(101.0)
+
+
 def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:
     folder = without_joints(tmp_path / "c", "position")
     lines = (folder / "poses.csv").read_text("utf-8").splitlines()

@@ -16,13 +16,20 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from dtwin.acquire._tabular import kind_of_table
+from dtwin.acquire.amending import amend
+from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.importing import understand
+from dtwin.acquire.ingest import ingest
+from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
-from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, read_position_table
+from dtwin.kinds.linear._position_runs import PositionTable
+from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, table_in
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -30,6 +37,11 @@ ROOT = Path(__file__).parents[3]
 TARGETS = np.array([0.0, 50.0, 100.0])
 FORWARD = np.array([[1.0, 1.5], [2.0, 2.5], [-3.0, -3.5]])
 REVERSE = FORWARD + 4.0
+
+
+def read_position_table(path: Path) -> PositionTable:
+    text = part_of_axis(decoded(table_bytes(path, 2**24)), "", path)
+    return table_in(text, rows_of(text), path)
 
 
 def wide(head: str, scale: float, by_position: bool, part: str = ",", comma: str = ".") -> str:
@@ -560,6 +572,127 @@ def test_what_is_written_between_and_below_the_targets_is_none(tmp_path: Path) -
     assert np.allclose(table.forward_um, FORWARD)
 
 
+def in_blocks(title: str, heads: str, once: bool = False) -> str:
+    """As VDI/DGQ 3441 prints: a block for each sweep; ``once``: heads stand above all of them."""
+    lines = ["Positioniergenauigkeit", *([heads] if once else [])]
+    for c in range(2):
+        for way, values, order in (("vorwärts", FORWARD, 1), ("rückwärts", REVERSE, -1)):
+            lines += [title.format(c=c + 1, way=way), *([] if once else ["20,1 °C", heads])]
+            lines += [f"{TARGETS[i]:g};{values[i, c]:g}".replace(".", ",") for i in range(3)[::order]]
+            lines += [f"Mittelwert;{values[:, c].mean():g}".replace(".", ","), ""]
+    return "\n".join(lines)
+
+
+def marked(row: str, heads: str, up: str, down: str) -> str:
+    """Targets that tell their direction themselves."""
+    lines = [
+        row.format(t=f"{TARGETS[i]:g}{up if values is FORWARD else down}", a=values[i, 0], b=values[i, 1])
+        for values in (FORWARD, REVERSE)
+        for i in range(3)
+    ]
+    return "\n".join([heads, *lines])
+
+
+def in_cycles(title: str) -> str:
+    """A block a cycle, both directions beside each other."""
+    lines = []
+    for c in range(2):
+        lines += [title.format(c + 1), "Zielpunkt Nr.;Soll [mm];hin [µm];rück [µm]"]
+        lines += [f"{i + 1};{TARGETS[i]:g};{FORWARD[i, c]};{REVERSE[i, c]}" for i in range(3)]
+    return "\n".join(lines)
+
+
+def by_direction() -> str:
+    """A table for each direction, a column of positions for each run."""
+    lines = []
+    for way, values in (("Forward", FORWARD), ("Reverse", REVERSE)):
+        lines += [way, "Target [mm],Run 1 [mm],Run 2 [mm]"]
+        lines += [f"{t:g},{t + um[0] / 1e3:.4f},{t + um[1] / 1e3:.4f}" for t, um in zip(TARGETS, values, strict=True)]
+    return "\n".join(lines)
+
+
+BY_SWEEP = {
+    "blocks of a cycle": in_cycles("Messreihe {}"),
+    "runs below directions": by_direction(),
+    "blocks": in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]"),
+    "units below": in_blocks("Series {c} {way};", "Soll;Abweichung\nmm;µm"),
+    "without numbers": in_blocks("{way}", "Sollposition [mm];Abweichung [µm]"),
+    "heads once": in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]", once=True),
+    "signs": marked("{t},{a}\n{t},{b}", "Target [mm],Deviation [µm]", "+", "-"),
+    "arrows": marked("{t};{a};{b}", "Soll [mm];Messung 1 [µm];Messung 2 [µm]", " ↑", " ↓"),
+    "words": marked("{t};{a};{b}", "Soll;Messung 1 [µm];Messung 2 [µm]", " mm vor", " mm rück"),
+}
+
+
+@pytest.mark.parametrize("text", BY_SWEEP.values(), ids=BY_SWEEP.keys())
+def test_titles_of_blocks_and_targets_may_tell_the_direction(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text(text, encoding="utf-8")
+    assert is_position_table(path)
+    table = read_position_table(path)
+    assert table.target_mm.tolist() == TARGETS.tolist()
+    assert np.allclose(table.forward_um, FORWARD)
+    assert np.allclose(table.reverse_um, REVERSE)
+    assert [rows for _, rows in understand(path, Home(tmp_path / "home"), {"axis": "X"}, {}).runs] == [6, 6]
+
+
+@pytest.mark.parametrize("title", ["Before compensation,After compensation", "Forward before,Forward after"])
+def test_blocks_before_and_after_a_change_are_not_cycles_of_one_test(tmp_path: Path, title: str) -> None:
+    rows = [f"{t:g},{um[0]},{um[1]}" for t, um in zip(TARGETS, FORWARD, strict=True)]
+    for heads in ("Target [mm],fwd [µm],rev [µm]", "Target [mm],Deviation [µm],Air [°C]"):
+        lines = [line for name in title.split(",") for line in (name, heads, *rows)]
+        path = tmp_path / "axis.csv"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        with pytest.raises(InputError):
+            read_position_table(path)
+
+
+def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path: Path) -> None:
+    text = in_blocks("Messreihe {c} {way}", "Sollposition [mm];Abweichung [µm]")
+    path = tmp_path / "axis.csv"
+    path.write_text(text.split("°C\n", 1)[1], encoding="utf-8")
+    with pytest.raises(InputError):
+        read_position_table(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("Axis: C\nTarget,fwd 1,rev 1\n0,0.001,0.002\n90,90.001,90.002", "position_table.axes"),
+        ("Einheit: µm\nSoll;hin 1;rück 1\n0;1;2\n50000;50001;50002", "position_table.unit"),
+        ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
+        ("Target [mm],Target - measured fwd 1 [µm],Target - measured rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
+    ],
+)
+def test_what_would_be_read_as_millimetres_of_another_axis_or_unit_is_refused(
+    tmp_path: Path, text: str, code: str
+) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.code == code
+
+
+def test_targets_in_groups_of_digits_and_signs_in_brackets(tmp_path: Path) -> None:
+    path = tmp_path / "axis.csv"
+    heads = "Soll [mm];Lauf 1 (+) [µm];Lauf 2 (-) [µm];Lauf 3 (+) [µm];Lauf 4 (-) [µm]"
+    path.write_text(f"Unit: mm\n{heads}\n0;1;5;2;6\n500;1;5;2;6\n1.000;1;5;2;6\n1.500;1;5;2;6", encoding="utf-8")
+    table = read_position_table(path)
+    assert table.target_mm.tolist() == [0.0, 500.0, 1000.0, 1500.0]
+    assert (table.forward_um[0].tolist(), table.reverse_um[0].tolist()) == ([1.0, 2.0], [5.0, 6.0])
+    path.write_text('target [mm],fwd 1 [µm],rev 1 [µm]\n0,"1,5","2,25"\n100,"1,500","2"', encoding="utf-8")
+    assert read_position_table(path).forward_um.tolist() == [[1.5], [1.5]]
+
+
+def test_a_minus_behind_every_target_is_no_direction(tmp_path: Path) -> None:
+    path = tmp_path / "axis.csv"
+    path.write_text("Target [mm],Deviation [um]\n0-,1\n100-,2\n200-,3\n0-,2\n100-,2\n200-,1")
+    with pytest.raises(InputError):
+        read_position_table(path)
+
+
 def test_numbers_of_targets_are_no_targets(tmp_path: Path) -> None:
     rows = [f"{i},{t:g},{FORWARD[i, 0]},{REVERSE[i, 0]}" for i, t in enumerate(TARGETS, start=0)]
     upright = ["Target i,Position [mm],forward 1 [µm],reverse 1 [µm]", *rows]
@@ -837,6 +970,34 @@ def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: P
     assert "--axis X" in refused.value.hint
 
 
+def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_path: Path) -> None:
+    path = tmp_path / "axes.csv"
+    rows = [
+        f"{axis if t == 0 else ''},{t},{way},{t / 100 + off}"
+        for axis, off in (("X", 0.0), ("Y axis", 50.0))
+        for way in ("+", "-")
+        for t in (0, 100, 200)
+    ]
+    path.write_text("\n".join(["Axis,Target [mm],Direction,Deviation [µm]", *rows]), encoding="utf-8")
+    for axis, off in (("X", 0.0), ("Y", 50.0)):
+        runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": axis}})
+        assert runs[0].samples["error_um"].tolist() == pytest.approx([off, 1 + off, 2 + off, 2 + off, 1 + off, off])
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
+    assert refused.value.hint == "--axis X"
+    lake = Lake(tmp_path / "lake")
+    ingest(path, lake, told={"axis": "X", "machine": "m"})
+    with pytest.raises(InputError) as wrong:
+        amend(lake, "axes", ["condition.axis=Y"], "typed wrongly")
+    assert wrong.value.code == "amend.read_with"
+    path.write_text("\n".join(["Axis,Target [mm],Direction,Deviation [µm]", *rows[:6]]), encoding="utf-8")
+    with pytest.raises(InputError, match="of another axis"):
+        ingest(path, lake, told={"axis": "Y", "machine": "m", "campaign": "one"})
+    path.write_text(path.read_text("utf-8").replace("Axis", "Stage").replace("\nX", "\n7"), encoding="utf-8")
+    ingest(path, lake, told={"axis": "Y", "machine": "m", "campaign": "one"})
+    assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
+
+
 def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Position [mm],Error + run1 [µm],Error - run1 [µm],Error + run2 [µm],Error - run2 [µm]"
@@ -862,8 +1023,9 @@ def test_one_place_approached_again_and_again_is_refused_with_how_it_repeats(tmp
     path = tmp_path / "home.csv"
     rows = [f"{n % 10},{n // 10},{12 + (n % 2) / 1000 + 0.02 * (n // 10)}" for n in range(20)]
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "linear"
     with pytest.raises(InputError) as refused:
-        kind_of_table(path)
+        read_position_table(path)
     assert refused.value.code == "position_table.one_place"
     assert "standard deviation 0.527 µm" in refused.value.got
     assert "differ by 20 µm" in refused.value.got

@@ -283,6 +283,27 @@ def test_every_way_to_write_a_run_is_read(tmp_path: Path, text: str) -> None:
     assert run.meta.condition["speed_rpm"] == pytest.approx(RPM, rel=1e-3)
 
 
+@pytest.mark.parametrize("probe", ["Sonde 1", "Taster 2", "ch1", "Kanal 1", "変位"])
+def test_probes_under_other_names(tmp_path: Path, probe: str) -> None:
+    (run,) = read(tmp_path, table({"Zeit [s]": TIME, "回転角度 [°]": ANGLE, f"{probe} [µm]": UM}))
+    assert is_rotation_file(tmp_path / "a.csv")
+    assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
+
+
+@pytest.mark.parametrize("heads", ["t_s,angle_deg,ch1 [µm],ch2 [°C]", "t,angle,ch1,sensor 2\ns,deg,µm,℃"])
+def test_channels_of_temperatures_are_no_probes(tmp_path: Path, heads: str) -> None:
+    rows = table({"t_s": TIME, "angle_deg": ANGLE, "a": UM, "b": 0.0 * UM + 20.0}).split("\n", 1)[1]
+    (run,) = read(tmp_path, f"{heads}\n{rows}")
+    assert run.samples["displacement_um"] == pytest.approx(UM, abs=1e-3)
+
+
+def test_a_unit_that_is_not_told_is_said_to_be_assumed(tmp_path: Path) -> None:
+    (run,) = read(tmp_path, table({"time": TIME, "angle [deg]": ANGLE, "radial x [µm]": UM}))
+    assert [f.message for f in run.findings if f.code == "rotation.unit_assumed"] == [
+        "columns tell no unit, and are taken: time in s"
+    ]
+
+
 def test_pulses_give_the_angle_between_them(tmp_path: Path) -> None:
     pulse = (ANGLE % 360.0 < 20.0).astype(float)
     (run,) = read(tmp_path, table({"t_s": TIME, "index pulse": pulse, "radial_um": UM}))
@@ -691,6 +712,26 @@ def test_several_speeds_in_a_file_are_a_run_each(tmp_path: Path, timed: bool) ->
         turns = turns_of(run)
         assert turns is not None
         assert abs(figures_of(turns).once) == pytest.approx(size, abs=0.05)
+
+
+@pytest.mark.parametrize("title", ["Speed: {:g} rpm", "Drehzahl;{:g} 1/min;", "n = {:g} 1/min", "主軸回転数 {:g} rpm"])
+def test_blocks_below_their_speeds_are_a_run_each(tmp_path: Path, title: str) -> None:
+    blocks = ["Max. speed: 8000 rpm", "Station 3"]
+    for rpm in (1000.0, 2000.0):
+        blocks += [title.format(rpm), table({"Time [s]": ANGLE / 6.0 / rpm, "Radial X [µm]": UM + rpm / 1000.0}, ";")]
+    runs = read(tmp_path, "\n".join(blocks))
+    assert is_rotation_file(tmp_path / "a.csv")
+    assert [run.meta.condition["speed_rpm"] for run in runs] == pytest.approx([1000.0, 2000.0], rel=1e-3)
+    assert [run.n_samples for run in runs] == [len(UM), len(UM)]
+
+
+def test_run_outs_below_their_speeds_are_repeats_and_their_means_are_none(tmp_path: Path) -> None:
+    lines = []
+    for rpm in ("1.000", "4.000"):
+        lines += [f"Drehzahl: {rpm} 1/min", "Lauf;Rundlauf [µm]", "1;5,1", "2;5,3", "Mittelwert;5,2"]
+    (run,) = read(tmp_path, "\n".join(lines))
+    assert run.samples["speed_rpm"].tolist() == [1000.0, 1000.0, 4000.0, 4000.0]
+    assert run.samples["runout_um"].tolist() == [5.1, 5.3, 5.1, 5.3]
 
 
 def test_speeds_that_change_from_row_to_row_need_a_time(tmp_path: Path) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from noiseless_instruments import NOISELESS
 
 from dtwin.features.sine import ToneErrors, tone_errors
-from dtwin.kinds.sinusoidal._simulate import noiseless, record_group, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import record_group, virtual_slide
 from dtwin.machines.turning import (
     SERVO_HZ,
     UM_S2_PER_G,
@@ -20,7 +21,7 @@ from dtwin.machines.turning import (
 
 
 def followed(slide: Slide, frequency: float, amplitude: float) -> ToneErrors:
-    samples, _ = record_group(slide, noiseless(), frequency, amplitude, 1)
+    samples, _ = record_group(slide, NOISELESS, frequency, amplitude, 1)
     columns = [1000.0 * samples[n] for n in ("cmd_z_mm", "act_z_mm", "tool_z_mm")]
     return tone_errors(samples["t_s"], *columns, frequency)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from noiseless_instruments import NOISELESS
 
 from dtwin.errors import InputError
 from dtwin.features.windows import StreamingWindow
@@ -15,7 +16,7 @@ from dtwin.kinds.sinusoidal._fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal._gates import AnsweredWindow
 from dtwin.kinds.sinusoidal._groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 from dtwin.kinds.sinusoidal._loop import ToneCommand, run_loop
-from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, Grid, noiseless, virtual_runs, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, Grid, virtual_runs, virtual_slide
 from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -41,7 +42,7 @@ def failed(made: FittedTones) -> set[str]:
 
 
 def test_a_linear_slide_gives_the_exponent_one_and_a_hardening_joint_less() -> None:
-    clean = measured(instruments=noiseless())
+    clean = measured(instruments=NOISELESS)
     assert exponent(clean.feature("rms"), clean.beyond_encoder_um) == pytest.approx(1.0, abs=0.02)
     hard = measured("hardening")
     assert 0.7 < exponent(hard.feature("rms"), hard.amplitude_error_um) < 0.9

@@ -236,6 +236,27 @@ def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) ->
     assert "mill-a" in client.get("/machines").text
 
 
+def test_a_table_in_an_archive_is_asked_about_and_refusals_name_fields_of_the_form(tmp_path: Path) -> None:
+    access = Access("127.0.0.1", 8765, False, home=Home(tmp_path / "home"))
+    client = TestClient(
+        application(Bench(Home(tmp_path / "home"), access)),
+        base_url="http://127.0.0.1:8765",
+        headers={"Origin": "http://127.0.0.1:8765"},
+    )
+    client.get("/", params={"token": access.token})
+    rows = [f"{t},{way},{t + 0.001},{t + 0.002}" for way in ("forward", "reverse") for t in (0, 100, 200)]
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("axis.csv", "\n".join(["target_mm,direction,laser_mm,encoder_mm", *rows]))
+    tray = client.post("/api/trays").json()["tray"]
+    client.put(f"/api/trays/{tray}", params={"name": "lone.zip"}, content=packed.getvalue())
+    (name,) = client.post(f"/api/trays/{tray}/tables").json()
+    assert name == "lone-unpacked/axis.csv"
+    found = client.post(f"/api/trays/{tray}/understand", json={"file": name, "told": {"axis": "X"}}).json()
+    assert 'instrument in the form: "laser"' in found["refused"]
+    assert "--" not in found["refused"]
+
+
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:
     ended = subprocess.run([sys.executable, "-c", _BEGUN, str(tmp_path)], capture_output=True, text=True, timeout=60)
     assert ended.stderr.strip() == "pandas: True"

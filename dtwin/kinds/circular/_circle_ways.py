@@ -1,0 +1,79 @@
+"""Which way round a table of a circle was measured: by heads, by a column of directions, by the titles above its blocks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.acquire.foreign_columns import PROBES, Column, in_english
+from dtwin.schema import Direction
+
+_SPELT = (
+    (
+        re.compile(
+            r"(counter|anti)[- ]?clockwise|gegen( ?den)? ?uhrzeigersinn|gegenuhrzeiger(sinn)?|anti ?horaire|antiorario|antihorario",
+            re.I,
+        ),
+        "ccw",
+    ),
+    (re.compile(r"clockwise|(im )?uhrzeigersinn|(sens )?horaire|\borario|\bhorario", re.I), "cw"),
+    # The probe on the left is no direction.
+    (re.compile(rf"^(?!.*({PROBES})).*\b(left|links(lauf|herum|drehend)?)\b.*"), "ccw"),
+    (re.compile(rf"^(?!.*({PROBES})).*\b(right|rechts(lauf|herum|drehend)?)\b.*"), "cw"),
+)
+"""How a direction is spelt out, those against the clock first: their names hold the others."""
+_WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
+DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)
+DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
+
+
+def bare(column: Column) -> str:
+    """Return a head without its unit, in small letters, with blanks."""
+    base = re.sub(r"[\[(].*?[\])]", "", in_english(column.head)).strip()
+    return re.sub(r"[_\s]+", " ", base.removesuffix(f"_{column.unit}")).strip().lower()
+
+
+def deviates(column: Column) -> bool:
+    """Return whether a column holds deviations of whatever direction."""
+    return column.head == "deviation_um" or DEVIATION.match(bare(column)) is not None
+
+
+def blocks(
+    columns: Sequence[Column], above: Sequence[Sequence[str]], body: Sequence[Sequence[str]]
+) -> Sequence[tuple[Direction | None, NDArray[np.bool_]]]:
+    """Return which rows were measured in one go, with the direction that a column of directions, or the title above them, tells."""
+    column = next((i for i, c in enumerate(columns) if DIRECTION.match(bare(c))), None)
+    titles = [_way_of_title(row) for row in above]
+    ways: list[Direction | None] = [next((way for way in titles[::-1] if way), None)]
+    begins = [0]
+    for n, row in enumerate(body):
+        told = _way_of_title(row) if column is None else way_of(row[column].lower()) if column < len(row) else None
+        if told is not None and (column is None or told != ways[-1]):
+            if n:
+                begins.append(n)
+            else:
+                ways.clear()
+            ways.append(told)
+    ends = [*begins[1:], len(body)]
+    rows = np.arange(len(body))
+    return [(way, (rows >= a) & (rows < b)) for way, a, b in zip(ways, begins, ends, strict=True)]
+
+
+def _way_of_title(row: Sequence[str]) -> Direction | None:
+    """Return the direction that a title of a single cell names; CW42 is a week, and what is on the right no direction."""
+    told = [cell.strip().lower() for cell in row if cell.strip()]
+    words = re.sub(r"\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if len(told) == 1 else ""
+    return way_of(re.sub(r"[^\w-]+", " ", words))
+
+
+def way_of(name: str) -> Direction | None:
+    """Return the direction that a head in small letters names; None where it names none, or both."""
+    for spelt, short in _SPELT:
+        name = spelt.sub(f" {short} ", name)
+    words = [re.sub(r"\d+$", "", word) if not re.fullmatch(r"g0?[23]", word) else word for word in name.split()]
+    told = {_WAYS[word] for word in words if word in _WAYS}
+    way = told.pop() if len(told) == 1 else None
+    return "CCW" if way == "CCW" else "CW" if way == "CW" else None

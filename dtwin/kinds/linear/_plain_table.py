@@ -1,0 +1,102 @@
+"""A table of readings from its heads on: below titles, on its side, with heads in two rows, with directions beside its targets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import zip_longest
+
+from dtwin.acquire.foreign_columns import is_number
+from dtwin.kinds.linear._table_heads import (
+    MOST_TITLES,
+    UNIT_INSIDE,
+    by_way_of,
+    is_unit,
+    long_of,
+    names_target,
+    way_of,
+    wide_of,
+)
+
+_MOST_ON_ITS_SIDE = 2000
+_MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")
+"""A target with the direction behind it."""
+
+
+def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
+    """Return a table from its heads on, which may stand in its first column; None when there is none."""
+    rows = _ways_apart(rows)
+    table = _below_titles(rows)
+    # Titles have one cell.
+    wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
+    if table is None and wide and max(map(len, wide)) <= _MOST_ON_ITS_SIDE:
+        table = _below_titles(list(zip_longest(*wide, fillvalue="")))
+    return table
+
+
+def _ways_apart(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Return rows whose targets tell their directions, ``100+`` and ``100 -``, ``100 ↑``, with a column of these behind that of targets."""
+    begin = next((n for n, row in enumerate(rows[:MOST_TITLES]) if any(map(names_target, row))), None)
+    if begin is None:
+        return list(rows)
+    target = next(i for i, head in enumerate(rows[begin]) if names_target(head))
+    cells = [row[target] if target < len(row) else "" for row in rows]
+    told = [_MARKED.fullmatch(cell.strip()) for cell in cells]
+    ways = [way_of(mark[2]) if mark else None for mark in told]
+    # Of one sign alone it may be that of the number.
+    sure = len(set(filter(None, ways))) == 2 or any(
+        mark and way and mark[2] not in "+-\u2212" for mark, way in zip(told, ways, strict=True)
+    )
+    if not any(ways) or not sure or any(map(is_number, cells)):
+        return list(rows)
+    return [
+        [*row[:target], mark[1] if mark and way else cell, "direction" if n == begin else way or "", *row[target + 1 :]]
+        for n, (row, cell, mark, way) in enumerate(zip(rows, cells, told, ways, strict=True))
+    ]
+
+
+def _one_reading_a_row(
+    heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
+) -> list[Sequence[str]]:
+    """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
+    target, way, cycles = by_way
+    out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
+    last = ""
+    for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
+        last = row[target].strip() or last
+        out += [(last, row[way], str(cycle), row[i]) for i, cycle in cycles if i < len(row)]
+    return out
+
+
+def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
+    """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
+    for begin, row in enumerate(rows[:MOST_TITLES]):
+        below = list(rows[begin + 1 :])
+        if below and {"x", "y", "z"} <= {cell.strip().lower() for cell in below[0]}:
+            # Under merged heads these are coordinates of places.
+            continue
+        by_way = by_way_of(row)
+        if by_way is not None:
+            return _one_reading_a_row(row, below, by_way)
+        if wide_of(row) is not None or long_of(row) is not None:
+            return [row, *below]
+        numbers = any(is_number(a) and is_number(b) for a, b in zip(row, below[0] if below else (), strict=False))
+        if below and sum(bool(cell.strip()) for cell in row) > 1 and not numbers:
+            filled, last = [], ""
+            for cell in row:
+                last = cell.strip() or last
+                filled.append(last)
+            joined = [f"{a} {b}".strip() for a, b in zip_longest(filled, below[0], fillvalue="")]
+            lying = any(cell.strip()[:1].isalpha() and not is_unit(cell) for line in below[1:2] for cell in line[:1])
+            wide = wide_of(joined)
+            # A number below the target's head is a target, and its row no second row of heads.
+            target = below[0][wide.target : wide.target + 1] if wide is not None else []
+            if wide is not None and not any(map(is_number, target)) and not way_of(filled[0]) and not lying:
+                return [[_unit_last(head) for head in joined], *below[1:]]
+    return None
+
+
+def _unit_last(head: str) -> str:
+    """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
+    unit = UNIT_INSIDE.search(head)
+    return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
