@@ -118,8 +118,8 @@ def effect_sizes(twin: Twin) -> list[dict[str, Any]]:
 
 def with_k2(value: float, uncertainty: float, unit: str) -> str:
     """Return a value rounded to two digits of its uncertainty."""
-    words = shown_unit(unit)
+    words = "" if unit == "1" else f" {shown_unit(unit)}"
     if not math.isfinite(uncertainty) or uncertainty <= 0:
-        return f"{value:z.3g} {words}"
+        return f"{value:z.3g}{words}"
     digits = decimals(uncertainty)
-    return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f} {words}"
+    return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f}{words}"

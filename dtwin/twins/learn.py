@@ -71,13 +71,15 @@ def learn_formula(twins: Twins, name: str, engine: Engine, *, seed: int = 0) -> 
 
 def learn_map(twins: Twins, name: str, *, seed: int = 0) -> Learned:
     """Add a map of what is left at the same place of a circle at every feed; ``seed``: of permutations."""
-    twin, _, obs = _unknown(twins, name, seed)
+    twin, diagnosis, obs = _unknown(twins, name, seed)
     found = place_map(obs, localise.residual_um(obs, twin.terms))
     if found.gain <= 0.0:
         got = f"gain {100 * found.gain:z.0f} %"
         hint = f"dtwin twin learn {name} looks for a law over feed and radius"
         raise _does_not_hold(twin, "what is left is not the same at every feed", got, hint)
-    return Learned(twins.add(name, twins.library.keep(found)), found.gain, "; the same at every feed")
+    law = diagnosis.laws[0].equation if diagnosis.laws else ""
+    said = f"\na law may tell more of it (dtwin twin restore, then learn): {law}" if law else ""
+    return Learned(twins.add(name, twins.library.keep(found)), found.gain, said)
 
 
 def _does_not_hold(twin: Twin, message: str, got: str, hint: str) -> GateRefusal:
