@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, emit
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
 
@@ -56,12 +57,13 @@ def show_effect(
     """Show what an effect is, what it is confused with, and what to do about it."""
     from dtwin.kinds.volumetric import family_dict, family_named, family_text
     from dtwin.report.twins import effect_text
+    from dtwin.twins.verbs import Twins
 
     family = family_named(name)
     if family is not None:
         emit(family_dict(family), lambda: family_text(family), as_json=as_json)
         return
-    effect = library_with(effects_path)[name]
+    effect = Twins(home(), library_with(effects_path)).library[name]
     emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
 
 

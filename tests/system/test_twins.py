@@ -456,6 +456,8 @@ def test_a_map_of_what_is_left_foretells_a_feed_that_it_never_saw(home: Home, tm
     # Another process reads it back; what was changed is refused.
     (name,) = {e.effect for e in learned.twin.estimates if e.effect.startswith("learned_map_")}
     assert Twins(home).newest("guide").labels == learned.twin.labels
+    shown = CliRunner().invoke(app, ["effects", "show", name], env={"DTWIN_HOME": str(home.root)})
+    assert "Learned map" in shown.output
     (home.root / "formulas" / f"{name}.json").write_text(json.dumps({"text": "[]"}))
     with pytest.raises(StoreError, match="learned effect cannot be read"):
         Twins(home).newest("guide")
