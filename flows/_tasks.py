@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +214,8 @@ def logged(title: str) -> Progress:
     logger = get_run_logger()
     watching = _watching.get()
     watch = watching(title) if watching is not None else None
+    # Some work tells its progress from a thread of its own, where Prefect would know of no server, and start one.
+    run = copy_context()
     reached = 0.0
 
     def tell(done: int, total: int, what: str) -> None:
@@ -223,7 +225,7 @@ def logged(title: str) -> Progress:
         share = done / max(total, 1)
         if share >= min(1.0, reached + _LOGGED_SHARE):
             reached = share
-            logger.info("%s: %d of %d %s", title, done, total, what)
+            run.copy().run(logger.info, "%s: %d of %d %s", title, done, total, what)
 
     return tell
 
