@@ -70,7 +70,8 @@ def own_robot() -> Iterator[VirtualRobot]:
 
 def test_serves_for_the_time_that_was_asked_for(robot: VirtualRobot, home: Home) -> None:
     promote(home)
-    code, status, err = served(f"--host={robot.host}", "--duration=2")
+    code, out, err = Server("--json", f"--host={robot.host}", "--duration=2").end()
+    status = json.loads(out)
     assert code == 0
     assert (status["ended"], status["released"], status["fault"]) == ("duration", True, None)
     assert (status["machine"], status["device"], status["mode"]) == (MACHINE, "virtual", "live")
