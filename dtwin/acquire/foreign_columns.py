@@ -56,7 +56,7 @@ _HEADS = (
 PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
 _ENGLISH = tuple(
-    (english, re.compile(rf"\s*(?:{words})\s*", re.I))
+    (english, re.compile(words, re.I))
     for english, words in (
         ("counterclockwise", "(?:反時計|左)[回周]り|逆时针"),
         ("clockwise", "(?:時計|右)[回周]り|顺时针"),
@@ -99,9 +99,10 @@ class Column:
 
 def in_english(head: str) -> str:
     """Return a head with the words that are known of other languages in English: ``変位X [μm]`` as ``displacement X [μm]``."""
+    said = head
     for english, words in _ENGLISH:
-        head = words.sub(f" {english} ", head)
-    return head.strip()
+        said = words.sub(f" {english} ", said)
+    return head.strip() if said == head else " ".join(said.split())
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:

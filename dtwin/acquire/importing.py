@@ -357,7 +357,6 @@ def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Pat
     for kind in kinds():
         if kind.takes_alone(lone) or (columns and set(names) >= set(kind.columns)):
             return kind.name
-
     raise InputError(
         "the columns are those of no kind of test",
         code="import.kind",

@@ -22,7 +22,7 @@ from dtwin.errors import InputError
 SUFFIXES = (".xlsx", ".xlsm", ".xls", ".zip")
 _ZIP, _OLE = b"PK\x03\x04", bytes.fromhex("d0cf11e0a1b11ae1")
 _MARKUP = re.compile(r"\s*(<(!doctype|html|head|meta|body|table|style|\?xml|!--)|mime-version:)", re.I)
-_TITLE = re.compile(r"<title[^>]*>\s*(.*?)\s*</title", re.I | re.S)
+_TITLE = re.compile(r"<title[^>]{0,200}>([^<]{1,200})", re.I)
 _MAX_BYTES = 32 * 1024**2
 # Unpacked: a small archive may be a bomb.
 _MAX_UNPACKED = 256 * 1024**2
@@ -65,7 +65,10 @@ def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
     if not is_spreadsheet(path):
         return _table_of_text(path, read_bounded(path, max_bytes))
     require_bounded(path, _MAX_BYTES)
-    return _converted(path, path.stat().st_mtime_ns, axis)[0]
+    data = _converted(path, path.stat().st_mtime_ns, axis)[0]
+    if len(data) > max_bytes:
+        raise _refused(path, f"{len(data) / 1e6:z.0f} MB as text", f"up to {max_bytes / 1e6:z.0f} MB")
+    return data
 
 
 def has_other_axes(path: Path, axis: str) -> bool:
@@ -167,10 +170,10 @@ def _only_table(path: Path, data: bytes) -> bytes:
 def _table_of_text(path: Path, data: bytes) -> bytes:
     """Return a text as it is; refuse what is none, or is a page: its rows would be taken for those of a table."""
     begin = decoded(data[:_SNIFFED])
-    got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else ""
+    got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else "an archive" if data.startswith(b"PK") else ""
     if _MARKUP.match(begin):
         title = _TITLE.search(begin)
-        got = "a page in HTML or XML" + (f", {title[1][:60]!r}" if title else "")
+        got = "a page in HTML or XML" + (f", {title[1].strip()[:60]!r}" if title else "")
     if not got:
         return data
     raise InputError(

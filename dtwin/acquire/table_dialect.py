@@ -13,6 +13,7 @@ SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
 """A cell of a row that sums up the rows above it."""
 _SNIFFED_LINES = 100
 _SNIFFED_BYTES = 65_536
+_LONGEST_CELL = 500
 # How each is read, how it is known, and the first bytes of its usual letters: what Windows writes in the West has few of these in pairs.
 _EAST_ASIAN = (("cp932", "cp932", range(0x81, 0xA0)), ("gb18030", "gb2312", range(0xA1, 0xD8)))
 DECIMALS = ("comma", "point")
@@ -88,7 +89,8 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     mark = mark_of(lines)
     try:
-        rows = list(csv.reader(lines, delimiter=mark))
+        # What is longer is a remark: heads are looked through for many words.
+        rows = [[cell[:_LONGEST_CELL] for cell in row] for row in csv.reader(lines, delimiter=mark)]
     except csv.Error:
         return []
     rows = [row for row in rows if any(cell.strip() for cell in row)]

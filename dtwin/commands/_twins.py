@@ -212,8 +212,8 @@ def learn_effect(
     else:
         learned = (learn_map if as_map else learn_law)(twins, name, seed=seed)
     if not as_json:
-        print(f"gain on left-out conditions: {100 * learned.gain:z.1f} %{learned.said}")
-    _show_rung(before, learned.twin, as_json=as_json)
+        print(f"gain where it was left out ({learned.left_out}): {100 * learned.gain:z.1f} %{learned.said}")
+    _show_rung(before, learned.twin, as_json=as_json, gain=learned.gain, left_out=learned.left_out)
 
 
 @app.command("budget")
@@ -354,12 +354,12 @@ def show_twin(
     emit(document, lambda: "\n".join([report.twin_text(twin), *lines]), as_json=as_json)
 
 
-def _show_rung(before: Any, twin: Any, *, as_json: bool) -> None:
+def _show_rung(before: Any, twin: Any, *, as_json: bool, **more: Any) -> None:
     from dtwin.report.text import micrometres
     from dtwin.report.twin_of_kind import report_of
 
     after_um = twin.figures["rms_after_um"]
-    payload = {**twin.as_dict(), "before": dict(before.figures)}
+    payload = {**twin.as_dict(), "before": dict(before.figures), **more}
     emit(
         payload,
         lambda: (

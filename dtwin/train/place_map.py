@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.errors import GateRefusal
 from dtwin.physics.effect import Effect, Law, Parameter, Shape
-from dtwin.physics.gridding import bin_angle_rad
+from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.localise import condition_means
 from dtwin.physics.observations import Observations
 from dtwin.physics.state import State
@@ -32,7 +32,7 @@ class PlaceMap:
         JSON: plane, radius in mm, direction (+1 CCW, -1 CW) and the error in um of every degree, of each circle.
     gain : float
         Share of the mean square that it takes away at a feed that it did not see, with weights that never saw the
-        place: a plane and radius at a time.
+        place: a plane and radius at a time. The effects beside it are those of all runs.
     groups : int
         Places of which each was left out once.
     """
@@ -98,14 +98,16 @@ def place_map_effect(name: str, text: str) -> Effect:
     """
     circles: dict[_Circle, Floats] = {}
     for plane, radius, direction, error_um in json.loads(text):
-        circles[str(plane), float(radius), float(direction)] = np.asarray(error_um, dtype=float)
+        error = np.asarray(error_um, dtype=float)
+        if error.shape != (N_BINS,) or not np.isfinite(error).all():
+            raise ValueError(f"a circle has {error.size} errors instead of {N_BINS} numbers")
+        circles[str(plane), float(radius), float(direction)] = error
 
     def columns(state: State, axis: str, shape: Shape) -> Floats:
-        for (plane, radius, direction), error_um in circles.items():
+        for (plane, radius, direction), error in circles.items():
             same = plane == state.plane and direction == state.direction
             if same and abs(radius - state.radius_mm) <= _SAME_RADIUS * radius:
-                at = bin_angle_rad()
-                return np.interp(state.angle_rad, at, error_um, period=2.0 * np.pi)[:, None]
+                return np.interp(state.angle_rad, bin_angle_rad(), error, period=2.0 * np.pi)[:, None]
         return np.zeros((state.n, 1))
 
     return Effect(

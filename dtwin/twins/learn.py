@@ -21,6 +21,8 @@ from dtwin.twins.measured import load
 from dtwin.twins.several import require_alone
 from dtwin.twins.verbs import Twins
 
+_CONDITION = "a plane, radius and feed"
+
 
 @dataclass(frozen=True)
 class Learned:
@@ -33,12 +35,15 @@ class Learned:
     gain : float
         Share of what is left that it takes away on conditions that were left out: of the mean square, of a law the mean of
         every condition's share.
+    left_out : str
+        What was left out at a time, and how often.
     said : str
         What else people see of it.
     """
 
     twin: Twin
     gain: float
+    left_out: str
     said: str = ""
 
 
@@ -50,7 +55,8 @@ def learn_law(twins: Twins, name: str, *, seed: int = 0) -> Learned:
         effect = learned_effect(learned_name(law))
         gain = left_out_gain(problem, problem.whitened(obs.regressors(Instance(effect), {})))
         if gain > 0.0:
-            return Learned(twins.add(name, effect.name), gain)
+            several = len(set(obs.place_of.tolist())) > 1
+            return Learned(twins.add(name, effect.name), gain, _CONDITION if several else "a run")
     raise _does_not_hold(
         twin,
         "no power law holds on conditions that were left out",
@@ -67,7 +73,8 @@ def learn_formula(twins: Twins, name: str, engine: Engine, *, seed: int = 0) -> 
         got = f"{found.text[:120]}, gain {100 * found.gain:z.0f} %"
         hint = "measure more feeds or radii, or write the effect yourself"
         raise _does_not_hold(twin, "no formula holds on conditions that were left out", got, hint)
-    return Learned(twins.add(name, twins.library.keep(found)), found.gain, f"\nformula, µm: {found.shown}")
+    twin = twins.add(name, twins.library.keep(found))
+    return Learned(twin, found.gain, f"{_CONDITION}, {found.groups}", f"\nformula, µm: {found.shown}")
 
 
 def learn_map(twins: Twins, name: str, *, seed: int = 0) -> Learned:
@@ -79,8 +86,10 @@ def learn_map(twins: Twins, name: str, *, seed: int = 0) -> Learned:
         hint = f"dtwin twin learn {name} looks for a law over feed and radius"
         raise _does_not_hold(twin, "what is left is not the same at every feed", got, hint)
     law = diagnosis.laws[0].equation if diagnosis.laws else ""
-    said = f"\na law may tell more of it (dtwin twin restore, then learn): {law}" if law else ""
-    return Learned(twins.add(name, twins.library.keep(found)), found.gain, said)
+    other = f"dtwin twin restore {name} --version {twin.version}, then dtwin twin learn {name}"
+    said = f"\na law may tell more of it: {law}; {other}" if law else ""
+    left_out = f"a plane and radius, {found.groups}, and each feed"
+    return Learned(twins.add(name, twins.library.keep(found)), found.gain, left_out, said)
 
 
 def _does_not_hold(twin: Twin, message: str, got: str, hint: str) -> GateRefusal:

@@ -21,7 +21,7 @@ from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
 from dtwin.report.twins import twin_text
-from dtwin.train.place_map import place_map
+from dtwin.train.place_map import place_map, place_map_effect
 from dtwin.train.symbolic import OperonEngine
 from dtwin.twins.confirm import confirm, interventions
 from dtwin.twins.learn import learn_formula, learn_law, learn_map
@@ -447,6 +447,7 @@ def test_a_map_of_what_is_left_foretells_a_feed_that_it_never_saw(home: Home, tm
     before = twins.compare("guide", "guide-held").as_dict()
     learned = learn_map(twins, "guide")
     assert learned.gain > 0.3
+    assert learned.left_out == "a plane and radius, 2, and each feed"
     after = twins.compare("guide", "guide-held").as_dict()
     assert after["systematic_rms_um"] < 0.5 * before["systematic_rms_um"]
     # Nothing is foretold of a circle that was not measured, and no machine is moved by a description.
@@ -471,6 +472,9 @@ def test_a_map_needs_two_places_and_what_agrees_at_every_feed(home: Home, tmp_pa
     own = place_map(obs, waves[obs.condition_of])
     assert own.gain < 0.02
     assert own.groups == 2
+    for text in ('[["XY", 100.0, 1.0, [1.0, 2.0]]]', '[["XY", 100.0, 1.0, "a"]]', "[[1]]"):
+        with pytest.raises(ValueError, match=r"errors instead|convert|unpack"):
+            place_map_effect("learned_map_00000000", text)
     circle = [circles.index((c.radius_mm, c.direction)) for c in obs.conditions]
     assert place_map(obs, waves[circle][obs.condition_of]).gain > 0.98
     load(home, str(write_campaign(tmp_path / "one", "guide", name="one-place", machine="one", radii=(100.0,))))

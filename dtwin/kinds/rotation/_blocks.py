@@ -23,6 +23,7 @@ _SPEED_TITLE = re.compile(
     re.I,
 )
 """Title of a table at one speed."""
+_LONGEST_TITLE = 200
 _GROUPED = re.compile(r"\d{1,3}[.,]\d{3}")
 
 
@@ -33,7 +34,8 @@ def below_speeds(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     speed = ""
     for row in rows:
         told = [cell.strip() for cell in row if cell.strip()]
-        title = _SPEED_TITLE.fullmatch(" ".join(told))
+        said = " ".join(told)
+        title = _SPEED_TITLE.fullmatch(said) if len(said) <= _LONGEST_TITLE else None
         words = not any(number_or_none(cell) is not None for cell in told)
         if title is not None:
             number, unit = title[4], title[5]

@@ -87,10 +87,10 @@ def test_the_table_behind_a_cover_is_read_and_two_tables_alike_are_refused(tmp_p
             sheet.append(row)
         if name == "X":
             book.save(tmp_path / "x.xlsx")
-            assert table_bytes(tmp_path / "x.xlsx", 1).startswith(b"target_mm,forward 1 um")
+            assert table_bytes(tmp_path / "x.xlsx", 10**6).startswith(b"target_mm,forward 1 um")
     book.save(tmp_path / "xy.xlsx")
     with pytest.raises(InputError) as refused:
-        table_bytes(tmp_path / "xy.xlsx", 1)
+        table_bytes(tmp_path / "xy.xlsx", 10**6)
     assert "X, Y" in str(refused.value.got)
 
 
@@ -230,6 +230,8 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
         (PAGE.encode("utf-16"), "HTML"),
         (b'<?xml version="1.0"?><Workbook/>', "XML"),
         (bytes.fromhex("d0cf11e0a1b11ae1") + bytes(600), "Excel 97"),
+        (b"PK\x05\x06" + bytes(18), "an archive"),
+        (b"<html><title>" + b" " * 60_000, "HTML"),
     ],
 )
 def test_pages_and_old_workbooks_are_told_as_what_they_are(
@@ -247,3 +249,12 @@ def test_an_archive_of_several_tables_is_refused(tmp_path: Path) -> None:
     packed(tmp_path / "a.zip", {"x.csv": b"1", "y.csv": b"2"})
     with pytest.raises(InputError, match="no single table"):
         table_bytes(tmp_path / "a.zip", 10**6)
+
+
+def test_a_packed_table_keeps_to_the_limit_of_its_kind(tmp_path: Path) -> None:
+    path = tmp_path / "a.zip"
+    packed(path, {"x.csv": b"0,0\n" * 1000})
+    assert len(table_bytes(path, 4000)) == 4000
+    with pytest.raises(InputError, match="cannot be read") as refused:
+        table_bytes(path, 3999)
+    assert "as text" in str(refused.value.got)
