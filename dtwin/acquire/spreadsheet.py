@@ -13,7 +13,7 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.axis_titles import axis_of
+from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
@@ -124,6 +124,8 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
                 tables = called
             elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
                 raise _several(path, alike)
+            told = [named for title in tables[:1] if axis and (named := axis_of(title, bare=True))]
+            require_axis(told, axis or "", path)
             sheets = [sheet for sheet in shown if sheet.title in tables[:1]] or shown
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))

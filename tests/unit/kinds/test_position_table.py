@@ -970,6 +970,17 @@ def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: P
     assert "--axis X" in refused.value.hint
 
 
+def test_a_lone_sheet_that_is_called_as_another_axis_is_refused(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.title = "Y axis"
+    for row in TWO_AXES[0][1:]:
+        book.active.append(row.split(","))
+    book.save(path := tmp_path / "slide.xlsx")
+    with pytest.raises(InputError, match="of another axis"):
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert len(read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Y"}})[0]) == 2
+
+
 def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_path: Path) -> None:
     path = tmp_path / "axes.csv"
     rows = [
