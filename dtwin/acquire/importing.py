@@ -45,7 +45,7 @@ _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
-_MARKS = {";": "semicolons", "\t": "tabs", ",": "commas"}
+_MARKS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 
 
 @dataclass(frozen=True)

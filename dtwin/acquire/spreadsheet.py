@@ -79,7 +79,9 @@ def first_text(path: Path, max_bytes: int) -> str:
         require_bounded(path, _MAX_BYTES)
         # Sheets of several axes are of one form.
         return decoded(_converted(path, path.stat().st_mtime_ns, None)[0][:_SNIFFED])
-    return decoded(_table_of_text(path, _begin(path, _SNIFFED)))
+    text = decoded(_table_of_text(path, _begin(path, _SNIFFED)))
+    # A line that is cut is no row.
+    return text[: text.rfind("\n")] if path.stat().st_size > _SNIFFED and "\n" in text else text
 
 
 def first_rows(path: Path, max_bytes: int) -> list[list[str]]:

@@ -79,6 +79,12 @@ def by_reading(heads: str, row: str, part: str = ",") -> str:
     return "\n".join(lines)
 
 
+def aligned(text: str) -> str:
+    """As laser software prints it: right below the heads, with a rule between."""
+    first, *lines = ["".join(f"{cell:>16}" for cell in line.split(";")) for line in text.split("\n")]
+    return "\n".join([first, "-" * len(first), *lines])
+
+
 def heads_in_two_rows() -> str:
     """As a spreadsheet with merged cells is read."""
     lines = [
@@ -169,6 +175,12 @@ def by_cycle() -> str:
         wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
         wide("{way}_{c}", 1000.0, True, ";", ","),
+        aligned(wide("{way} {c} [µm]", 1e6, False, ";", ",")),
+        aligned(wide("{way} {c} [µm]", 1e6, False, ";")).replace("    ", "\t"),
+        wide("{way}{c}_um", 1e6, False, " ").replace("target [mm]", "target_mm"),
+        "Laser 4711\n\n"
+        + aligned(by_reading("target [mm];cycle;direction;error [µm]", "{t};{c};{way};{um}"))
+        + "\n\nend",
         wide("deviation {way} {c} (mm)", 1000.0, False),
         wide("cycle {c} {way} [µm]", 1e6, False),
         wide("run{c} {way} um", 1e6, False, "\t", ","),
@@ -190,6 +202,25 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
     assert found.target_mm == pytest.approx(TARGETS)
     assert found.forward_um == pytest.approx(FORWARD, abs=2e-3)
     assert found.reverse_um == pytest.approx(REVERSE, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A cell is missing; one blank may part digits or words; a row is longer than its heads.
+        "Target [mm]   Fwd 1 [um]   Rev 1 [um]\n 0.0   1.0   2.0\n 100.0   1.0\n",
+        "Target [mm]   Fwd 1 [um]   Rev 1 [um]\n900   1.0   2.0\n1 000   2.0\n",
+        "Target [mm] Fwd 1 [um] Rev 1 [um]\n0.0 1.0 2.0\n100.0 1.0 2.0\n",
+        "Target   Fwd   Rev\n0.0   1.0   2.0   3.0\n100.0   1.0   2.0   3.0\n",
+    ],
+)
+def test_columns_that_blanks_do_not_part_without_doubt_are_none(text: str) -> None:
+    assert {len(row) for row in rows_of(text)} == {1}
+
+
+def test_commas_with_blanks_beside_them_part_the_columns() -> None:
+    for text in ("Target [mm],Fwd [um]\n1 000,1.5\n2 000,2.5\n", "a , b , c\n0 ,1 ,2\n3 ,4 ,5\n", "a, b\n0, 1\n2, 3\n"):
+        assert [len(row) for row in rows_of(text)] == [text.count(",") // 3 + 1] * 3
 
 
 @pytest.mark.parametrize(
