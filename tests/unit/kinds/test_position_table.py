@@ -97,6 +97,14 @@ def heads_in_two_rows() -> str:
     return "\n".join(lines)
 
 
+def beside(above: str, heads: str) -> str:
+    """A half for each direction, with targets of its own, in the order in which they were approached."""
+    lines = [above, heads]
+    for i, j in zip(range(len(TARGETS)), range(len(TARGETS))[::-1], strict=True):
+        lines.append(f"{TARGETS[i]};{FORWARD[i, 0]};{FORWARD[i, 1]};;{TARGETS[j]};{REVERSE[j, 0]};{REVERSE[j, 1]}")
+    return "\n".join([*lines, "Mean;1;2;;Mean;3;4"])
+
+
 def on_its_side() -> str:
     """As ISO 230-2 prints it: targets and directions above, a row for each cycle."""
     lines = [["Test of 3 May"], ["Position i"], ["Target position [mm]"], ["Direction"], ["j=1 [µm]"], ["j=2 [µm]"]]
@@ -164,10 +172,18 @@ def by_cycle() -> str:
         wide("actual {way} {c} um", 1e6, True),
         wide("{way} {c} mm", 1000.0, False),
         heads_in_two_rows(),
+        beside("Forward;;;;Backward;;", "Target [mm];Run 1 [µm];Run 2 [µm];;Target [mm];Run 1 [µm];Run 2 [µm]"),
+        beside("Test", "Soll hin;Abw. hin 1;Abw. hin 2;;Soll rück;Abw. rück 1;Abw. rück 2\nmm;µm;µm;;mm;µm;µm"),
         on_its_side(),
         "target;direction;dev 1 [µm];dev 2 [µm]\n"
         + "\n".join(
             f"{t:g};{way};{values[i, 0]};{values[i, 1]}"
+            for i, t in enumerate(TARGETS)
+            for way, values in (("+", FORWARD), ("-", REVERSE))
+        ),
+        "target;direction;dev 1;dev 2\nµm;;mm;mm\n"
+        + "\n".join(
+            f"{1000 * t:g};{way};{values[i, 0] / 1000};{values[i, 1] / 1000}"
             for i, t in enumerate(TARGETS)
             for way, values in (("+", FORWARD), ("-", REVERSE))
         ),
@@ -780,7 +796,7 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
         ),
         ("target [mm],direction,stage 1 [µm],stage 2 [µm]\n0,+,1,2\n9,+,2,3\n0,-,1,2\n9,-,2,3", "position_table.axes"),
         ("target [mm],direction,reading [mm]\n9,+,9.001\n9,-,9.004\n9,+,9.002\n9,-,9.003", "position_table.one_place"),
-        ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
+        ("target [mm],forward 1 [µm],reverse 1 [µm],target [mm]\n0,1,2,9\n9,2,1,0", "position_table.form"),
     ],
 )
 def test_readings_of_several_machines_or_targets_in_a_row_are_not_mixed(tmp_path: Path, text: str, code: str) -> None:
