@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from dtwin.errors import InputError
-from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
@@ -98,10 +98,10 @@ class Column:
 
 
 def in_english(head: str) -> str:
-    """Return a head with the words that are known of other languages in English: ``変位X [μm]`` as ``displacement X [μm]``."""
+    """Return a head with the words that are known of other languages in English, ``変位X [μm]`` as ``displacement X [μm]``, and parts of units as words."""
     for english, words in _ENGLISH:
         head = words.sub(f" {english} ", head)
-    return head.strip()
+    return with_shares(head.strip())
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
@@ -135,7 +135,7 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     except InputError:
         return list(rows)
     above, heads = rows[begin - 1] if begin else [], rows[begin]
-    said = [cell.strip() for cell in above]
+    said = [with_shares(cell.strip()) for cell in above]
     merged = len(above) == len(heads) and sum(map(bool, said)) > 1 and not any(map(_VALUE.search, said))
     told = [head.strip() for head in heads if head.strip()]
     empty = merged and any(word and (not head or all_units([head])) for word, head in zip(said, heads, strict=True))
@@ -255,7 +255,7 @@ def all_units(row: Sequence[str]) -> bool:
 
 def _plain(unit: str) -> str:
     """Return a unit in small letters without blanks and brackets; a sign such as ℃ as its letters."""
-    return re.sub(r"\s", "", unicodedata.normalize("NFKC", unit)).strip("[]()").lower()
+    return re.sub(r"\s", "", with_shares(unicodedata.normalize("NFKC", unit))).strip("[]()").lower()
 
 
 def is_number(cell: str) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import STATISTICS
-from dtwin.units import LENGTHS_MM, UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM, with_shares
 
 MOST_TITLES = 20
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
@@ -108,7 +108,7 @@ class Wide:
 
 def wide_of(heads: Sequence[str]) -> Wide | None:
     """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
-    names = [head.strip() for head in heads]
+    names = [with_shares(head.strip()) for head in heads]
     targets = _targets(names)
     ways = _ways_of(names)
     told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
@@ -299,7 +299,7 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
 
 def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
-    names = [head.strip() for head in heads]
+    names = [with_shares(head.strip()) for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
     places = _targets(names)
     if way is None or not places:
@@ -343,6 +343,7 @@ def is_deviation(head: str) -> bool:
 
 def unit_of(head: str) -> str:
     """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
+    head = with_shares(head)
     match = UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
@@ -373,4 +374,4 @@ def scale_of(unit: str) -> float:
 
 
 def _plain_unit(cell: str) -> str:
-    return unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower()
+    return with_shares(unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower())

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 
 from dtwin.acquire.foreign_columns import in_english
+from dtwin.units import LENGTHS_MM
 
 _MOST_TITLES = 12
 _UNITS = {"meters": "m", "millimeters": "mm", "m": "m", "mm": "mm"}
@@ -16,10 +17,11 @@ _WORDS = {
     **dict.fromkeys(("ist", "measured", "meas", "actual", "act"), "measured"),
 }
 _WORD = "|".join(sorted(_WORDS, key=len, reverse=True))
+_LENGTH = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
 _PLACE = r"(?:pos(?:ition)?\.?|wert)?"
 _TOLD = re.compile(
     rf"(?:(?P<what>{_WORD})[ _-]*{_PLACE}[ _-]*(?P<axis>[xyz])|(?P<axis2>[xyz])[ _-]*(?P<what2>{_WORD})[ _-]*{_PLACE})"
-    r"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>mm|m|µm|μm|um)[\])]?)?",
+    rf"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>{_LENGTH})[\])]?)?",
     re.I,
 )
 _VICON = re.compile(r".* T?([XYZ])$")
@@ -66,7 +68,7 @@ def of_words(head: str, below: str = "") -> str:
         # Of a unit that is not known here it is no head that is.
         return of_words(f"{head} [{below.strip('[]() ')}]")
     what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
-    unit = (found["unit"] or "mm").lower().replace("µ", "u").replace("μ", "u")
+    unit = (found["unit"] or "mm").lower()
     return f"{_WORDS[what]}_{axis}_{unit}"
 
 

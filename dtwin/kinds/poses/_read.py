@@ -23,9 +23,10 @@ from dtwin.kinds.poses._foreign import joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.units import LENGTHS_MM
 
 _MOST_BYTES = 256 * 1024**2
-_SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
+_SCALES = {f"_{unit}": ("_mm", mm) for unit, mm in LENGTHS_MM.items()} | {"_rad": ("_deg", 180.0 / np.pi)}
 _STAMP_DIGITS, _MOST_TITLES, _LARGEST = 14, 20, 1e9
 _NEEDED = ("joint_", "measured_", "error_")
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from dtwin.acquire.foreign_columns import PROBES, in_english
 from dtwin.schema import Finding
-from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, with_shares
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
 PROBE = "probe"
@@ -93,14 +93,7 @@ _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direc
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
-_SHARE = re.compile(
-    r"(?<!\d)(?:0?[.,](?P<zeros>0*)1|1\s*/\s*10(?P<more>0*)|(?P<word>tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel)s?(?:\s+of\s+an?)?)"
-    r"\s*-?\s*(?P<unit>mm|in\b|inch|\"|\u2033|'')",
-    re.I,
-)
-"""A unit that is a part of another one: 0.0001 in, 1/100 mm."""
 _TENTHS = re.compile(r"\btenths?\b", re.I)
-_POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -125,19 +118,6 @@ class Column:
 
 def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
-    share = _SHARE.search(unit_below) or _SHARE.search(head)
-    if share is None:
-        return _column_of(head, unit_below)
-    whole, part = _column_of(*(_SHARE.sub(_whole_unit, cell) for cell in (head, unit_below))), share.groupdict()
-    power = _POWERS[part["word"][:2].lower()] if part["word"] else 1 + len((part["zeros"] or "") + (part["more"] or ""))
-    return replace(whole, factor=whole.factor / 10.0**power) if whole.role in (PROBE, RUNOUT) else whole
-
-
-def _whole_unit(share: re.Match[str]) -> str:
-    return "mm" if share["unit"].lower() == "mm" else "in"
-
-
-def _column_of(head: str, unit_below: str) -> Column:
     head, unit_below = (
         in_english(cell).replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below)
     )
@@ -194,7 +174,7 @@ def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Fin
     units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
     said = f"columns tell no unit, and are taken: {', '.join(units)}"
     found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
-    if not any(_TENTHS.search(cell) and not _SHARE.search(cell) for cell in cells):
+    if not any(_TENTHS.search(with_shares(cell)) for cell in cells):
         return found
     return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
 

@@ -463,6 +463,8 @@ XYZ = "{0} X,{0} Y,{0} Z,{1} X,{1} Y,{1} Z"
         ("Cell 3\n\n" + XYZ.format("Target", "Measured"), 1.0),
         (XYZ.format("Soll", "Ist") + "\nm,m,m,m,m,m", 1000.0),
         ("Soll,,,Ist,,\nX,Y,Z,X,Y,Z", 1.0),
+        (XYZ.format("Target", "Actual").replace(",", " [in],") + " [in]", 25.4),
+        (XYZ.format("Soll", "Ist") + "\ninch,inch,inch,inch,inch,inch", 25.4),
     ],
 )
 def test_heads_of_poses_of_many_languages_below_titles_and_above_units(

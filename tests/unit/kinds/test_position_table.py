@@ -190,6 +190,8 @@ def by_cycle() -> str:
         "Prüfer: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
         wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
+        wide("dev {way} {c} 1/100 mm", 1e5, False),
+        wide("Abw. {way} {c} in 0.0001 in", 1e7 / 25.4, False),
         wide("{way}_{c}", 1000.0, True, ";", ","),
         aligned(wide("{way} {c} [µm]", 1e6, False, ";", ",")),
         aligned(wide("{way} {c} [µm]", 1e6, False, ";")).replace("    ", "\t"),
