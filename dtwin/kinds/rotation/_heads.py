@@ -66,7 +66,9 @@ _WORDS = {
         r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
     ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
-    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|转速|轉速|回転"),
+    SPEED: re.compile(
+        r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|^(fre[qk]u|fréqu|frecu)en\w+$|转速|轉速|回転"
+    ),
     ANGLE: re.compile(
         r"angle|winkel|angolo|[aá]ngulo|encoder.*(?:deg|°|rad|rev|turn)|角度|\bphi\b|\btheta\b|rotation|position.*(?:deg|°)"
     ),
@@ -93,6 +95,7 @@ _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direc
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
+_FREQUENCY = re.compile(r"\W*(fre[qk]u|fréqu|frecu)", re.I)
 _TENTHS = re.compile(r"\btenths?\b", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -174,6 +177,9 @@ def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Fin
     units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
     said = f"columns tell no unit, and are taken: {', '.join(units)}"
     found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
+    if named := [head for head, column in columns.items() if column.role == SPEED and _FREQUENCY.match(head)]:
+        said = f"{named[0]} is taken for turns a second: neither a spectrum, nor what feeds a motor of several pairs of poles"
+        found = (*found, Finding("rotation.frequency", "warning", said))
     if not any(_TENTHS.search(with_shares(cell)) for cell in cells):
         return found
     return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))

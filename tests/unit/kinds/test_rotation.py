@@ -542,6 +542,8 @@ def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> 
         ("转速 [r/min]", 1.0, "径向跳动 [µm]"),
         ("omega [rad/s]", np.pi / 30.0, "TIR [um]"),
         ("speed [krpm]", 1e-3, "TIR [micron]"),
+        ("Frequency [Hz]", 1.0 / 60.0, "TIR [micron]"),
+        ("Frequenz [Hz]", 1.0 / 60.0, "Rundlauf [µm]"),
         ("krpm", 1e-3, "TIR [micron]"),
         ("krpm", 1e-3, "error motion [um]"),
         ("Speed (RPM)", 1.0, "TIR (0.0001 in)"),
@@ -557,6 +559,7 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     (run,) = read(tmp_path, path.read_text(encoding="utf-8"))
     assert run.samples["speed_rpm"] == pytest.approx(rpm, rel=1e-5)
     parts = {"TIR (0.0001 in)": 2.54, "runout (tenths)": 2.54, "Rundlauf in 1/100 mm": 10.0}
+    assert ("Freq" in speed) == ("rotation.frequency" in {finding.code for finding in run.findings})
     assert ("tenths" in runout) == ("rotation.tenths" in {finding.code for finding in run.findings})
     assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
 
