@@ -43,6 +43,7 @@ from dtwin.kinds.linear._refusals import (
     of_angles,
     require_lengths,
     require_near,
+    require_no_turns,
     require_positioning,
     require_unit_of_heads,
 )
@@ -78,7 +79,10 @@ _MAX_BYTES = 16 * 1024 * 1024
 
 
 def is_position_table(path: Path) -> bool:
-    """Return whether a file looks like one of the forms; it is read no further than its beginning."""
+    """Return whether a file looks like one of the forms; it is read no further than its beginning.
+
+    Raises ``InputError`` when it is the table of an axis that turns, which no kind reads.
+    """
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MAX_BYTES)
@@ -86,6 +90,7 @@ def is_position_table(path: Path) -> bool:
         return True
     text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
+    require_no_turns(rows, path)
     known = table_of(rows) is not None or bool(names_no_direction(rows)) or bool(trials_um(rows))
     return known or bool(report_tables(text, rows)) or bool(instruments_beside(rows))
 

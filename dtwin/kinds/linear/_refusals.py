@@ -8,15 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
+from dtwin.acquire.foreign_columns import in_english
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable
-from dtwin.kinds.linear._table_heads import ANGLE, MOST_TITLES, OTHER_TEST, is_unit, scale_of, told_unit
+from dtwin.kinds.linear._table_heads import (
+    ANGLE,
+    MOST_TITLES,
+    OTHER_TEST,
+    is_deviation,
+    is_unit,
+    scale_of,
+    told_unit,
+    unit_of,
+    way_of,
+)
 from dtwin.units import UM_PER_MM
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
 _LONGEST_MM = 1e5
+_ANGLE_HEAD = re.compile(r"(\w+[ _-]?)?(angle|winkel|angular position|rotary position)\b", re.I)
+_ARC = re.compile(r"\barc[ _-]?(sec|min)|[\[(]\s*(\"|\u2033|''|\u2032|'|秒)\s*[\])]|角秒|角分", re.I)
 _UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 """Title that tells a unit of what is below."""
 
@@ -77,6 +90,22 @@ def require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
     angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
     if angles:
         raise of_angles(path, angles[0][:40])
+
+
+def require_no_turns(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse the table of an axis that turns: angles as targets, directions or seconds of arc beside them, and no length."""
+    for row, below in zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False):
+        heads = [in_english(cell) for cell in row]
+        angle = next((head for head in heads if _ANGLE_HEAD.match(head)), "")
+        others = [head for head in heads if head != angle]
+        ways, arc = sum(way_of(head) is not None for head in others), any(map(_ARC.search, (*others, *below)))
+        read = ways or any(map(is_deviation, others))
+        if (
+            angle
+            and (ways > 1 or (arc and read))
+            and not any(unit_of(cell) or is_unit(cell) for cell in (*heads, *below))
+        ):
+            raise of_angles(path, ", ".join(row)[:80])
 
 
 def of_angles(path: Path, got: str) -> InputError:
