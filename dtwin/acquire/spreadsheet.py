@@ -15,6 +15,7 @@ from typing import Any
 
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.html_table import table_of_page
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
@@ -169,10 +170,13 @@ def _only_table(path: Path, data: bytes) -> bytes:
 
 
 def _table_of_text(path: Path, data: bytes) -> bytes:
-    """Return a text as it is; refuse what is none, or is a page: its rows would be taken for those of a table."""
+    """Return a text as it is, and the one table of a page in HTML with tabs between its cells; refuse what is none of these."""
     begin = decoded(data[:_SNIFFED])
     got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else ""
     if _MARKUP.match(begin):
+        rows = table_of_page(decoded(data))
+        if _heads(rows):
+            return "\n".join(map("\t".join, rows)).encode()
         title = _TITLE.search(begin)
         got = "a page in HTML or XML" + (f", {title[1][:60]!r}" if title else "")
     if not got:
@@ -182,7 +186,7 @@ def _table_of_text(path: Path, data: bytes) -> bytes:
         code="spreadsheet.form",
         where=str(path),
         got=got,
-        allowed="text with commas, semicolons or tabs between columns; .xlsx",
+        allowed="text with commas, semicolons or tabs between columns; .xlsx; a page in HTML with one plain table",
         hint="open it in a spreadsheet program, look whether it shows the table, and save it as .xlsx or .csv",
     )
 
