@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dtwin.acquire.foreign_columns import PROBES, in_english
 from dtwin.schema import Finding
@@ -96,6 +96,9 @@ _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
 _FREQUENCY = re.compile(r"\W*(fre[qk]u|fréqu|frecu)", re.I)
+_TIMES = re.compile(r"(?<![a-z])[x\u00d7*·]\s*10+\b|\b10(\^-?\d|[²³⁶])", re.I)
+"""A unit that is a multiple of another one."""
+_PLACE = re.compile(r"(\s|@)\d{2,}([.,]\d+)?$|\b(at|in|bei|à|@)\s*\d+([.,]\d+)?$", re.I)
 _TENTHS = re.compile(r"\btenths?\b", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -125,11 +128,21 @@ def column_of(head: str, unit_below: str = "") -> Column:
         in_english(cell).replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below)
     )
     text = " ".join(head.replace("_", " ").split()).lower()
+    if _TIMES.search(f"{head} {unit_below}"):
+        return replace(column_of(*(_TIMES.sub("", cell) for cell in (head, unit_below))), factor=0.0)
     unit_said = _UNIT.search(head.lower())
     inside = _IN_BRACKETS.search(head.lower())
     if unit_said is not None and inside is not None and inside[1] not in _UNITS:
         # Of 1000 rpm it is the last word only.
         unit_said = None
+    if (
+        unit_said is not None
+        and not unit_below
+        and unit_said[0][0].isspace()
+        and _PLACE.search(head[: unit_said.start()])
+    ):
+        # Of "run-out at 300 mm" it is that of the place.
+        return replace(column_of(head[: unit_said.start()]), factor=0.0)
     told = unit_below.strip("[]()").lower() or (unit_said[1] if unit_said else "")
     if "winkel" in text and "grad" in (told, inside and inside[1]):
         # Elsewhere than in German it may be 1/400 of a turn.

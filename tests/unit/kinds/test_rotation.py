@@ -564,6 +564,21 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
 
 
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "Speed [rpm],Runout at 300 mm",
+        "Speed,Runout\nrpm x1000,µm",
+        "Speed,Runout\n1000 rpm,µm",
+        "Speed [rpm],Runout [µm x 10]",
+    ],
+)
+def test_a_multiple_of_a_unit_and_that_of_a_place_are_no_unit(tmp_path: Path, heads: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, f"{heads}\n1,5\n2,6\n3,7\n")
+    assert refused.value.code == "rotation.unit"
+
+
 def test_units_in_a_row_below_the_heads_are_read_though_the_words_alone_are_known(tmp_path: Path) -> None:
     (run,) = read(tmp_path, "Protokoll\nDrehzahl;Rundlauf\n1/min;mm\n1000;0,003\n2000;0,004\n")
     assert run.samples["runout_um"].tolist() == pytest.approx([3.0, 4.0])
