@@ -55,6 +55,7 @@ _HEADS = (
 )
 PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
+_UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 _ENGLISH = tuple(
     (english, re.compile(rf"\s*(?:{words})\s*", re.I))
     for english, words in (
@@ -123,6 +124,12 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
         hint="dtwin check FILE reads the forms of instruments",
     )
+
+
+def unit_of_titles(rows: Sequence[Sequence[str]]) -> str:
+    """Return the unit that a title such as ``Unit: inch`` tells of what is below; empty where none does."""
+    told = (_UNIT_ABOVE.fullmatch(" ".join(cell.strip() for cell in row if cell.strip())) for row in rows)
+    return next((match[1] for match in told if match is not None), "")
 
 
 def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import in_english
+from dtwin.acquire.foreign_columns import in_english, unit_of_titles
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable
@@ -30,8 +30,6 @@ LITTLE = 0.02
 _LONGEST_MM = 1e5
 _ANGLE_HEAD = re.compile(r"(\w+[ _-]?)?(angle|winkel|angular position|rotary position)\b", re.I)
 _ARC = re.compile(r"\barc[ _-]?(sec|min)|[\[(]\s*(\"|\u2033|''|\u2032|'|秒)\s*[\])]|角秒|角分", re.I)
-_UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
-"""Title that tells a unit of what is below."""
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
@@ -122,8 +120,7 @@ def of_angles(path: Path, got: str) -> InputError:
 
 def require_unit_of_heads(rows: Sequence[Sequence[str]], table: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose heads tell no unit, and whose title tells another than mm: of which columns it is, nobody knows."""
-    told = (_UNIT_ABOVE.fullmatch(" ".join(cell.strip() for cell in row if cell.strip())) for row in rows[:MOST_TITLES])
-    unit = next((match[1] for match in told if match is not None), "")
+    unit = unit_of_titles(rows[:MOST_TITLES])
     heads = any(told_unit(cell, "") or is_unit(cell) for row in table[:2] for cell in row)
     if not heads and scale_of(unit) != 1.0:
         raise InputError(

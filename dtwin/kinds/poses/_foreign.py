@@ -17,6 +17,8 @@ _WORDS = {
     **dict.fromkeys(("ist", "measured", "meas", "actual", "act"), "measured"),
 }
 _WORD = "|".join(sorted(_WORDS, key=len, reverse=True))
+NO_UNIT = "without_unit"
+"""In the place of the unit in the name of a column of errors that tells none."""
 _LENGTH = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
 _PLACE = r"(?:pos(?:ition)?\.?|wert)?"
 _TOLD = re.compile(
@@ -57,7 +59,7 @@ def of_ros(heads: Sequence[str]) -> bool:
 
 
 def of_words(head: str, below: str = "") -> str:
-    """Return the house's name of ``Soll X [mm]``, ``x_ist`` or ``Actual X``, in millimetres where no unit is told; other heads as they are.
+    """Return the house's name of ``Soll X [mm]``, ``x_ist`` or ``Actual X``, in millimetres where no unit of places is told; other heads as they are.
 
     ``below``: the unit that a row below the heads tells.
     """
@@ -68,7 +70,8 @@ def of_words(head: str, below: str = "") -> str:
         # Of a unit that is not known here it is no head that is.
         return of_words(f"{head} [{below.strip('[]() ')}]")
     what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
-    unit = (found["unit"] or "mm").lower()
+    # Errors are of any unit.
+    unit = (found["unit"] or (NO_UNIT if _WORDS[what] == "error" else "mm")).lower()
     return f"{_WORDS[what]}_{axis}_{unit}"
 
 
