@@ -53,6 +53,11 @@ _HEADS = (
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
+_OF_WHICH = re.compile(
+    r"(machine|maschine|macchina|m[aá]quina|robot|roboter|tool|werkzeug)[\s_]*(no|nr|name|id|number|nummer)?\.?|s/?n|serial( (no|number))?\.?|seriennummer",
+    re.I,
+)
+"""Head of a column that says of which machine, or with which tool, a row is."""
 PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
 _UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
@@ -158,12 +163,12 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
 
 
 def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, once: bool = False) -> None:
-    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own.
+    """Refuse a file in which other heads stand below the first table, or rows are of several machines: they would be taken for those of one.
 
     ``once``: the same heads are refused, too, where titles tell the tables apart, which are not read.
     """
     told = [head.strip() for head in heads]
-    rows = ([cell.strip() for cell in row] for row in body)
+    rows = [[cell.strip() for cell in row] for row in body]
     other = next((row for row in rows if row and row[0] and row[0] == told[0] and (once or row != told)), None)
     if other is not None:
         raise InputError(
@@ -174,6 +179,26 @@ def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path:
             allowed="one table",
             hint="a file for each, or columns beside each other",
         )
+    require_one_of(_OF_WHICH, told, rows, path)
+
+
+def require_one_of(which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells."""
+    for n in (n for n, head in enumerate(heads) if which.fullmatch(head.strip())):
+        names = list(dict.fromkeys(row[n].strip() for row in body if n < len(row) and row[n].strip()))
+        # Decimals, and many numbers, are readings.
+        read = any("." in name and is_number(name) for name in names) or (
+            len(names) > 20 and all(map(is_number, names))
+        )
+        if len(names) > 1 and not read:
+            raise InputError(
+                "the rows are of several machines, tools or places",
+                code="table.several",
+                where=f"{path} {heads[n].strip()}",
+                got=", ".join(names)[:80],
+                allowed="one",
+                hint="a file for each",
+            )
 
 
 def _has_gaps(row: Sequence[str]) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import below_heads, joined_heads, unit_of_titles
+from dtwin.acquire.foreign_columns import below_heads, joined_heads, require_one_table, unit_of_titles
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
@@ -119,6 +119,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
             allowed=", ".join(LENGTHS_MM)[:40],
             hint=f"write it into the heads, such as: {without[0]} [mm]",
         )
+    require_one_table(heads, below, path)
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {

@@ -92,6 +92,8 @@ _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
+PLACES = re.compile(r"position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense", re.I)
+"""Head of a column that says where, or with what, the run-out of a row was read."""
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")

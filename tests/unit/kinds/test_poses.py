@@ -479,6 +479,10 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     ((run,), _) = next(iter(runs))
     assert run.samples["target_x_mm"][1] == pytest.approx(100.0 * per_unit)
     assert run.samples["measured_x_mm"][1] == pytest.approx(101.0 * per_unit)
+    robots = ["Robot," + XYZ.format("Target", "Actual"), *(f"R{n % 2},{row}" for n, row in enumerate(rows))]
+    table.write_text("\n".join(robots), encoding="utf-8")
+    with pytest.raises(InputError, match="several machines"):
+        next(iter(open_source(table, {})[1]))
     bare = XYZ.format("Target", "Error")
     table.write_text("\n".join([bare, *rows]), encoding="utf-8")
     with pytest.raises(InputError, match="errors do not say their unit"):
