@@ -425,6 +425,17 @@ def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> Non
         read(path)
 
 
+def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{0 if n in (0, 40, 41) else n / 2 + 0.1},{20 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["time [min],Z [µm],T [°C]", *rows]), encoding="utf-8")
+    run = read(path)
+    assert (run.n_samples, run.samples["displacement_um"][0]) == (58, 0.0)
+    assert "drift.dropout" in {finding.code for finding in run.findings}
+    path.write_text("\n".join(["time [min],Z correction [µm],T [°C]", *rows]), encoding="utf-8")
+    assert not is_drift_log(path)
+
+
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{60 * n},0,{n / 2},{20 + n / 10}" for n in range(60)]
