@@ -58,6 +58,11 @@ _OF_WHICH = re.compile(
     re.I,
 )
 """Head of a column that says of which machine, or with which tool, a row is."""
+REVERSED = re.compile(
+    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))",
+    re.I,
+)
+"""Title or head of errors whose sign is the opposite of everywhere else."""
 PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
 _UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)

@@ -45,6 +45,7 @@ from dtwin.kinds.linear._refusals import (
     require_near,
     require_no_turns,
     require_positioning,
+    require_sign,
     require_unit_of_heads,
 )
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
@@ -58,7 +59,6 @@ from dtwin.kinds.linear._table_heads import (
     axes_beside,
     deviation_um,
     is_deviation,
-    is_opposite,
     is_row_of_units,
     is_unit,
     long_of,
@@ -311,15 +311,7 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
 
 def _scale(head: str, below: str, path: Path) -> float:
     """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
-    if is_opposite(head):
-        raise InputError(
-            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
-            code="position_table.sign",
-            where=str(path),
-            got=head.strip()[:60],
-            allowed="actual minus target",
-            hint="change the sign and call the column a deviation",
-        )
+    require_sign([head], path)
     unit = told_unit(head, below)
     scale = scale_of(unit)
     if not scale > 0.0 or (not unit and is_deviation(head)):

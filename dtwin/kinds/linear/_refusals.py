@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import in_english, unit_of_titles
+from dtwin.acquire.foreign_columns import REVERSED, in_english, unit_of_titles
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable
@@ -17,6 +17,7 @@ from dtwin.kinds.linear._table_heads import (
     MOST_TITLES,
     OTHER_TEST,
     is_deviation,
+    is_opposite,
     is_unit,
     scale_of,
     told_unit,
@@ -36,6 +37,7 @@ def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose title or heads say that it is of another test along an axis."""
     titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
     other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
+    require_sign([text for text in titles if REVERSED.search(text)], path)
     if other is not None:
         raise InputError(
             "title or heads say that this is no test of positioning",
@@ -88,6 +90,19 @@ def require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
     angles = [cell.strip() for row in rows for cell in row if ANGLE.search(cell.strip())]
     if angles:
         raise of_angles(path, angles[0][:40])
+
+
+def require_sign(titles: Sequence[str], path: Path) -> None:
+    """Refuse a table with a title or head which says that errors are nominal minus actual, or with corrections."""
+    if opposite := next((text.strip() for text in titles if is_opposite(text)), ""):
+        raise InputError(
+            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
+            code="position_table.sign",
+            where=str(path),
+            got=opposite[:60],
+            allowed="actual minus target",
+            hint="change the sign and call the column a deviation",
+        )
 
 
 def require_no_turns(rows: Sequence[Sequence[str]], path: Path) -> None:

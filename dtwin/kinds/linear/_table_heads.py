@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dtwin.acquire.axis_titles import axis_of
-from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.units import LENGTHS_MM, UM_PER_MM, with_shares
 
@@ -51,10 +51,6 @@ _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
-_REVERSED = re.compile(
-    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)",
-    re.I,
-)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
@@ -185,7 +181,7 @@ def is_index(head: str) -> bool:
 
 def is_opposite(head: str) -> bool:
     """Return whether the sign of a column is the opposite of a deviation's: corrections, or nominal minus actual."""
-    return bool(_REVERSED.search(head)) or bool(_CORRECTION.search(head) and not is_deviation(head))
+    return bool(REVERSED.search(head)) or bool(_CORRECTION.search(head) and not is_deviation(head))
 
 
 def names_target(head: str) -> bool:

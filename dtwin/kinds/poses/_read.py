@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import below_heads, joined_heads, require_one_table, unit_of_titles
+from dtwin.acquire.foreign_columns import REVERSED, below_heads, joined_heads, require_one_table, unit_of_titles
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
@@ -108,7 +108,18 @@ def is_pose_table(path: Path) -> bool:
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     recipe = campaign.instrument.get("columns", {})
-    named, heads, below, unit = _headed(rows_of(decoded(table_bytes(path, _MOST_BYTES))), recipe, path)
+    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    named, heads, below, unit = _headed(rows, recipe, path)
+    title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
+    if title and not any(name.startswith("measured_") for name in named):
+        raise InputError(
+            "errors are target minus actual: their sign is the opposite of everywhere else",
+            code="poses.sign",
+            where=str(path),
+            got=title[:60],
+            allowed="actual minus target",
+            hint="change the sign of the errors, and say so in the title",
+        )
     without = [head for head, name in zip(heads, named, strict=True) if name.endswith(NO_UNIT)]
     if without:
         raise InputError(

@@ -487,6 +487,11 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     table.write_text("\n".join([bare, *rows]), encoding="utf-8")
     with pytest.raises(InputError, match="errors do not say their unit"):
         next(iter(open_source(table, {})[1]))
+    table.write_text(
+        "\n".join(["Error = target - actual", re.sub(r"(Error .)", r"\1 [mm]", bare), *rows]), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="target minus actual"):
+        next(iter(open_source(table, {})[1]))
     table.write_text("\n".join([re.sub(r"(Error .)", r"\1 [mm]", bare), *rows]), encoding="utf-8")
     ((run,), _) = next(iter(open_source(table, {})[1]))
     assert run.samples["error_x_mm"][1] == pytest.approx(101.0)

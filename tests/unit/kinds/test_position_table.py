@@ -187,7 +187,7 @@ def by_cycle() -> str:
             for i, t in enumerate(TARGETS)
             for way, values in (("+", FORWARD), ("-", REVERSE))
         ),
-        "Prüfer: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
+        "Soll-Ist-Vergleich: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
         wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
         wide("dev {way} {c} 1/100 mm", 1e5, False),
@@ -711,6 +711,7 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Einheit: µm\nSoll;hin 1;rück 1\n0;1;2\n50000;50001;50002", "position_table.unit"),
         ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
         ("Target [mm],Target - measured fwd 1 [µm],Target - measured rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Error = target - actual\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
     ],
 )
