@@ -41,6 +41,13 @@ UNITS: dict[str, str] = {
 }
 
 UM_PER_MM = 1000.0
+_SHARES = ("tenth", "hundredth", "thousandth", "tenthousandth", "hundredthousandth", "millionth")
+_SHARE = re.compile(
+    r"(?<!\w)(?:0?[.,](?P<zeros>0*)1|1\s*/\s*10(?P<more>0*)|(?P<word>tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel)s?(?:\s+of\s+an?)?)"
+    r"\s*-?\s*(?P<unit>mm|in\b|inch(?:es)?|\"|\u2033|'')",
+    re.I,
+)
+_POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 LENGTHS_MM = (
     {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
     | dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "mikrometer"), 1e-3)
@@ -48,8 +55,10 @@ LENGTHS_MM = (
     | dict.fromkeys(("in", "inch", "inches"), 25.4)
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)
     | dict.fromkeys(("uin", "µin", "μin", "microinch"), 25.4e-6)
+    | {f"{share}mm": 10.0**-n for n, share in enumerate(_SHARES, 1)}
+    | {f"{share}in": 25.4 * 10.0**-n for n, share in enumerate(_SHARES, 1)}
 )
-"""How many millimetres a unit of length of a foreign file is, as people spell it."""
+"""How many millimetres a unit of length of a foreign file is, as people spell it, parts of one as :func:`with_shares` does."""
 TIMES_S = (
     {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3}
     | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten", "分"), 60.0)
@@ -65,6 +74,18 @@ _LARGEST = sys.float_info.max
 def is_number(value: object) -> TypeGuard[float]:
     """Tell whether a value that was read is a finite number; a truth value is none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+
+
+def with_shares(text: str) -> str:
+    """Return a text with parts of units as words without digits: ``1/100 mm`` as ``hundredthmm``, ``0.0001 in`` as ``tenthousandthin``."""
+    return _SHARE.sub(_share, text)
+
+
+def _share(found: re.Match[str]) -> str:
+    word, zeros = found["word"], found["zeros"] or found["more"] or ""
+    power = _POWERS[word[:2].lower()] if word else 1 + len(zeros)
+    unit = "mm" if found["unit"].lower() == "mm" else "in"
+    return f"{_SHARES[power - 1]}{unit}" if power <= len(_SHARES) else found[0]
 
 
 def shown_unit(unit: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from dtwin.errors import InputError
-from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
@@ -53,8 +53,19 @@ _HEADS = (
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
+_OF_WHICH = re.compile(
+    r"(machine|maschine|macchina|m[aá]quina|robot|roboter|tool|werkzeug)[\s_]*(no|nr|name|id|number|nummer)?\.?|s/?n|serial( (no|number))?\.?|seriennummer",
+    re.I,
+)
+"""Head of a column that says of which machine, or with which tool, a row is."""
+REVERSED = re.compile(
+    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)(?!\w*[\s-]*(vergleich|abgleich|compar))",
+    re.I,
+)
+"""Title or head of errors whose sign is the opposite of everywhere else."""
 PROBES = r"probe|sensor|sonde|(mess)?taster|messuhr|gauge|lvdt|kanal|channel|ch(?=[ _.]?\d)"
 """Words of a head that name what reads a displacement."""
+_UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
 _ENGLISH = tuple(
     (english, re.compile(words, re.I))
     for english, words in (
@@ -98,11 +109,11 @@ class Column:
 
 
 def in_english(head: str) -> str:
-    """Return a head with the words that are known of other languages in English: ``変位X [μm]`` as ``displacement X [μm]``."""
+    """Return a head with the words that are known of other languages in English, ``変位X [μm]`` as ``displacement X [μm]``, and parts of units as words."""
     said = head
     for english, words in _ENGLISH:
         said = words.sub(f" {english} ", said)
-    return head.strip() if said == head else " ".join(said.split())
+    return with_shares(head.strip() if said == head else " ".join(said.split()))
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
@@ -126,6 +137,12 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
     )
 
 
+def unit_of_titles(rows: Sequence[Sequence[str]]) -> str:
+    """Return the unit that a title such as ``Unit: inch`` tells of what is below; empty where none does."""
+    told = (_UNIT_ABOVE.fullmatch(" ".join(cell.strip() for cell in row if cell.strip())) for row in rows)
+    return next((match[1] for match in told if match is not None), "")
+
+
 def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return the rows of a table with one row of heads where they stand in two, as under merged cells; other rows as they are.
 
@@ -136,7 +153,7 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
     except InputError:
         return list(rows)
     above, heads = rows[begin - 1] if begin else [], rows[begin]
-    said = [cell.strip() for cell in above]
+    said = [with_shares(cell.strip()) for cell in above]
     merged = len(above) == len(heads) and sum(map(bool, said)) > 1 and not any(map(_VALUE.search, said))
     told = [head.strip() for head in heads if head.strip()]
     empty = merged and any(word and (not head or all_units([head])) for word, head in zip(said, heads, strict=True))
@@ -152,12 +169,12 @@ def joined_heads(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str
 
 
 def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, once: bool = False) -> None:
-    """Refuse a file in which other heads stand below the first table: the rows under them would be taken for its own.
+    """Refuse a file in which other heads stand below the first table, or rows are of several machines: they would be taken for those of one.
 
     ``once``: the same heads are refused, too, where titles tell the tables apart, which are not read.
     """
     told = [head.strip() for head in heads]
-    rows = ([cell.strip() for cell in row] for row in body)
+    rows = [[cell.strip() for cell in row] for row in body]
     other = next((row for row in rows if row and row[0] and row[0] == told[0] and (once or row != told)), None)
     if other is not None:
         raise InputError(
@@ -168,6 +185,26 @@ def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path:
             allowed="one table",
             hint="a file for each, or columns beside each other",
         )
+    require_one_of(_OF_WHICH, told, rows, path)
+
+
+def require_one_of(which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells."""
+    for n in (n for n, head in enumerate(heads) if which.fullmatch(head.strip())):
+        names = list(dict.fromkeys(row[n].strip() for row in body if n < len(row) and row[n].strip()))
+        # Decimals, and many numbers, are readings.
+        read = any("." in name and is_number(name) for name in names) or (
+            len(names) > 20 and all(map(is_number, names))
+        )
+        if len(names) > 1 and not read:
+            raise InputError(
+                "the rows are of several machines, tools or places",
+                code="table.several",
+                where=f"{path} {heads[n].strip()}",
+                got=", ".join(names)[:80],
+                allowed="one",
+                hint="a file for each",
+            )
 
 
 def _has_gaps(row: Sequence[str]) -> bool:
@@ -256,7 +293,7 @@ def all_units(row: Sequence[str]) -> bool:
 
 def _plain(unit: str) -> str:
     """Return a unit in small letters without blanks and brackets; a sign such as ℃ as its letters."""
-    return re.sub(r"\s", "", unicodedata.normalize("NFKC", unit)).strip("[]()").lower()
+    return re.sub(r"\s", "", with_shares(unicodedata.normalize("NFKC", unit))).strip("[]()").lower()
 
 
 def is_number(cell: str) -> bool:

@@ -45,7 +45,7 @@ _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
-_MARKS = {";": "semicolons", "\t": "tabs", ",": "commas"}
+_MARKS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 
 
 @dataclass(frozen=True)
@@ -246,8 +246,8 @@ def understand(
         lone = Path(scratch) / f"{safe_name(path.stem)}.csv"
         write_text(lone, plain, "a table")
         columns: tuple[Column, ...] = ()
-        known = not answers and any(kind.takes_alone(lone) for kind in kinds())
         of_file = not (answers or looked.of_channels) and any(kind.takes_alone(path) for kind in kinds())
+        known = not answers and any(kind.takes_alone(lone) for kind in kinds())
         if of_file and not (known and looked.decimal):
             # What was taken for titles belongs to it, as the directions above blocks, or in a table on its side.
             known, plain = True, part_of_axis(decoded(table_bytes(path, _MAX_BYTES, axis)), axis, path)

@@ -13,8 +13,9 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.axis_titles import axis_of
+from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.html_table import table_of_page
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
@@ -82,7 +83,9 @@ def first_text(path: Path, max_bytes: int) -> str:
         require_bounded(path, _MAX_BYTES)
         # Sheets of several axes are of one form.
         return decoded(_converted(path, path.stat().st_mtime_ns, None)[0][:_SNIFFED])
-    return decoded(_table_of_text(path, _begin(path, _SNIFFED)))
+    text = decoded(_table_of_text(path, _begin(path, _SNIFFED)))
+    # A line that is cut is no row.
+    return text[: text.rfind("\n")] if path.stat().st_size > _SNIFFED and "\n" in text else text
 
 
 def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
@@ -127,6 +130,8 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
                 tables = called
             elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
                 raise _several(path, alike)
+            told = [named for title in tables[:1] if axis and (named := axis_of(title, bare=True))]
+            require_axis(told, axis or "", path)
             sheets = [sheet for sheet in shown if sheet.title in tables[:1]] or shown
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
@@ -168,10 +173,13 @@ def _only_table(path: Path, data: bytes) -> bytes:
 
 
 def _table_of_text(path: Path, data: bytes) -> bytes:
-    """Return a text as it is; refuse what is none, or is a page: its rows would be taken for those of a table."""
+    """Return a text as it is, and the one table of a page in HTML with tabs between its cells; refuse what is none of these."""
     begin = decoded(data[:_SNIFFED])
     got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else "an archive" if data.startswith(b"PK") else ""
     if _MARKUP.match(begin):
+        rows = table_of_page(decoded(data))
+        if _heads(rows):
+            return "\n".join(map("\t".join, rows)).encode()
         title = _TITLE.search(begin)
         got = "a page in HTML or XML" + (f", {title[1].strip()[:60]!r}" if title else "")
     if not got:
@@ -181,7 +189,7 @@ def _table_of_text(path: Path, data: bytes) -> bytes:
         code="spreadsheet.form",
         where=str(path),
         got=got,
-        allowed="text with commas, semicolons or tabs between columns; .xlsx",
+        allowed="text with commas, semicolons or tabs between columns; .xlsx; a page in HTML with one plain table",
         hint="open it in a spreadsheet program, look whether it shows the table, and save it as .xlsx or .csv",
     )
 

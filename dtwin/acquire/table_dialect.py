@@ -8,6 +8,8 @@ import re
 from collections.abc import Sequence
 from itertools import zip_longest
 
+from dtwin.acquire.aligned_columns import aligned_rows
+
 STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
 """A cell of a row that sums up the rows above it."""
@@ -75,7 +77,12 @@ def is_comment(line: str) -> bool:
 
 
 def mark_of(lines: list[str]) -> str:
-    """Return what parts the columns: semicolons or tabs when half of the first lines have them, else commas."""
+    """Return what parts the columns: semicolons or tabs when half of the first lines have them, a blank where blanks do, else commas."""
+    mark = _typed_mark(lines)
+    return " " if aligned_rows(lines, mark) else mark
+
+
+def _typed_mark(lines: list[str]) -> str:
     first = lines[:_SNIFFED_LINES]
     return next((mark for mark in (";", "\t") if 2 * sum(mark in line for line in first) >= max(len(first), 1)), ",")
 
@@ -84,15 +91,17 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     """Return the cells of a table without comments and empty lines; a decimal comma becomes a point.
 
     ``decimal``: ``comma`` or ``point`` where it is told: the other one parts digits into groups. Empty: a comma is one where
-    semicolons or tabs part the columns, or where it is quoted and no point stands in a number.
+    semicolons, tabs or blanks part the columns, or where it is quoted and no point stands in a number.
     """
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
-    mark = mark_of(lines)
+    mark = _typed_mark(lines)
+    aligned = aligned_rows(lines, mark)
     try:
         # What is longer is a remark: heads are looked through for many words.
-        rows = [[cell[:_LONGEST_CELL] for cell in row] for row in csv.reader(lines, delimiter=mark)]
+        rows = [[cell[:_LONGEST_CELL] for cell in row] for row in aligned or csv.reader(lines, delimiter=mark)]
     except csv.Error:
         return []
+    mark = " " if aligned else mark
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if _TYPESET.search(text):
         # Of a lone cell a blank may part columns.

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dtwin.acquire.foreign_columns import (
     CLOCK,
     PROBES,
+    Column,
     below_heads,
     columns_of,
     header_row,
@@ -32,6 +32,7 @@ from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.errors import InputError
+from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible
 from dtwin.kinds.drift._sense import sense
 from dtwin.kinds.drift._standing import standing
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -45,7 +46,8 @@ _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
-    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear", re.I
+    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur)",
+    re.I,
 )
 _STAMP = re.compile(
     r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|epoch|unix[ _]?time|(local |utc )?time|(uhr)?zeit|clock)",
@@ -60,12 +62,6 @@ _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _OTHER_DEGREES = re.compile(r"\s*(k|kelvin)\s*", re.I)
 _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
-_COLDEST_C, _HOTTEST_C = -60.0, 400.0
-"""No part of a machine is colder or hotter: it is what a sensor says that is not connected, such as -127, 850 or 999.9."""
-# Of a sensor that drops out: how many readings tell where it would be, how far off it is, and how seldom.
-_AROUND, _OFF_C, _TIMES_USUAL, _MOST_LOST = 9, 10.0, 20.0, 0.1
-# Of the jump by which a sensor left: how near it comes back.
-_BACK = 0.3
 
 
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
@@ -86,7 +82,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     moved = _displacements(heads)
     clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
     if not moved or not temperatures or not clock or not body:
-        foreign = _unknown(said, units, recipe)
+        foreign = [column.head for column in _unknown(said, units, recipe)]
         raise InputError(
             "a log of drift lacks columns",
             code="columns.missing",
@@ -114,13 +110,13 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     if "sample" in column:
         shared["sample_1"] = _numbers(column["sample"])
     cold = [
-        Finding("drift.left_out", "warning", f"{head} is left out: its unit is not known here")
-        for head in _unknown(said, units, recipe)
+        Finding("drift.left_out", "warning", f"{column.head} is left out: {column.why_not}")
+        for column in _unknown(said, units, recipe)
     ]
     for name in temperatures:
         read = shared[name]
-        if not _possible(read).any():
-            at = f"below {_COLDEST_C:g}" if np.nanmax(read, initial=-np.inf) < _COLDEST_C else f"above {_HOTTEST_C:g}"
+        if not possible(read).any():
+            at = f"below {COLDEST_C:g}" if np.nanmax(read, initial=-np.inf) < COLDEST_C else f"above {HOTTEST_C:g}"
             said = f"{name} reads {at} °C throughout: no sensor is connected, and it is left out"
             cold.append(Finding("drift.no_sensor", "warning", said))
             del shared[name]
@@ -128,7 +124,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         if (gone := ~np.isfinite(read) & np.isfinite(t_s)).any():
             said = f"{name} has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
             cold.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
-        if (lost := _lost(read)).any():
+        if (lost := lost_readings(read)).any():
             said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
             shared[name] = np.where(lost, np.nan, read)
@@ -141,8 +137,12 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             step, contradiction = _step_mm(path, text, campaign, stated)
             scale = 1e3 * step
             findings = [*contradiction, *cold]
-        samples = shared | {"displacement_um": _numbers(column[name]) * scale}
-        if (gone := ~np.isfinite(samples["displacement_um"]) & np.isfinite(t_s)).any():
+        moved_um = _numbers(column[name]) * scale
+        if (lost := nothing_read(moved_um)).any():
+            said = f"{lost.sum()} readings of {name} are 0 far off their neighbours, {_when(t_s, lost)}: the probe read nothing, and the rows are left out"
+            findings.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
+        samples = shared | {"displacement_um": np.where(lost, np.nan, moved_um)}
+        if (gone := ~np.isfinite(moved_um) & np.isfinite(t_s)).any():
             said = f"the displacement has no reading in {gone.sum()} of {np.isfinite(t_s).sum()} rows, {_when(t_s, gone)}: they are left out"
             findings.append(Finding("drift.missing", "warning", said, {"readings_1": float(gone.sum())}))
         good = np.all([np.isfinite(values) for values in samples.values()], axis=0)
@@ -256,11 +256,11 @@ def _named(
     return names, factors, zeros
 
 
-def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[str]:
-    """Return heads that tell a unit which is not known."""
+def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[Column]:
+    """Return columns that tell a unit, and are not used."""
     plain = [cell.strip() for cell in row]
     told = columns_of(plain, units, {})
-    return [c.head for c in told if c.unit and c.why_not and c.head not in recipe and not _FORM.search(c.head)]
+    return [c for c in told if c.unit and c.why_not and c.head not in recipe and not _FORM.search(c.head)]
 
 
 def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any], path: Path) -> None:
@@ -292,39 +292,11 @@ def _require_rising(t_s: Floats, path: Path) -> None:
         )
 
 
-def _possible(temperature_c: Floats) -> NDArray[np.bool_]:
-    return np.asarray((temperature_c >= _COLDEST_C) & (temperature_c <= _HOTTEST_C))
-
-
 def _when(t_s: Floats, which: NDArray[np.bool_]) -> str:
     """Return between which minutes of the log readings were taken."""
     told = (t_s[which] - np.nanmin(t_s)) / 60.0
     told = told[np.isfinite(told)]
     return f"from {told.min():z.0f} to {told.max():z.0f} min" if told.size else "without a time"
-
-
-def _lost(temperature_c: Floats) -> NDArray[np.bool_]:
-    """Return which readings a sensor that dropped out gave: of no machine, or few and far off those before and after them, such as 85."""
-    lost = np.isfinite(temperature_c) & ~_possible(temperature_c)
-    there = np.flatnonzero(_possible(temperature_c))
-    if there.size <= _AROUND:
-        return lost
-    read = temperature_c[there]
-    steps = np.diff(read)
-    limit = max(_OFF_C, _TIMES_USUAL * float(np.median(np.abs(steps))))
-    few = np.abs(read - ndimage.median_filter(read, size=_AROUND, mode="nearest")) > limit
-    jumps = np.flatnonzero(np.abs(steps) > limit)
-    # What a sensor says instead may last longer than its neighbours tell.
-    for at in jumps:
-        if few[at]:
-            # It is the way back.
-            continue
-        back = jumps[(jumps > at) & (np.abs(read[jumps + 1] - read[at]) < min(limit, _BACK * abs(steps[at])))]
-        if back.size:
-            few[at + 1 : back[0] + 1] = True
-    if few.mean() < _MOST_LOST:
-        lost[there] |= few
-    return lost
 
 
 def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[float, tuple[Finding, ...]]:

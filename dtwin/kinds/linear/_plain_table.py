@@ -7,13 +7,17 @@ from collections.abc import Sequence
 from itertools import zip_longest
 
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.table_dialect import SUMMARY
+from dtwin.kinds.linear._report_tables import name_of
 from dtwin.kinds.linear._table_heads import (
     MOST_TITLES,
     UNIT_INSIDE,
     by_way_of,
+    is_row_of_units,
     is_unit,
     long_of,
     names_target,
+    told_unit,
     way_of,
     wide_of,
 )
@@ -25,7 +29,7 @@ _MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")
 
 def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, which may stand in its first column; None when there is none."""
-    rows = _ways_apart(rows)
+    rows = _halves_below(_ways_apart(rows))
     table = _below_titles(rows)
     # Titles have one cell.
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
@@ -55,12 +59,48 @@ def _ways_apart(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     ]
 
 
+def _halves_below(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Return a half for each direction beside each other, with targets of its own, as one table with a column of directions; other rows as they are.
+
+    The direction stands in the heads of a half, or above them.
+    """
+    for begin, row in enumerate(rows[:MOST_TITLES]):
+        places = [i for i, head in enumerate(row) if names_target(head)]
+        if len(places) != 2:
+            continue
+        halves = slice(*places), slice(places[1], None)
+        above = rows[begin - 1] if begin else ()
+        ways = [{way_of(cell) for cell in (*above[half], *row[half])} - {None} for half in halves]
+        # Between the halves a column may be empty.
+        heads = [row[half][: max(i for i, head in enumerate(row[half], 1) if head.strip())] for half in halves]
+        alike = [[(name_of(head), told_unit(head, ""), re.findall(r"\d+", head)) for head in half] for half in heads]
+        if sorted(map(list, ways)) != [["forward"], ["reverse"]] or alike[0] != alike[1]:
+            continue
+        before, width = list(row[: places[0]]), len(heads[0])
+        table = [[*before, "direction", heads[0][0], *(f"reading {head}" for head in heads[0][1:])]]
+        body = rows[begin + 1 :]
+        units = body[0] if body and is_row_of_units(body[0], places[0]) else None
+        table += [[*units[: places[0]], "", *units[halves[0]]]] if units is not None else []
+        for half, (way,) in zip(halves, ways, strict=True):
+            lines = [[*line[: places[0]], str(way), *line[half][:width]] for line in body if line is not units]
+            told = [line[len(before) + 1 :][:1] for line in lines]
+            table += [
+                line
+                for line, at in zip(lines, told, strict=True)
+                if "".join(at).strip() and not SUMMARY.fullmatch(at[0].strip())
+            ]
+        return [*rows[: max(begin - 1, 0)], *table]
+    return list(rows)
+
+
 def _one_reading_a_row(
     heads: Sequence[str], body: Sequence[Sequence[str]], by_way: tuple[int, int, tuple[tuple[int, int], ...]]
 ) -> list[Sequence[str]]:
     """Return a table of one row a target and direction as one of a row a reading; a target that is merged stands once."""
     target, way, cycles = by_way
     out: list[Sequence[str]] = [(heads[target], "direction", "cycle", f"reading {heads[cycles[0][0]]}")]
+    if body and is_row_of_units(body[0], target):
+        out.append((body[0][target], "", "", "".join(body[0][cycles[0][0] :][:1])))
     last = ""
     for row in (row for row in body if way < len(row) and way_of(row[way]) is not None):
         last = row[target].strip() or last

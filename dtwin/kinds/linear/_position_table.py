@@ -43,7 +43,9 @@ from dtwin.kinds.linear._refusals import (
     of_angles,
     require_lengths,
     require_near,
+    require_no_turns,
     require_positioning,
+    require_sign,
     require_unit_of_heads,
 )
 from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
@@ -57,7 +59,6 @@ from dtwin.kinds.linear._table_heads import (
     axes_beside,
     deviation_um,
     is_deviation,
-    is_opposite,
     is_row_of_units,
     is_unit,
     long_of,
@@ -78,7 +79,10 @@ _MAX_BYTES = 16 * 1024 * 1024
 
 
 def is_position_table(path: Path) -> bool:
-    """Return whether a file looks like one of the forms; it is read no further than its beginning."""
+    """Return whether a file looks like one of the forms; it is read no further than its beginning.
+
+    Raises ``InputError`` when it is the table of an axis that turns, which no kind reads.
+    """
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     text = first_text(path, _MAX_BYTES)
@@ -86,6 +90,7 @@ def is_position_table(path: Path) -> bool:
         return True
     text = next(iter(parts_by_axis(text).values()), text)
     rows = rows_of(text)
+    require_no_turns(rows, path)
     known = table_of(rows) is not None or bool(names_no_direction(rows)) or bool(trials_um(rows))
     return known or bool(report_tables(text, rows)) or bool(instruments_beside(rows))
 
@@ -306,15 +311,7 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
 
 def _scale(head: str, below: str, path: Path) -> float:
     """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
-    if is_opposite(head):
-        raise InputError(
-            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
-            code="position_table.sign",
-            where=str(path),
-            got=head.strip()[:60],
-            allowed="actual minus target",
-            hint="change the sign and call the column a deviation",
-        )
+    require_sign([head], path)
     unit = told_unit(head, below)
     scale = scale_of(unit)
     if not scale > 0.0 or (not unit and is_deviation(head)):

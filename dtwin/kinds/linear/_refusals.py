@@ -8,23 +8,36 @@ from pathlib import Path
 
 import numpy as np
 
+from dtwin.acquire.foreign_columns import REVERSED, in_english, unit_of_titles
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plain_table import table_of
 from dtwin.kinds.linear._position_runs import PositionTable
-from dtwin.kinds.linear._table_heads import ANGLE, MOST_TITLES, OTHER_TEST, is_unit, scale_of, told_unit
+from dtwin.kinds.linear._table_heads import (
+    ANGLE,
+    MOST_TITLES,
+    OTHER_TEST,
+    is_deviation,
+    is_opposite,
+    is_unit,
+    scale_of,
+    told_unit,
+    unit_of,
+    way_of,
+)
 from dtwin.units import UM_PER_MM
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
 _LONGEST_MM = 1e5
-_UNIT_ABOVE = re.compile(r"(?:units?|einheit(?:en)?|unités?|unità|unidad(?:es)?|単位|单位)\W*(\S+)", re.I)
-"""Title that tells a unit of what is below."""
+_ANGLE_HEAD = re.compile(r"(\w+[ _-]?)?(angle|winkel|angular position|rotary position)\b", re.I)
+_ARC = re.compile(r"\barc[ _-]?(sec|min)|[\[(]\s*(\"|\u2033|''|\u2032|'|秒)\s*[\])]|角秒|角分", re.I)
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose title or heads say that it is of another test along an axis."""
     titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
     other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
+    require_sign([text for text in titles if REVERSED.search(text)], path)
     if other is not None:
         raise InputError(
             "title or heads say that this is no test of positioning",
@@ -79,6 +92,35 @@ def require_lengths(rows: Sequence[Sequence[str]], path: Path) -> None:
         raise of_angles(path, angles[0][:40])
 
 
+def require_sign(titles: Sequence[str], path: Path) -> None:
+    """Refuse a table with a title or head which says that errors are nominal minus actual, or with corrections."""
+    if opposite := next((text.strip() for text in titles if is_opposite(text)), ""):
+        raise InputError(
+            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
+            code="position_table.sign",
+            where=str(path),
+            got=opposite[:60],
+            allowed="actual minus target",
+            hint="change the sign and call the column a deviation",
+        )
+
+
+def require_no_turns(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse the table of an axis that turns: angles as targets, directions or seconds of arc beside them, and no length."""
+    for row, below in zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False):
+        heads = [in_english(cell) for cell in row]
+        angle = next((head for head in heads if _ANGLE_HEAD.match(head)), "")
+        others = [head for head in heads if head != angle]
+        ways, arc = sum(way_of(head) is not None for head in others), any(map(_ARC.search, (*others, *below)))
+        read = ways or any(map(is_deviation, others))
+        if (
+            angle
+            and (ways > 1 or (arc and read))
+            and not any(unit_of(cell) or is_unit(cell) for cell in (*heads, *below))
+        ):
+            raise of_angles(path, ", ".join(row)[:80])
+
+
 def of_angles(path: Path, got: str) -> InputError:
     """Return the refusal of a table of angles."""
     return InputError(
@@ -93,8 +135,7 @@ def of_angles(path: Path, got: str) -> InputError:
 
 def require_unit_of_heads(rows: Sequence[Sequence[str]], table: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose heads tell no unit, and whose title tells another than mm: of which columns it is, nobody knows."""
-    told = (_UNIT_ABOVE.fullmatch(" ".join(cell.strip() for cell in row if cell.strip())) for row in rows[:MOST_TITLES])
-    unit = next((match[1] for match in told if match is not None), "")
+    unit = unit_of_titles(rows[:MOST_TITLES])
     heads = any(told_unit(cell, "") or is_unit(cell) for row in table[:2] for cell in row)
     if not heads and scale_of(unit) != 1.0:
         raise InputError(

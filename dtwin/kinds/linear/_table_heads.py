@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dtwin.acquire.axis_titles import axis_of
-from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
-from dtwin.units import LENGTHS_MM, UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM, with_shares
 
 MOST_TITLES = 20
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
@@ -51,10 +51,6 @@ _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.
 """Head of a column of targets, or, where another one holds them, of their numbers."""
 _DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
-_REVERSED = re.compile(
-    r"(nominal|target|command(ed)?|soll\w*|ziel|cible|指令|目標)\s*([-\u2212\u2013]|minus)\s*(actual|measured|ist|mesur|測定|実測)",
-    re.I,
-)
 OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
@@ -108,7 +104,7 @@ class Wide:
 
 def wide_of(heads: Sequence[str]) -> Wide | None:
     """Return which column is which in a table of one row a target, or of one row a target and cycle; None when it is neither."""
-    names = [head.strip() for head in heads]
+    names = [with_shares(head.strip()) for head in heads]
     targets = _targets(names)
     ways = _ways_of(names)
     told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
@@ -185,7 +181,7 @@ def is_index(head: str) -> bool:
 
 def is_opposite(head: str) -> bool:
     """Return whether the sign of a column is the opposite of a deviation's: corrections, or nominal minus actual."""
-    return bool(_REVERSED.search(head)) or bool(_CORRECTION.search(head) and not is_deviation(head))
+    return bool(REVERSED.search(head)) or bool(_CORRECTION.search(head) and not is_deviation(head))
 
 
 def names_target(head: str) -> bool:
@@ -299,7 +295,7 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
 
 def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ...]] | None:
     """Return the columns of targets, of directions, and of readings with their cycles, in a table of one row a target and direction."""
-    names = [head.strip() for head in heads]
+    names = [with_shares(head.strip()) for head in heads]
     way = next((i for i, name in enumerate(names) if _WAY.match(name)), None)
     places = _targets(names)
     if way is None or not places:
@@ -343,6 +339,7 @@ def is_deviation(head: str) -> bool:
 
 def unit_of(head: str) -> str:
     """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
+    head = with_shares(head)
     match = UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
@@ -373,4 +370,4 @@ def scale_of(unit: str) -> float:
 
 
 def _plain_unit(cell: str) -> str:
-    return unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower()
+    return with_shares(unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower())

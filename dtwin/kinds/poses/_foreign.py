@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 
 from dtwin.acquire.foreign_columns import in_english
+from dtwin.units import LENGTHS_MM
 
 _MOST_TITLES = 12
 _UNITS = {"meters": "m", "millimeters": "mm", "m": "m", "mm": "mm"}
@@ -16,10 +17,13 @@ _WORDS = {
     **dict.fromkeys(("ist", "measured", "meas", "actual", "act"), "measured"),
 }
 _WORD = "|".join(sorted(_WORDS, key=len, reverse=True))
+NO_UNIT = "without_unit"
+"""In the place of the unit in the name of a column of errors that tells none."""
+_LENGTH = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
 _PLACE = r"(?:pos(?:ition)?\.?|wert)?"
 _TOLD = re.compile(
     rf"(?:(?P<what>{_WORD})[ _-]*{_PLACE}[ _-]*(?P<axis>[xyz])|(?P<axis2>[xyz])[ _-]*(?P<what2>{_WORD})[ _-]*{_PLACE})"
-    r"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>mm|m|µm|μm|um)[\])]?)?",
+    rf"(?:[ _]*(?:in |[\[(/_])? *(?P<unit>{_LENGTH})[\])]?)?",
     re.I,
 )
 _VICON = re.compile(r".* T?([XYZ])$")
@@ -55,7 +59,7 @@ def of_ros(heads: Sequence[str]) -> bool:
 
 
 def of_words(head: str, below: str = "") -> str:
-    """Return the house's name of ``Soll X [mm]``, ``x_ist`` or ``Actual X``, in millimetres where no unit is told; other heads as they are.
+    """Return the house's name of ``Soll X [mm]``, ``x_ist`` or ``Actual X``, in millimetres where no unit of places is told; other heads as they are.
 
     ``below``: the unit that a row below the heads tells.
     """
@@ -66,7 +70,8 @@ def of_words(head: str, below: str = "") -> str:
         # Of a unit that is not known here it is no head that is.
         return of_words(f"{head} [{below.strip('[]() ')}]")
     what, axis = (found["what"] or found["what2"]).lower(), (found["axis"] or found["axis2"]).lower()
-    unit = (found["unit"] or "mm").lower().replace("µ", "u").replace("μ", "u")
+    # Errors are of any unit.
+    unit = (found["unit"] or (NO_UNIT if _WORDS[what] == "error" else "mm")).lower()
     return f"{_WORDS[what]}_{axis}_{unit}"
 
 

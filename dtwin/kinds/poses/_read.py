@@ -14,18 +14,19 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import below_heads, joined_heads
+from dtwin.acquire.foreign_columns import REVERSED, below_heads, joined_heads, require_one_table, unit_of_titles
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
 from dtwin.errors import InputError
-from dtwin.kinds.poses._foreign import joined, lines_for, of_ros, of_words
+from dtwin.kinds.poses._foreign import NO_UNIT, joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.units import LENGTHS_MM
 
 _MOST_BYTES = 256 * 1024**2
-_SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
+_SCALES = {f"_{unit}": ("_mm", mm) for unit, mm in LENGTHS_MM.items()} | {"_rad": ("_deg", 180.0 / np.pi)}
 _STAMP_DIGITS, _MOST_TITLES, _LARGEST = 14, 20, 1e9
 _NEEDED = ("joint_", "measured_", "error_")
 
@@ -107,7 +108,29 @@ def is_pose_table(path: Path) -> bool:
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     recipe = campaign.instrument.get("columns", {})
-    named, heads, below, unit = _headed(rows_of(decoded(table_bytes(path, _MOST_BYTES))), recipe, path)
+    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    named, heads, below, unit = _headed(rows, recipe, path)
+    title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
+    if title and not any(name.startswith("measured_") for name in named):
+        raise InputError(
+            "errors are target minus actual: their sign is the opposite of everywhere else",
+            code="poses.sign",
+            where=str(path),
+            got=title[:60],
+            allowed="actual minus target",
+            hint="change the sign of the errors, and say so in the title",
+        )
+    without = [head for head, name in zip(heads, named, strict=True) if name.endswith(NO_UNIT)]
+    if without:
+        raise InputError(
+            "errors do not say their unit",
+            code="poses.unit",
+            where=str(path),
+            got=", ".join(without)[:80],
+            allowed=", ".join(LENGTHS_MM)[:40],
+            hint=f"write it into the heads, such as: {without[0]} [mm]",
+        )
+    require_one_table(heads, below, path)
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {
@@ -151,9 +174,10 @@ def _headed(
     begin = next(named_in, 0)
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     units, body = below_heads(rows, begin)
+    told = units or [unit_of_titles(rows[:begin])] * len(heads)
     named = [
         house_name(str(recipe.get(head, of_words(head, below))))
-        for head, below in zip_longest(heads, (units or [])[: len(heads)], fillvalue="")
+        for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
     return named, heads, body, "m"
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
-from dtwin.acquire.foreign_columns import joined_heads, require_one_table
+from dtwin.acquire.foreign_columns import joined_heads, require_one_of, require_one_table
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -25,6 +25,7 @@ from dtwin.kinds.rotation._blocks import SPEED_ABOVE, below_speeds, cell_of, rep
 from dtwin.kinds.rotation._heads import (
     ANGLE,
     PATH,
+    PLACES,
     PROBE,
     PULSE,
     RUNOUT,
@@ -163,6 +164,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
     require_one_table(heads, rows[first:], path)
+    require_one_of(PLACES, heads, rows[first:], path)
     roles = {c.role for c in columns}
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from dtwin.acquire.foreign_columns import PROBES, in_english
 from dtwin.schema import Finding
-from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM
+from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, with_shares
 
 TIME, ANGLE, PULSE, SPEED = "t_s", "angle_deg", "pulse_1", "speed_rpm"
 PROBE = "probe"
@@ -66,7 +66,9 @@ _WORDS = {
         r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
     ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
-    SPEED: re.compile(r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|转速|轉速|回転"),
+    SPEED: re.compile(
+        r"speed|\brpm\b|drehzahl|\bvel|\bomega\b|vitesse|(?:rotat|dreh|spin).*fre[qk]uen|^(fre[qk]u|fréqu|frecu)en\w+$|转速|轉速|回転"
+    ),
     ANGLE: re.compile(
         r"angle|winkel|angolo|[aá]ngulo|encoder.*(?:deg|°|rad|rev|turn)|角度|\bphi\b|\btheta\b|rotation|position.*(?:deg|°)"
     ),
@@ -90,17 +92,16 @@ _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
+PLACES = re.compile(r"position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense", re.I)
+"""Head of a column that says where, or with what, the run-out of a row was read."""
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
-_SHARE = re.compile(
-    r"(?<!\d)(?:0?[.,](?P<zeros>0*)1|1\s*/\s*10(?P<more>0*)|(?P<word>tenth|hundredth|thousandth|zehntel|hundertstel|tausendstel)s?(?:\s+of\s+an?)?)"
-    r"\s*-?\s*(?P<unit>mm|in\b|inch|\"|\u2033|'')",
-    re.I,
-)
-"""A unit that is a part of another one: 0.0001 in, 1/100 mm."""
+_FREQUENCY = re.compile(r"\W*(fre[qk]u|fréqu|frecu)", re.I)
+_TIMES = re.compile(r"(?<![a-z])[x\u00d7*·]\s*10+\b|\b10(\^-?\d|[²³⁶])", re.I)
+"""A unit that is a multiple of another one."""
+_PLACE = re.compile(r"(\s|@)\d{2,}([.,]\d+)?$|\b(at|in|bei|à|@)\s*\d+([.,]\d+)?$", re.I)
 _TENTHS = re.compile(r"\btenths?\b", re.I)
-_POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -125,28 +126,25 @@ class Column:
 
 def column_of(head: str, unit_below: str = "") -> Column:
     """Return what a head means, with the unit that a row below the heads states."""
-    share = _SHARE.search(unit_below) or _SHARE.search(head)
-    if share is None:
-        return _column_of(head, unit_below)
-    whole, part = _column_of(*(_SHARE.sub(_whole_unit, cell) for cell in (head, unit_below))), share.groupdict()
-    power = _POWERS[part["word"][:2].lower()] if part["word"] else 1 + len((part["zeros"] or "") + (part["more"] or ""))
-    return replace(whole, factor=whole.factor / 10.0**power) if whole.role in (PROBE, RUNOUT) else whole
-
-
-def _whole_unit(share: re.Match[str]) -> str:
-    return "mm" if share["unit"].lower() == "mm" else "in"
-
-
-def _column_of(head: str, unit_below: str) -> Column:
     head, unit_below = (
         in_english(cell).replace("⁻¹", "-1").replace("^-1", "-1").strip() for cell in (head, unit_below)
     )
     text = " ".join(head.replace("_", " ").split()).lower()
+    if _TIMES.search(f"{head} {unit_below}"):
+        return replace(column_of(*(_TIMES.sub("", cell) for cell in (head, unit_below))), factor=0.0)
     unit_said = _UNIT.search(head.lower())
     inside = _IN_BRACKETS.search(head.lower())
     if unit_said is not None and inside is not None and inside[1] not in _UNITS:
         # Of 1000 rpm it is the last word only.
         unit_said = None
+    if (
+        unit_said is not None
+        and not unit_below
+        and unit_said[0][0].isspace()
+        and _PLACE.search(head[: unit_said.start()])
+    ):
+        # Of "run-out at 300 mm" it is that of the place.
+        return replace(column_of(head[: unit_said.start()]), factor=0.0)
     told = unit_below.strip("[]()").lower() or (unit_said[1] if unit_said else "")
     if "winkel" in text and "grad" in (told, inside and inside[1]):
         # Elsewhere than in German it may be 1/400 of a turn.
@@ -194,7 +192,10 @@ def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Fin
     units = [f"{head} in {column.assumed}" for head, column in columns.items() if column.assumed not in ("", "1")]
     said = f"columns tell no unit, and are taken: {', '.join(units)}"
     found = (Finding("rotation.unit_assumed", "info", said),) if units else ()
-    if not any(_TENTHS.search(cell) and not _SHARE.search(cell) for cell in cells):
+    if named := [head for head, column in columns.items() if column.role == SPEED and _FREQUENCY.match(head)]:
+        said = f"{named[0]} is taken for turns a second: neither a spectrum, nor what feeds a motor of several pairs of poles"
+        found = (*found, Finding("rotation.frequency", "warning", said))
+    if not any(_TENTHS.search(with_shares(cell)) for cell in cells):
         return found
     return (*found, Finding("rotation.tenths", "info", "tenths are taken for ten-thousandths of an inch, 2.54 µm"))
 

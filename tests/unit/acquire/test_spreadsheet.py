@@ -197,6 +197,12 @@ PAGE = (
 )
 
 
+def page_of(text: str) -> str:
+    rows = ("".join(f"<td><b>{cell}</b>\n</td>" for cell in line.split("\t")) for line in text.splitlines())
+    table = "".join(f"<tr>{row}</tr>" for row in rows).replace("µ", "&micro;")
+    return f"<html><head><title>Export</title><style>td {{}}</style></head><body><h1>X axis</h1><table>{table}</table></body></html>"
+
+
 def packed(path: Path, members: dict[str, bytes]) -> bytes:
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in members.items():
@@ -214,6 +220,7 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
         "archive": packed(tmp_path / "a.zip", {"__MACOSX/._x": b"", "x/table.csv": text}),
         "archive of a book": packed(tmp_path / "b.zip", {"book.xlsx": book.read_bytes()}),
         "book": book.read_bytes(),
+        "page": page_of(TABLE.format("\t")).encode(),
     }
     for name, content in contents.items():
         path = tmp_path / f"{name}{ending}"
@@ -228,6 +235,10 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
     [
         (PAGE.encode(), "'Sign in'"),
         (PAGE.encode("utf-16"), "HTML"),
+        # Of two tables, of merged and of hidden cells nobody knows which are meant.
+        (page_of(TABLE.format("\t")).replace("</body>", "<table></table></body>").encode(), "'Export'"),
+        (page_of(TABLE.format("\t")).replace("<td>", "<td rowspan=2>", 1).encode(), "'Export'"),
+        (page_of(TABLE.format("\t")).replace("<td>", "<td style='display: none'>", 1).encode(), "'Export'"),
         (b'<?xml version="1.0"?><Workbook/>', "XML"),
         (bytes.fromhex("d0cf11e0a1b11ae1") + bytes(600), "Excel 97"),
         (b"PK\x05\x06" + bytes(18), "an archive"),

@@ -399,6 +399,9 @@ def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, head
         "time [min];ch1 [µm];room [°C]",
         "Zeit [min];Kanal 1 [µm];Luft [°C]",
         "Zeit [min];Verlagerung [µm];Temperatur [°C]\n;Z;Bett",
+        "Zeit [min];Z [0.001 mm];T [°C]",
+        "Zeit [min];Messuhr in 1/1000 mm;T [°C]",
+        "Zeit;Verlagerung Z;T\nmin;1/1000 mm;°C",
         "時間 [分];変位 Z [μm];主軸温度 [℃]",
         "Temps [min];Déplacement Z [µm];Température [°C]",
     ],
@@ -420,6 +423,17 @@ def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> Non
     path.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(InputError, match="second table"):
         read(path)
+
+
+def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n},{0 if n in (0, 40, 41) else n / 2 + 0.1},{20 + n / 10}" for n in range(60)]
+    path.write_text("\n".join(["time [min],Z [µm],T [°C]", *rows]), encoding="utf-8")
+    run = read(path)
+    assert (run.n_samples, run.samples["displacement_um"][0]) == (58, 0.0)
+    assert "drift.dropout" in {finding.code for finding in run.findings}
+    path.write_text("\n".join(["time [min],Z correction [µm],T [°C]", *rows]), encoding="utf-8")
+    assert not is_drift_log(path)
 
 
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -463,6 +464,9 @@ XYZ = "{0} X,{0} Y,{0} Z,{1} X,{1} Y,{1} Z"
         ("Cell 3\n\n" + XYZ.format("Target", "Measured"), 1.0),
         (XYZ.format("Soll", "Ist") + "\nm,m,m,m,m,m", 1000.0),
         ("Soll,,,Ist,,\nX,Y,Z,X,Y,Z", 1.0),
+        (XYZ.format("Target", "Actual").replace(",", " [in],") + " [in]", 25.4),
+        ("Unit: inch\n" + XYZ.format("Target", "Actual"), 25.4),
+        (XYZ.format("Soll", "Ist") + "\ninch,inch,inch,inch,inch,inch", 25.4),
     ],
 )
 def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
@@ -475,7 +479,20 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     ((run,), _) = next(iter(runs))
     assert run.samples["target_x_mm"][1] == pytest.approx(100.0 * per_unit)
     assert run.samples["measured_x_mm"][1] == pytest.approx(101.0 * per_unit)
-    table.write_text("\n".join([XYZ.format("Target", "Error"), *rows]), encoding="utf-8")
+    robots = ["Robot," + XYZ.format("Target", "Actual"), *(f"R{n % 2},{row}" for n, row in enumerate(rows))]
+    table.write_text("\n".join(robots), encoding="utf-8")
+    with pytest.raises(InputError, match="several machines"):
+        next(iter(open_source(table, {})[1]))
+    bare = XYZ.format("Target", "Error")
+    table.write_text("\n".join([bare, *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="errors do not say their unit"):
+        next(iter(open_source(table, {})[1]))
+    table.write_text(
+        "\n".join(["Error = target - actual", re.sub(r"(Error .)", r"\1 [mm]", bare), *rows]), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="target minus actual"):
+        next(iter(open_source(table, {})[1]))
+    table.write_text("\n".join([re.sub(r"(Error .)", r"\1 [mm]", bare), *rows]), encoding="utf-8")
     ((run,), _) = next(iter(open_source(table, {})[1]))
     assert run.samples["error_x_mm"][1] == pytest.approx(101.0)
 

@@ -79,6 +79,12 @@ def by_reading(heads: str, row: str, part: str = ",") -> str:
     return "\n".join(lines)
 
 
+def aligned(text: str) -> str:
+    """As laser software prints it: right below the heads, with a rule between."""
+    first, *lines = ["".join(f"{cell:>16}" for cell in line.split(";")) for line in text.split("\n")]
+    return "\n".join([first, "-" * len(first), *lines])
+
+
 def heads_in_two_rows() -> str:
     """As a spreadsheet with merged cells is read."""
     lines = [
@@ -89,6 +95,14 @@ def heads_in_two_rows() -> str:
         *(f"{t:g};{FORWARD[i, 0]};{FORWARD[i, 1]};{REVERSE[i, 0]};{REVERSE[i, 1]}" for i, t in enumerate(TARGETS)),
     ]
     return "\n".join(lines)
+
+
+def beside(above: str, heads: str) -> str:
+    """A half for each direction, with targets of its own, in the order in which they were approached."""
+    lines = [above, heads]
+    for i, j in zip(range(len(TARGETS)), range(len(TARGETS))[::-1], strict=True):
+        lines.append(f"{TARGETS[i]};{FORWARD[i, 0]};{FORWARD[i, 1]};;{TARGETS[j]};{REVERSE[j, 0]};{REVERSE[j, 1]}")
+    return "\n".join([*lines, "Mean;1;2;;Mean;3;4"])
 
 
 def on_its_side() -> str:
@@ -158,6 +172,8 @@ def by_cycle() -> str:
         wide("actual {way} {c} um", 1e6, True),
         wide("{way} {c} mm", 1000.0, False),
         heads_in_two_rows(),
+        beside("Forward;;;;Backward;;", "Target [mm];Run 1 [µm];Run 2 [µm];;Target [mm];Run 1 [µm];Run 2 [µm]"),
+        beside("Test", "Soll hin;Abw. hin 1;Abw. hin 2;;Soll rück;Abw. rück 1;Abw. rück 2\nmm;µm;µm;;mm;µm;µm"),
         on_its_side(),
         "target;direction;dev 1 [µm];dev 2 [µm]\n"
         + "\n".join(
@@ -165,10 +181,24 @@ def by_cycle() -> str:
             for i, t in enumerate(TARGETS)
             for way, values in (("+", FORWARD), ("-", REVERSE))
         ),
-        "Prüfer: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
+        "target;direction;dev 1;dev 2\nµm;;mm;mm\n"
+        + "\n".join(
+            f"{1000 * t:g};{way};{values[i, 0] / 1000};{values[i, 1] / 1000}"
+            for i, t in enumerate(TARGETS)
+            for way, values in (("+", FORWARD), ("-", REVERSE))
+        ),
+        "Soll-Ist-Vergleich: Müller\n\n" + wide("{way} {c} um", 1e6, False, ";", ","),
         wide("{way} {c} um", 1e6, False, ";", ",").replace("\n", "\n;;;;\n"),
         wide("{way} {c} [mm]", 1000.0, True),
+        wide("dev {way} {c} 1/100 mm", 1e5, False),
+        wide("Abw. {way} {c} in 0.0001 in", 1e7 / 25.4, False),
         wide("{way}_{c}", 1000.0, True, ";", ","),
+        aligned(wide("{way} {c} [µm]", 1e6, False, ";", ",")),
+        aligned(wide("{way} {c} [µm]", 1e6, False, ";")).replace("    ", "\t"),
+        wide("{way}{c}_um", 1e6, False, " ").replace("target [mm]", "target_mm"),
+        "Laser 4711\n\n"
+        + aligned(by_reading("target [mm];cycle;direction;error [µm]", "{t};{c};{way};{um}"))
+        + "\n\nend",
         wide("deviation {way} {c} (mm)", 1000.0, False),
         wide("cycle {c} {way} [µm]", 1e6, False),
         wide("run{c} {way} um", 1e6, False, "\t", ","),
@@ -190,6 +220,25 @@ def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
     assert found.target_mm == pytest.approx(TARGETS)
     assert found.forward_um == pytest.approx(FORWARD, abs=2e-3)
     assert found.reverse_um == pytest.approx(REVERSE, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # A cell is missing; one blank may part digits or words; a row is longer than its heads.
+        "Target [mm]   Fwd 1 [um]   Rev 1 [um]\n 0.0   1.0   2.0\n 100.0   1.0\n",
+        "Target [mm]   Fwd 1 [um]   Rev 1 [um]\n900   1.0   2.0\n1 000   2.0\n",
+        "Target [mm] Fwd 1 [um] Rev 1 [um]\n0.0 1.0 2.0\n100.0 1.0 2.0\n",
+        "Target   Fwd   Rev\n0.0   1.0   2.0   3.0\n100.0   1.0   2.0   3.0\n",
+    ],
+)
+def test_columns_that_blanks_do_not_part_without_doubt_are_none(text: str) -> None:
+    assert {len(row) for row in rows_of(text)} == {1}
+
+
+def test_commas_with_blanks_beside_them_part_the_columns() -> None:
+    for text in ("Target [mm],Fwd [um]\n1 000,1.5\n2 000,2.5\n", "a , b , c\n0 ,1 ,2\n3 ,4 ,5\n", "a, b\n0, 1\n2, 3\n"):
+        assert [len(row) for row in rows_of(text)] == [text.count(",") // 3 + 1] * 3
 
 
 @pytest.mark.parametrize(
@@ -662,6 +711,7 @@ def test_readings_above_the_first_title_of_a_direction_are_not_dropped(tmp_path:
         ("Einheit: µm\nSoll;hin 1;rück 1\n0;1;2\n50000;50001;50002", "position_table.unit"),
         ("Soll;hin 1;rück 1\n0;1;2\n500000;500001;500002", "position_table.unit"),
         ("Target [mm],Target - measured fwd 1 [µm],Target - measured rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
+        ("Error = target - actual\nTarget [mm],fwd 1 [µm],rev 1 [µm]\n0,1,2\n9,2,3", "position_table.sign"),
         ("Target,fwd 1 (arc sec),rev 1 (arc sec)\n0,1,2\n90,2,3", "position_table.unit"),
     ],
 )
@@ -749,7 +799,7 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
         ),
         ("target [mm],direction,stage 1 [µm],stage 2 [µm]\n0,+,1,2\n9,+,2,3\n0,-,1,2\n9,-,2,3", "position_table.axes"),
         ("target [mm],direction,reading [mm]\n9,+,9.001\n9,-,9.004\n9,+,9.002\n9,-,9.003", "position_table.one_place"),
-        ("target [mm],forward 1 [µm],target [mm],reverse 1 [µm]\n0,1,9,2\n9,2,0,1", "position_table.form"),
+        ("target [mm],forward 1 [µm],reverse 1 [µm],target [mm]\n0,1,2,9\n9,2,1,0", "position_table.form"),
     ],
 )
 def test_readings_of_several_machines_or_targets_in_a_row_are_not_mixed(tmp_path: Path, text: str, code: str) -> None:
@@ -970,6 +1020,17 @@ def test_of_tables_of_several_axes_the_one_is_read_that_is_asked_for(tmp_path: P
     assert "--axis X" in refused.value.hint
 
 
+def test_a_lone_sheet_that_is_called_as_another_axis_is_refused(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.title = "Y axis"
+    for row in TWO_AXES[0][1:]:
+        book.active.append(row.split(","))
+    book.save(path := tmp_path / "slide.xlsx")
+    with pytest.raises(InputError, match="of another axis"):
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert len(read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Y"}})[0]) == 2
+
+
 def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_path: Path) -> None:
     path = tmp_path / "axes.csv"
     rows = [
@@ -1115,6 +1176,25 @@ def test_tables_of_angles_are_refused_with_what_to_do(tmp_path: Path, head: str)
         read_position_table(path)
     assert (refused.value.code, refused.value.got) == ("position_table.unit", head)
     assert "rotary axis" in str(refused.value.hint)
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        'Winkel [°],Vor 1 ["],Rück 1 ["]',
+        "Angle [deg],Forward 1 [arcsec],Reverse 1 [arcsec]",
+        "角度 [度],正向1 [角秒],反向1 [角秒]",
+        "Target angle,Forward 1,Reverse 1",
+        "Angle,Direction,Deviation\ndeg,,arc sec",
+    ],
+)
+def test_a_table_of_an_axis_that_turns_is_refused_with_the_true_word(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text(f"Rotary table\n\n{heads}\n0,1,2\n90,2,3\n180,1,2", encoding="utf-8")
+    with pytest.raises(InputError, match="in angles"):
+        check_source(path, {})
+    with pytest.raises(InputError, match="in angles"):
+        understand(path, Home(tmp_path / "home"), {}, {})
 
 
 def test_an_axis_that_turns_by_its_name_needs_a_unit(tmp_path: Path) -> None:

@@ -542,6 +542,8 @@ def test_an_angle_in_a_file_of_its_own_is_taken_by_the_clock(tmp_path: Path) -> 
         ("转速 [r/min]", 1.0, "径向跳动 [µm]"),
         ("omega [rad/s]", np.pi / 30.0, "TIR [um]"),
         ("speed [krpm]", 1e-3, "TIR [micron]"),
+        ("Frequency [Hz]", 1.0 / 60.0, "TIR [micron]"),
+        ("Frequenz [Hz]", 1.0 / 60.0, "Rundlauf [µm]"),
         ("krpm", 1e-3, "TIR [micron]"),
         ("krpm", 1e-3, "error motion [um]"),
         ("Speed (RPM)", 1.0, "TIR (0.0001 in)"),
@@ -557,8 +559,32 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     (run,) = read(tmp_path, path.read_text(encoding="utf-8"))
     assert run.samples["speed_rpm"] == pytest.approx(rpm, rel=1e-5)
     parts = {"TIR (0.0001 in)": 2.54, "runout (tenths)": 2.54, "Rundlauf in 1/100 mm": 10.0}
+    assert ("Freq" in speed) == ("rotation.frequency" in {finding.code for finding in run.findings})
     assert ("tenths" in runout) == ("rotation.tenths" in {finding.code for finding in run.findings})
     assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
+
+
+@pytest.mark.parametrize(("column", "names"), [("Tool", "12"), ("Position", "FR"), ("Machine no.", ("M1", "M2"))])
+def test_run_outs_of_several_tools_or_places_are_no_repeats(tmp_path: Path, column: str, names: str) -> None:
+    rows = [f"{name},{1000 * n},{n}" for name in names for n in (1, 2, 3)]
+    with pytest.raises(InputError, match="several machines, tools or places"):
+        read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows]))
+    assert len(read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows[:3]]))) == 1
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "Speed [rpm],Runout at 300 mm",
+        "Speed,Runout\nrpm x1000,µm",
+        "Speed,Runout\n1000 rpm,µm",
+        "Speed [rpm],Runout [µm x 10]",
+    ],
+)
+def test_a_multiple_of_a_unit_and_that_of_a_place_are_no_unit(tmp_path: Path, heads: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read(tmp_path, f"{heads}\n1,5\n2,6\n3,7\n")
+    assert refused.value.code == "rotation.unit"
 
 
 def test_units_in_a_row_below_the_heads_are_read_though_the_words_alone_are_known(tmp_path: Path) -> None:
