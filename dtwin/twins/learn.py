@@ -31,7 +31,8 @@ class Learned:
     twin : Twin
         The new version.
     gain : float
-        Share of the mean square that it takes away on conditions that were left out.
+        Share of what is left that it takes away on conditions that were left out: of the mean square, of a law the mean of
+        every condition's share.
     said : str
         What else people see of it.
     """
