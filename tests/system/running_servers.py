@@ -125,10 +125,14 @@ def wait_for(what: Callable[[], Any], message: str) -> Any:
     raise AssertionError(message)
 
 
-def measured(home: Home, name: str, *, repeats_from: int = 0, worn: float = 1.0) -> Path:
-    """A quick campaign of the virtual cobot in the lake, with other noise, or with worn joints."""
+def measured(home: Home, name: str, *, repeats_from: int = 0, worn: float = 1.0, radii: int = 3) -> Path:
+    """A quick campaign of the virtual cobot in the lake, with other noise, or with worn joints.
+
+    Of two of its three radii it takes half the time to train.
+    """
     plan = quick_size().plan
-    tests = tuple(replace(test, repeat=test.repeat + repeats_from) for test in plan.tests)
+    smallest = sorted({test.radius_mm for test in plan.tests})[:radii]
+    tests = tuple(replace(test, repeat=test.repeat + repeats_from) for test in plan.tests if test.radius_mm in smallest)
     bench = VirtualCobotBench(0)
     if worn != 1.0:
         sound = bench.cobot.parameters
