@@ -18,6 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
@@ -123,6 +125,17 @@ def wait_for(what: Callable[[], Any], message: str) -> Any:
             return found
         time.sleep(1.0)
     raise AssertionError(message)
+
+
+@contextmanager
+def few_candidates() -> Iterator[None]:
+    """Train without the comparison models that take half of a training's time: test_pipeline compares all of them."""
+    from dtwin.kinds.circular._training import RECIPES, train_campaign
+
+    assert train_campaign.__kwdefaults__["recipes"] is RECIPES
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(train_campaign.__kwdefaults__, "recipes", [r for r in RECIPES if r.name in ("linear", "tree")])
+        yield
 
 
 def measured(home: Home, name: str, *, repeats_from: int = 0, worn: float = 1.0, radii: int = 3) -> Path:

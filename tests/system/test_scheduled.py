@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from running_servers import MACHINE, measured
+from running_servers import MACHINE, few_candidates, measured
 
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
@@ -45,7 +45,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     """A champion that was trained on the sound machine."""
     made = Home(tmp_path_factory.mktemp("scheduled"))
     measured(made, "quick", radii=2)
-    registered = train(made, "quick", engine=SHORT_SEARCH)
+    with few_candidates():
+        registered = train(made, "quick", engine=SHORT_SEARCH)
     put_on_trial(made, registered.version)
     measure(made, registered.version, seed=0, plan=CIRCLES)
     path, reason = make_champion(made, registered.version)
@@ -108,7 +109,8 @@ def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home, monkeypatch: pyt
     assert sound.finding is None
 
     measured(home, "worn", repeats_from=8, worn=2.5)
-    done = scheduled_training(home)
+    with few_candidates():
+        done = scheduled_training(home)
     assert done.outcome == "trained", done.reason
     assert [check.campaign for check in done.drift] == ["worn"]
     finding = done.drift[0].finding
