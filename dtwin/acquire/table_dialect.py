@@ -110,9 +110,18 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     if decimal:
         return [[_plain(cell, decimal) for cell in row] for row in rows]
     # Quoted, a decimal comma stands among commas, too.
-    numbers = [cell.strip() for row in rows for cell in row if mark == "," and _NUMBER.fullmatch(cell.strip())]
-    quoted = any("," in n and not _WHOLE["point"].fullmatch(n) for n in numbers) and not any("." in n for n in numbers)
-    return [[cell.replace(",", ".") for cell in row] for row in rows] if mark != "," or quoted else rows
+    if mark != "," or _quoted_commas(rows):
+        return [[cell.replace(",", ".") for cell in row] for row in rows]
+    return rows
+
+
+def _quoted_commas(rows: list[list[str]]) -> bool:
+    """Return whether numbers among commas hold decimal commas, and none a point."""
+    cells = [cell.strip() for row in rows for cell in row if "," in cell or "." in cell]
+    commas = (cell for cell in cells if "," in cell and _NUMBER.fullmatch(cell))
+    if all(map(_WHOLE["point"].fullmatch, commas)):
+        return False
+    return not any("." in cell and _NUMBER.fullmatch(cell) for cell in cells)
 
 
 def typed(cell: str) -> str:
@@ -130,20 +139,20 @@ def _grouped(rows: list[list[str]]) -> str:
     ``1.234,5`` and ``1,234.5`` tell it alone. So do ``1.200`` in a column with ``800`` where no point stands elsewhere, and ``2.000`` and
     ``4.500``, where the table writes decimals by the other sign, too.
     """
-    cells = [cell.strip() for row in rows for cell in row]
-    told = {sign for sign, form in _GROUPS.items() if any(form.fullmatch(cell) for cell in cells)}
+    # Most tables have neither sign in most cells.
+    having = {sign: [cell.strip() for row in rows for cell in row if sign in cell] for sign in ",."}
+    told = {sign for sign, form in _GROUPS.items() if any(map(form.fullmatch, having[","]))}
     if told:
         sign = told.pop()
         # A number such as 20.5 beside 1.234,5 says that the other sign parts decimals, too.
         other = "." if sign == "comma" else ","
-        both = any(_SIMPLE.fullmatch(cell) and other in cell and not _WHOLE[sign].fullmatch(cell) for cell in cells)
+        both = any(_SIMPLE.fullmatch(cell) and not _WHOLE[sign].fullmatch(cell) for cell in having[other])
         return "" if told or both else sign
-    numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
     for sign, form in _WHOLE.items():
         mark, other = (",", ".") if sign == "comma" else (".", ",")
-        parted = [number for number in numbers if other in number]
-        decimals = any(mark in number and not _WHOLE_EITHER.fullmatch(number) for number in numbers)
-        if parted and all(map(form.fullmatch, parted)):
+        parted = [cell for cell in having[other] if form.fullmatch(cell)]
+        if parted and not any(_NUMBER.fullmatch(cell) and not form.fullmatch(cell) for cell in having[other]):
+            decimals = any(_NUMBER.fullmatch(cell) and not _WHOLE_EITHER.fullmatch(cell) for cell in having[mark])
             columns = (list(map(str.strip, column)) for column in zip_longest(*rows, fillvalue=""))
             among = any(
                 any(map(form.fullmatch, column)) and any(map(_HUNDREDS.fullmatch, column)) for column in columns

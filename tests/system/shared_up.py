@@ -19,7 +19,7 @@ def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Up:
     Servers take half a minute to start: modules that name this one as a plugin share them.
     """
     home = Home(tmp_path_factory.mktemp("up"))
-    measured(home, "quick")
+    measured(home, "quick", radii=2)
     return _running.enter_context(running_up(home))
 
 

@@ -20,7 +20,7 @@ from dtwin.errors import StoreError
 from dtwin.fleet import DIAGNOSE, run_fleet
 
 pytestmark = pytest.mark.system
-CAMPAIGNS = 12
+CAMPAIGNS = 9
 
 
 class Plant:

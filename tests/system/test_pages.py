@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 from chromium import chromium
 from playwright.sync_api import Browser, Page, expect
-from running_servers import MACHINE, Up
+from running_servers import MACHINE, Up, few_candidates
 
 from dtwin.train.registry import Registry
 from flows._runtime import run
@@ -80,7 +80,8 @@ def test_prefect_shows_the_run_with_its_tables_and_plots(up: Up, page: Page, art
 def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, artifacts: Path) -> None:
     registry = Registry(up.home)
     if MACHINE not in registry.machines():
-        run(train_flow, campaign="quick")
+        with few_candidates():
+            run(train_flow, campaign="quick")
     candidate = registry.version(MACHINE, "candidate")
     address = f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}/versions/{candidate.version}"
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_here import command_here
-from running_servers import running_up
+from running_servers import Up, few_candidates
 
 from dtwin.cli import main
 from dtwin.config import Home
@@ -39,6 +39,7 @@ from dtwin.train.symbolic import OperonEngine
 from dtwin.workbench._models import judged
 from flows._artifacts import slug
 from flows.page import shown_steps
+from flows.servers import await_healthy, prefect_alone
 
 pytestmark = pytest.mark.system
 MACHINE = "virtual-cobot"
@@ -181,7 +182,9 @@ def test_a_second_training_on_the_same_tables_gives_the_same_equation(demo: tupl
     home = demo[0]
     registry = Registry(home)
     first = registry.bundle(registry.version(MACHINE, "1"))
-    again = train(home, "training-quick", engine=OperonEngine(generations=1, population=20))
+    # The models that it is compared with have no part in it.
+    with few_candidates():
+        again = train(home, "training-quick", engine=OperonEngine(generations=1, population=20))
     second = registry.bundle(again.version)
     nodes = zip(second["tick_graph"]["nodes"], first["tick_graph"]["nodes"], strict=True)
     for one, other in nodes:
@@ -316,7 +319,11 @@ def test_a_mistake_ends_in_a_message_and_its_exit_code(
 def test_the_prefect_page_shows_the_five_steps(demo: tuple[Home, dict[str, Any]]) -> None:
     home, found = demo
     assert not (home.root / "servers.json").exists(), "the demo left its server behind"
-    with running_up(home, "--no-schedule") as up:
+    # The part of dtwin up that shows runs, on the home's own database; test_up starts all of it.
+    with prefect_alone(home) as servers:
+        await_healthy(home, servers)
+        up = Up(home, servers.children[0].process)
+        up.addresses = servers.addresses
         left: dict[str, dict[str, Any]] = {}
         for name in ("recording", "campaign", "training", "correction", "report"):
             (run,) = up.runs_of(f"demo-{name}")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from running_servers import few_candidates
 from shown_commands import ROOT, Block, blocks, environment, follow, here, page, run
 
 README = page("README.md")
@@ -48,7 +49,11 @@ def test_every_block_is_executed_by_a_test_here() -> None:
 
 def test_the_tour_prints_what_it_shows_and_draws_the_picture(tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
-    follow(below("Five minutes"), tmp_path)
+    *first, asked, answered = below("Five minutes")
+    assert "dtwin twin diagnose mill-a" in asked.lines
+    # A twin is made and compared by processes, as a reader would; the same program then goes on here.
+    follow(first, tmp_path)
+    follow([asked, answered], tmp_path, here)
     assert (tmp_path / "compare.html").stat().st_size > 100_000
     command = "python docs/pictures/residual_falls.py mill-a residual-falls.svg"
     assert f"`{command}`" in README
@@ -82,5 +87,6 @@ def the_workbench_shows(twin: str, folder: Path) -> None:
 
 def test_the_main_job_step_by_step_ends_with_a_champion(tmp_path: Path) -> None:
     (tmp_path / "data").symlink_to(ROOT / "data")
-    said = follow(below("The main job, step by step"), tmp_path, here)
+    with few_candidates():
+        said = follow(below("The main job, step by step"), tmp_path, here)
     assert "champion" in dict(said)["dtwin models"]

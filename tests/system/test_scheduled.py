@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from running_servers import MACHINE, measured
+from running_servers import MACHINE, few_candidates, measured
 
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
@@ -44,8 +44,9 @@ SHORT_SEARCH = OperonEngine(generations=1, population=20)
 def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     """A champion that was trained on the sound machine."""
     made = Home(tmp_path_factory.mktemp("scheduled"))
-    measured(made, "quick")
-    registered = train(made, "quick", engine=SHORT_SEARCH)
+    measured(made, "quick", radii=2)
+    with few_candidates():
+        registered = train(made, "quick", engine=SHORT_SEARCH)
     put_on_trial(made, registered.version)
     measure(made, registered.version, seed=0, plan=CIRCLES)
     path, reason = make_champion(made, registered.version)
@@ -77,7 +78,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     champion = registry.champion(MACHINE)
     assert champion is not None
     before = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
-    assert len(before) == 24
+    assert len(before) == 16
     # More runs of the same campaign come in later: they are new, and the champion's are not.
     plan = training_plan(radii_mm=(100.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="grown")
     run_campaign(plan, VirtualCobotBench(0), home.campaigns / "grown")
@@ -99,7 +100,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
 def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     # The same search as the champion's, which is not what is asked for here.
     monkeypatch.setattr("dtwin.kinds.circular._training.OperonEngine", lambda: SHORT_SEARCH)
-    measured(home, "sound", repeats_from=4)
+    measured(home, "sound", repeats_from=4, radii=2)
     champion = Registry(home).champion(MACHINE)
     assert champion is not None
     sound = check_drift(home, champion, "sound")
@@ -108,7 +109,8 @@ def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home, monkeypatch: pyt
     assert sound.finding is None
 
     measured(home, "worn", repeats_from=8, worn=2.5)
-    done = scheduled_training(home)
+    with few_candidates():
+        done = scheduled_training(home)
     assert done.outcome == "trained", done.reason
     assert [check.campaign for check in done.drift] == ["worn"]
     finding = done.drift[0].finding

@@ -63,18 +63,29 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
     opened.close()
 
 
-@pytest.fixture
-def page(context: BrowserContext, bench: Workbench) -> Iterator[Page]:
+@pytest.fixture(scope="module")
+def tab(context: BrowserContext, bench: Workbench) -> Iterator[tuple[Page, list[str], set[str]]]:
+    """One page for all tests, what fails on it, and what it asks of other computers.
+
+    A page of its own would read Plotly again for every test: two seconds of a processor.
+    """
     opened = context.new_page()
     opened.set_default_timeout(PATIENCE_MS)
     errors: list[str] = []
     elsewhere: set[str] = set()
     opened.on("pageerror", lambda error: errors.append(str(error)))
     opened.on("request", lambda r: elsewhere.add(r.url) if not _own(r.url, bench) else None)
+    yield opened, errors, elsewhere
+    opened.close()
+
+
+@pytest.fixture
+def page(tab: tuple[Page, list[str], set[str]], bench: Workbench) -> Iterator[Page]:
+    opened, errors, elsewhere = tab
     opened.goto(bench.address)
     opened.wait_for_url("**/machines")
     yield opened
-    opened.close()
+    opened.unroute_all()
     assert not errors
     assert not elsewhere, "the page asks other computers"
 
@@ -429,10 +440,13 @@ def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(p
     page.get_by_label("at most, µm").fill("1,5")
     page.get_by_role("button", name="State it").first.click()
     expect(page.get_by_text("G(b): ≤ 1.5 µm")).to_be_visible()
+    # The page is a new one, whose buttons its script has not yet seen.
+    _settled(page)
     page.locator("select[name=what]").select_option("crash")
     page.get_by_label("note").fill("the vice")
     page.get_by_role("button", name="Note it").click()
     expect(page.get_by_text("crash: the vice")).to_be_visible()
+    _settled(page)
     page.get_by_label("Test it every").fill("30")
     page.get_by_role("button", name="State it").last.click()
     expect(page.locator(".verdict")).to_contain_text("overdue")
