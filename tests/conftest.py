@@ -32,13 +32,14 @@ settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
 
 # These look at servers that take half a minute to start: one worker, one start.
-_SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow")
+_SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow", "test_up")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
 _SLOWEST_FIRST = (
     "test_flows",
     "test_pages",
     "test_cell_flow",
     "test_dynamics_flow",
+    "test_up",
     "test_pipeline",
     "test_scheduled",
     "test_serve_command",
@@ -63,7 +64,6 @@ _SLOWEST_FIRST = (
     "test_single_recording",
     "test_record_command",
     "test_mill_story",
-    "test_up",
     "test_linuxcnc_page",
     "test_analogue_serving",
 )

@@ -25,6 +25,6 @@ beside=$!
 # Of .ci/run: what only the tests need.
 [ -z "${installing:-}" ] || wait "$installing"
 tests=0
-OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 4 --no-loadscope-reorder -m "not long" "$@" || tests=$?
+OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder -m "not long" "$@" || tests=$?
 wait "$beside" || { cat "$said"; echo "types, contracts or documentation: see above"; exit 1; }
 exit "$tests"

@@ -20,7 +20,7 @@ def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Up:
     """
     home = Home(tmp_path_factory.mktemp("up"))
     measured(home, "quick", radii=2)
-    return _running.enter_context(running_up(home))
+    return _running.enter_context(running_up(home, "--no-schedule"))
 
 
 def pytest_runtest_teardown(nextitem: pytest.Item | None) -> None:

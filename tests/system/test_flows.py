@@ -243,7 +243,9 @@ def test_plots_are_pictures_of_their_own_with_escaped_text() -> None:
 
 def test_a_flow_started_on_the_page_keeps_to_its_folders(shared_up: Up, tmp_path: Path) -> None:
     up, elsewhere = shared_up, tmp_path
-    deployment = next(d for d in up.ask("/deployments/filter", {}) if "ingest_flow" in d["entrypoint"])
+    (deployment,) = wait_for(
+        lambda: [d for d in up.ask("/deployments/filter", {}) if "ingest_flow" in d["entrypoint"]], "no flow is served"
+    )
     wanted = {"parameters": {"sources": [str(elsewhere)]}}
     run = up.ask(f"/deployments/{deployment['id']}/create_flow_run", wanted)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -17,13 +18,14 @@ from pathlib import Path
 
 import pytest
 from chromium import chromium
-from running_servers import Up, running_up, wait_for
+from running_servers import Up, wait_for
 
 from dtwin.config import Home
 from dtwin.errors import StoreError
 from flows.servers import Child
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["shared_up"]
 
 
 def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -69,35 +71,37 @@ def listening(pids: set[int]) -> set[str]:
     return {row[1].split(":")[0] for row in rows if row[3] == "0A" and row[9] in inodes}
 
 
-def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Path) -> None:
-    home = Home(tmp_path / "state")
-    with running_up(home, "--no-schedule") as up:
-        children = descendants(up.process.pid)
-        assert len(children) >= 3
-        for page in (up.addresses["prefect"], up.addresses["mlflow"]):
-            assert "<html" in fetched(page).lower()
-        # 127.0.0.1 as the kernel writes it.
-        assert listening(children) == {"0100007F"}
+def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(shared_up: Up) -> None:
+    up, home = shared_up, shared_up.home
+    children = descendants(up.process.pid)
+    assert len(children) >= 3
+    for page in (up.addresses["prefect"], up.addresses["mlflow"]):
+        assert "<html" in fetched(page).lower()
+    # 127.0.0.1 as the kernel writes it.
+    assert listening(children) == {"0100007F"}
 
-        served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 14, "not all flows are served")
-        assert served
-        times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
-        assert times == [[]] * 14, "--no-schedule has a schedule"
+    served = wait_for(lambda: len(up.ask("/deployments/filter", {})) == 14, "not all flows are served")
+    assert served
+    times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
+    assert times == [[]] * 14, "--no-schedule has a schedule"
 
-        _refuses_strangers(up)
+    _refuses_strangers(up)
 
-        second = dtwin(home, "up")
-        assert second.returncode == 1
-        assert "up.twice" in second.stderr
-        assert up.addresses["prefect"] in second.stderr
+    second = dtwin(home, "up")
+    assert second.returncode == 1
+    assert "up.twice" in second.stderr
+    assert up.addresses["prefect"] in second.stderr
 
-        assert up.stop() == 0
+    failed = up.ask("/flow_runs/filter", {"flow_runs": {"state": {"type": {"any_": ["FAILED"]}}}})
+    # Of the modules that share these servers, this one is the last.
+    assert up.stop() == 0
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
     assert not (home.root / "servers.json").exists()
     logs = {path.name: path.read_text(errors="replace") for path in home.logs.iterdir()}
     assert set(logs) == {"prefect-server.log", "mlflow-server.log", "flows.log"}
     for name, text in logs.items():
-        assert "Traceback" not in text, f"{name}: {text[-2000:]}"
+        of_runs = re.findall(r"(?:Flow run '([^']+)' - .*\n)?Traceback", text)
+        assert set(of_runs) <= {run["name"] for run in failed}, f"{name}: {text[-2000:]}"
 
 
 def _refuses_strangers(up: Up) -> None:
@@ -130,7 +134,7 @@ def _refuses_strangers(up: Up) -> None:
         # The user's own way in still works.
         opened.goto(up.addresses["prefect_enter"])
         opened.wait_for_url(f"{page}/dashboard*")
-        opened.get_by_text("Run a task or flow").wait_for(timeout=60_000)
+        opened.get_by_text(re.compile("Run a task or flow|Flow Runs")).first.wait_for(timeout=60_000)
     assert len(up.ask("/flow_runs/filter", {})) == before
 
 
