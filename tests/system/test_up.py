@@ -92,7 +92,6 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(shared_up: Up
     assert "up.twice" in second.stderr
     assert up.addresses["prefect"] in second.stderr
 
-    failed = up.ask("/flow_runs/filter", {"flow_runs": {"state": {"type": {"any_": ["FAILED"]}}}})
     # Of the modules that share these servers, this one is the last.
     assert up.stop() == 0
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
@@ -100,8 +99,9 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(shared_up: Up
     logs = {path.name: path.read_text(errors="replace") for path in home.logs.iterdir()}
     assert set(logs) == {"prefect-server.log", "mlflow-server.log", "flows.log"}
     for name, text in logs.items():
-        of_runs = re.findall(r"(?:Flow run '([^']+)' - .*\n)?Traceback", text)
-        assert set(of_runs) <= {run["name"] for run in failed}, f"{name}: {text[-2000:]}"
+        for told in text.split("Traceback")[1:]:
+            # A refused run of test_flows, and what Prefect's server answers with 503 beside much other work.
+            assert "keeps to its folders" in told or "database is locked" in told, f"{name}: {told}"
 
 
 def _refuses_strangers(up: Up) -> None:
