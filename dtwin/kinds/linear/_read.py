@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._table_heads import way_of
-from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule, sweeps
+from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule
+from dtwin.positioning.order import sweeps
+from dtwin.positioning.table_heads import way_of
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.units import UM_PER_MM
 

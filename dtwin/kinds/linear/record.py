@@ -61,13 +61,13 @@ class _Linear(Kind):
         return {".txt": read_laser_runs, ".las": read_laser_runs, **dict.fromkeys(SUFFIXES, read_rtl_runs)}
 
     def reader_of(self, path: Path) -> FileReader | None:
-        from dtwin.kinds.linear._position_table import is_position_table, read_position_runs
+        from dtwin.positioning.position_table import is_position_table, read_position_runs
 
         return read_position_runs if is_position_table(path) else super().reader_of(path)
 
     def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.linear._position_table import is_position_table
         from dtwin.kinds.linear._rtl_file import SUFFIXES
+        from dtwin.positioning.position_table import is_position_table
 
         return path.suffix.lower() in SUFFIXES or is_position_table(path)
 
@@ -103,7 +103,7 @@ class _Linear(Kind):
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.quality import judge_clock
-        from dtwin.kinds.linear._check import judge_linear_run
+        from dtwin.positioning.check import judge_linear_run
 
         # Of a clock that was assumed, a gap is a reading that is missing.
         assumed = any(finding.code == "clock.assumed" for finding in run.findings)
@@ -111,18 +111,18 @@ class _Linear(Kind):
         return [*clock, *judge_linear_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.linear._check import judge_linear_campaign
+        from dtwin.positioning.check import judge_linear_campaign
 
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.linear._sheet import positioning_sheet
+        from dtwin.positioning.sheet import positioning_sheet
 
         return positioning_sheet(runs, under)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.linear._sheet import positioning_figure
+        from dtwin.positioning.sheet import positioning_figure
 
         return positioning_figure(runs)
 
@@ -138,7 +138,7 @@ class _Linear(Kind):
 
     @property
     def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.linear._drawings import DRAWINGS
+        from dtwin.positioning.drawings import DRAWINGS
 
         return DRAWINGS
 
@@ -159,7 +159,7 @@ class _Linear(Kind):
         return axis_errors(bundle)
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.kinds.linear._grid import stroke_rows
+        from dtwin.positioning.grid import stroke_rows
 
         return stroke_rows(runs, times_h)
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.kinds.linear._asked import ways_of
-from dtwin.kinds.linear._cycles import moving_zero
-from dtwin.kinds.linear._matrix import TARGET_MM, clock_is_assumed, in_order, linear_test
+from dtwin.positioning.asked import ways_of
+from dtwin.positioning.cycles import moving_zero
+from dtwin.positioning.matrix import TARGET_MM, clock_is_assumed, in_order, linear_test
 from dtwin.schema import Run
 
 

@@ -31,14 +31,11 @@ from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
-from dtwin.kinds.linear._instruments import instruments_beside
-from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
-from dtwin.kinds.linear._one_place import one_place, trials_um
-from dtwin.kinds.linear._order import no_direction, ways_in_order
-from dtwin.kinds.linear._plain_table import table_of
-from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
-from dtwin.kinds.linear._refusals import (
+from dtwin.positioning._instruments import instruments_beside
+from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
+from dtwin.positioning._one_place import one_place, trials_um
+from dtwin.positioning._plain_table import table_of
+from dtwin.positioning._refusals import (
     LITTLE,
     of_angles,
     require_lengths,
@@ -48,8 +45,11 @@ from dtwin.kinds.linear._refusals import (
     require_sign,
     require_unit_of_heads,
 )
-from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
-from dtwin.kinds.linear._table_heads import (
+from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
+from dtwin.positioning.assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
+from dtwin.positioning.order import no_direction, ways_in_order
+from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
+from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,

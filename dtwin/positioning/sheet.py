@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._again import made_again
-from dtwin.kinds.linear._asked import BOTH, Ways, asked, can_be_told, ways_of
-from dtwin.kinds.linear._cycles import spoilt_finding
-from dtwin.kinds.linear._matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.physics.linear import linear_figures, stacked_figures
+from dtwin.positioning._again import made_again
+from dtwin.positioning.asked import BOTH, Ways, asked, can_be_told, ways_of
+from dtwin.positioning.cycles import spoilt_finding
+from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dtwin.kinds.linear._assignments import Reading
+from dtwin.positioning.assignments import Reading
 from dtwin.units import UM_PER_MM
 
 _CLOSE_MM = 0.01

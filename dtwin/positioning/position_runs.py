@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.linear._assignments import wrong_form
-from dtwin.kinds.linear._table_heads import OWN_SENSOR
+from dtwin.positioning.assignments import wrong_form
+from dtwin.positioning.table_heads import OWN_SENSOR
 from dtwin.schema import Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Run
 
 Ways = tuple[str, str]

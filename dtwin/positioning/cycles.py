@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.linear import linear_figures
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import f_tail, usual_size
 

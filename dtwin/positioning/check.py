@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.kinds.linear._asked import BOTH, Ways, ways_of
-from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
-from dtwin.kinds.linear._matrix import TARGET_MM, LinearTest, linear_test
+from dtwin.positioning.asked import BOTH, Ways, ways_of
+from dtwin.positioning.cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
+from dtwin.positioning.matrix import TARGET_MM, LinearTest, linear_test
 from dtwin.schema import Finding, Floats, Run
 
 # A slide that is further off than this has lost steps, or the unit is wrong.

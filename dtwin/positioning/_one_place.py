@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.linear._table_heads import is_index, scale_of, told_unit
+from dtwin.positioning.table_heads import is_index, scale_of, told_unit
 from dtwin.units import UM_PER_MM
 
 _COUNTS = re.compile(

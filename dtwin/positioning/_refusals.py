@@ -10,9 +10,9 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import REVERSED, in_english, unit_of_titles
 from dtwin.errors import InputError
-from dtwin.kinds.linear._plain_table import table_of
-from dtwin.kinds.linear._position_runs import PositionTable
-from dtwin.kinds.linear._table_heads import (
+from dtwin.positioning._plain_table import table_of
+from dtwin.positioning.position_runs import PositionTable
+from dtwin.positioning.table_heads import (
     ANGLE,
     MOST_TITLES,
     OTHER_TEST,
