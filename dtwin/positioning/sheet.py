@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -12,23 +12,21 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.physics.linear import linear_figures, stacked_figures
 from dtwin.positioning._again import made_again
-from dtwin.positioning.asked import BOTH, Ways, asked, can_be_told, ways_of
 from dtwin.positioning.cycles import spoilt_finding
 from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.ways import BOTH, Ways, can_be_told, ways_of
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
-from dtwin.report.uncertainty import Circumstances, Contribution, off_line_um
+from dtwin.report.uncertainty import Contribution
 from dtwin.schema import Run
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+Asked = Callable[[LinearTest], list[str]]
+Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
 _AGAIN = 400
-_READING_UM = 0.2
-_SCALE_UM_PER_M = 0.5
-_ASLANT_MM = 1.0
-# A beam that leans by more does not come back into the instrument: on a short axis the millimetre is not the limit.
-_MOST_ASLANT = 0.004
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
     ("A↑", "accuracy, forward", "accuracy_forward_um"),
@@ -45,11 +43,13 @@ _FIGURES = (
 )
 
 
-def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
+def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: Uncertain, scale: Scale = LENGTHS) -> Sheet:
     """Evaluate every axis of a campaign.
 
     ``runs``: with all columns; runs with an error of quality are left out where there are others, and named. Runs of one
     direction are evaluated, in that direction, where an axis has no others.
+    ``asked``: returns what the standard asks for and a test has not, and what else is to be noted of it.
+    ``uncertain``: returns what makes a figure of a test uncertain, by its symbol.
     """
     axes: dict[str, dict[Ways, list[Run]]] = {}
     for run in runs:
@@ -64,20 +64,24 @@ def positioning_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
             notes += [f"{run.meta.run_id} is not evaluated: it has one direction only." for run in alone]
             by_ways = {BOTH: both}
         for ways, every in sorted(by_ways.items()):
-            part, said = _evaluated(f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, under)
+            part, said = _evaluated(
+                f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, asked, uncertain, scale
+            )
             parts += [] if part is None else [part]
             notes += said
     basis = "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)"
-    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
+    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), unit=scale.figure)
 
 
-def _evaluated(title: str, every: Sequence[Run], ways: Ways, under: Circumstances) -> tuple[Part | None, list[str]]:
+def _evaluated(
+    title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: Uncertain, scale: Scale
+) -> tuple[Part | None, list[str]]:
     members, notes = sound_runs(every)
     sound = not any(f.severity == "error" for run in members for f in run.findings)
-    test = linear_test(members, ways)
+    test = linear_test(members, ways, scale)
     if not test.position_mm.size:
         return None, [*notes, f"{title} is not evaluated: its runs share no target."]
-    span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} mm"
+    span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} {scale.unit}"
     spoilt = spoilt_finding(test)
     if spoilt is not None:
         sound = False
@@ -89,14 +93,14 @@ def _evaluated(title: str, every: Sequence[Run], ways: Ways, under: Circumstance
     if ways == BOTH and len(members) > 1:
         notes += _other_formulas(test, title)
     notes += [f"{title}: {said}." for said in asked(test)]
-    stated = {f.message for run in members for f in run.findings if f.code == "linear.stated_figures"}
+    stated = {f.message for run in members for f in run.findings if f.code.endswith(".stated_figures")}
     notes += [f"{title}: {message}." for message in sorted(stated)]
     targets = "1 target" if len(test.position_mm) == 1 else f"{len(test.position_mm)} targets"
     ids = tuple(run.meta.run_id for run in members)
-    return Part(f"{title}, {span}, {targets}", ids, _figures(test, ways, under), sound), notes
+    return Part(f"{title}, {span}, {targets}", ids, _figures(test, ways, uncertain), sound), notes
 
 
-def _figures(test: LinearTest, ways: Ways, under: Circumstances) -> tuple[Characteristic, ...]:
+def _figures(test: LinearTest, ways: Ways, uncertain: Uncertain) -> tuple[Characteristic, ...]:
     n = test.forward_um.shape[1]
     named = [figure for figure in _FIGURES if can_be_told(figure[0], ways, n)]
     if n == 1:
@@ -113,34 +117,9 @@ def _figures(test: LinearTest, ways: Ways, under: Circumstances) -> tuple[Charac
     # as wholes on those of the runs.
     dof = (2.0 - whole if ways == BOTH else 1.0) * (n - 1)
     return tuple(
-        Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=_contributions(symbol, test, under))
+        Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=uncertain(symbol, test))
         for symbol, name, key in named
     )
-
-
-def _contributions(symbol: str, test: LinearTest, under: Circumstances) -> tuple[Contribution, ...]:
-    """Say what makes a figure uncertain: R and B compare readings of one target, the others readings along the axis."""
-    found = [under.reading(_READING_UM), *under.environment(test.forward_um.shape[1])]
-    if symbol[0] in "AEM":
-        travel_mm = float(np.ptp(test.position_mm))
-        scale = under.stated("uncertainty_um_per_m", _SCALE_UM_PER_M)
-        aslant = under.stated("alignment_mm", min(_ASLANT_MM, _MOST_ASLANT * travel_mm))
-        found += [
-            Contribution(
-                "instrument's scale",
-                scale.value / 2 * travel_mm / 1000.0,
-                scale.basis("µm/m (k = 2)"),
-                assumed=scale.assumed,
-            ),
-            Contribution(
-                "set-up",
-                off_line_um(aslant.value, travel_mm),
-                f"beam off the axis by {aslant.basis('mm at most')}",
-                assumed=aslant.assumed,
-            ),
-            *under.length(travel_mm / 1000.0),
-        ]
-    return tuple(found)
 
 
 def _other_formulas(test: LinearTest, title: str) -> list[str]:
@@ -149,21 +128,28 @@ def _other_formulas(test: LinearTest, title: str) -> list[str]:
     larger, narrow = other["R"], other["E"]
     said = []
     if larger < 0.995 * told.repeatability_um:
-        said.append(f"R as the larger of R↑ and R↓ would be {larger:z.4g} µm; the standard's has the reversal in it")
+        said.append(
+            f"R as the larger of R↑ and R↓ would be {larger:z.4g} {test.scale.fine}; the standard's has the reversal in it"
+        )
     if narrow < 0.995 * told.systematic_um:
         said.append(
-            f"E from the higher of both minima would be {narrow:z.4g} µm; the standard takes the lowest of all means"
+            f"E from the higher of both minima would be {narrow:z.4g} {test.scale.fine}; the standard takes the lowest of all means"
         )
     return [f"{title}: {'; '.join(said)}."] if said else []
 
 
-def positioning_figure(runs: Sequence[Run]) -> go.Figure:
+def positioning_figure(runs: Sequence[Run], scale: Scale = LENGTHS) -> go.Figure:
     """Draw the mean of each direction over the position."""
     ways = ways_of(runs[0])
-    test = linear_test(runs, ways)
+    test = linear_test(runs, ways, scale)
     if not test.position_mm.size:
         raise InputError("no target was read in every run from both sides", code="sheet.targets")
     means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
     count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
     named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
-    return error_figure(named, title=f"Deviation of axis {test.axis}", x_title="position, mm", y_title="deviation, µm")
+    return error_figure(
+        named,
+        title=f"Deviation of axis {test.axis}",
+        x_title=f"position, {scale.unit}",
+        y_title=f"deviation, {scale.fine}",
+    )

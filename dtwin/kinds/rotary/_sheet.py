@@ -1,0 +1,118 @@
+"""What ISO 230-2 asks of a test of a rotary axis, whether a turn closes, and what makes its figures uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.rotary._scale import ANGLES
+from dtwin.physics.linear import linear_figures
+from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
+from dtwin.positioning.matrix import TARGET_MM, LinearTest
+from dtwin.positioning.ways import BOTH
+from dtwin.report.text import counted
+from dtwin.report.uncertainty import Circumstances, Contribution
+from dtwin.schema import Finding, Floats, Run
+from dtwin.statistics import t_quantile
+
+_FEWEST = ((90.0, 3), (180.0, 5), (float("inf"), 8))
+"""Targets that a travel up to so many degrees asks for."""
+_RUNS = 5
+_READING_ARCSEC = 1.0
+_SHOWN = {"A": "accuracy", "R": "repeatability", "E": "systematic", "B": "reversal", "M": "mean_deviation"}
+
+
+def asked(test: LinearTest) -> list[str]:
+    """Return what the standard asks for and the test has not."""
+    targets, runs = test.forward_um.shape
+    fewest = next(n for most, n in _FEWEST if float(np.ptp(test.position_mm)) <= most + TARGET_MM)
+    said = []
+    if targets < fewest:
+        said.append(f"ISO 230-2 asks for {fewest} targets on this travel, these are {targets}")
+    if runs < _RUNS:
+        said.append(f"ISO 230-2 asks for five runs, these are {runs}")
+    return said
+
+
+def noted(test: LinearTest) -> list[str]:
+    """Return what is to be noted of a test: what it lacks, and how turns close."""
+    return [*asked(test), *(finding.message for finding in closures(test))]
+
+
+def closures(test: LinearTest) -> Iterator[Finding]:
+    """Yield how the readings of one place differ that was a target at two angles, a turn apart."""
+    at = np.round(test.position_mm / TARGET_MM).astype(int)
+    turn = round(ANGLES.turn / TARGET_MM)
+    for low in np.flatnonzero(np.isin(at + turn, at)):
+        high = int(np.flatnonzero(at == at[low] + turn)[0])
+        closed = [_closed(test, readings, int(low), high) for readings in (test.forward_um, test.reverse_um)]
+        ways = dict(zip(test.ways, closed, strict=True))
+        # Two directions of few runs each: by chance alone one in a hundred turns would seem open.
+        open_ = any(abs(off) > max(2.0 * half, _READING_ARCSEC) for off, half in ways.values())
+        told = ", ".join(
+            f"{way} {off:+z.2f}″" + (f" ± {half:z.2f}″" if np.isfinite(half) else "")
+            for way, (off, half) in ways.items()
+        )
+        why = (
+            ": the turn does not close, for the instrument, its mounting or the axis moved in between" if open_ else ""
+        )
+        said = f"{test.position_mm[high]:g}° is the place of {test.position_mm[low]:g}°, and its readings differ from those by {told} (95 %, of the means){why}"
+        largest = max((off for off, _ in closed), key=abs)
+        yield Finding("rotary.closure", "warning" if open_ else "info", said, {"closure_arcsec": largest})
+
+
+def _closed(test: LinearTest, readings: Floats, low: int, high: int) -> tuple[float, float]:
+    """Return by how much the mean of a target differs from that of another, and the half width that covers 95 % of it, infinite of one run."""
+    runs = readings.shape[1]
+    apart = readings[high] - readings[low]
+    return float(apart.mean()), float(
+        t_quantile(0.975, runs - 1) * np.std(apart, ddof=1)
+    ) / runs**0.5 if runs > 1 else float("inf")
+
+
+def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[Contribution, ...]:
+    """Return what makes a figure uncertain: the instrument; an angle does not grow with temperature."""
+    return (under.reading(_READING_ARCSEC, ANGLES.figure),)
+
+
+def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return what the runs of a campaign say together, what the standard asks for besides, and how turns close."""
+    found = judge_positioning_campaign(runs, ANGLES)
+    for test in tests_by_axis(runs, ANGLES):
+        found += [Finding("rotary.asked", "warning", said) for said in asked(test)]
+        found += closures(test)
+    return found
+
+
+def positioning_result(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the figures of each axis that was approached from both sides, JSON-ready, in seconds of arc."""
+    out = []
+    for test in tests_by_axis(runs, ANGLES):
+        if test.ways != BOTH or not test.position_mm.size:
+            continue
+        ends = {"from_deg": float(test.position_mm[0]), "to_deg": float(test.position_mm[-1])}
+        told = {"axis": test.axis, "runs": test.forward_um.shape[1], "targets": len(test.position_mm), **ends}
+        if told["runs"] > 1:
+            figures = asdict(linear_figures(test.forward_um, test.reverse_um))
+            told["iso_230_2"] = {f"{name.removesuffix('_um')}_arcsec": value for name, value in figures.items()}
+        out.append(told)
+    return out
+
+
+def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the lines that a terminal shows of :func:`positioning_result`."""
+    lines = [] if result else ["no target was read in every run from both sides: no figures of both directions"]
+    for told in result:
+        lines.append(
+            f"axis {told['axis']}: {counted(told['runs'], 'run')}, {counted(told['targets'], 'target')} "
+            f"from {told['from_deg']:g}° to {told['to_deg']:g}°"
+        )
+        figures = told.get("iso_230_2", {})
+        if figures:
+            lines.append(
+                "  " + ", ".join(f"{symbol} {figures[f'{name}_arcsec']:z.2f}″" for symbol, name in _SHOWN.items())
+            )
+    return lines
