@@ -12,7 +12,16 @@ from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning.position_runs import PositionTable
 from dtwin.positioning.scale import Scale
-from dtwin.positioning.table_heads import ANGLE, MOST_TITLES, OTHER_TEST, is_opposite, is_unit, plain_unit, told_unit
+from dtwin.positioning.table_heads import (
+    ANGLE,
+    MOST_TITLES,
+    NAMED,
+    OTHER_TEST,
+    is_opposite,
+    is_unit,
+    plain_unit,
+    told_unit,
+)
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
@@ -97,7 +106,7 @@ def of_other_unit(scale: Scale, path: Path, got: str) -> InputError:
         f"the table is in {'lengths' if scale.turn else 'angles'}, and is to be read as one of a {scale.kind} axis",
         code="position_table.unit",
         where=str(path),
-        got=got,
+        got=got.removeprefix(NAMED),
         allowed=scale.allowed,
         hint=scale.elsewhere,
     )

@@ -55,6 +55,7 @@ from dtwin.positioning.table_heads import (
     MISSING,
     MOST_TITLES,
     MOVES,
+    NAMED,
     TURNS,
     Long,
     Wide,
@@ -350,7 +351,7 @@ def _factor(head: str, below: str, path: Path, scale: Scale) -> float:
             "a column is in a unit that is not known" if unit else "deviations do not say their unit",
             code="position_table.unit",
             where=str(path),
-            got=f"{head.strip()} {below.strip()}".strip()[:60],
+            got=f"{head.strip()} {below.strip()}".strip().removeprefix(NAMED)[:60],
             allowed=scale.allowed,
             hint=f"write the unit into the head, such as: deviation forward 1 [{scale.fine}]",
         )

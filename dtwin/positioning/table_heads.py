@@ -16,6 +16,8 @@ from dtwin.positioning.scale import Scale
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
 MOST_TITLES = 20
+NAMED = "target: "
+"""What a head of angles is given to be one of targets; nobody wrote it."""
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
 _ANGLES = "deg|grad|gon|mdeg|arc ?sec|arc ?min|[mµμu]?rad"
 ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from openpyxl import Workbook
 from typer.testing import CliRunner
 
 from dtwin.acquire.importing import understand
@@ -123,6 +124,13 @@ def assigned() -> str:
     return "\n".join(lines)
 
 
+def turned(unit: str, degrees: float) -> str:
+    """Return a table whose targets are in another unit."""
+    heads, *rows = wide("arcsec", target=f"target [{unit}]").splitlines()
+    pairs = (row.partition(";") for row in rows)
+    return "\n".join([heads, *(f"{float(t) / degrees:.9g};{rest}" for t, _, rest in pairs)])
+
+
 FORMS = {
     **{
         f"in {unit}": wide(unit, "deviation {way} {c} [{unit}]" if unit == "deg" else "{way} {c} [{unit}]")
@@ -132,12 +140,28 @@ FORMS = {
     "Japanese": wide("arcsec", "{way}{c} [角秒]", "角度 [度]").replace("forward", "往路").replace("reverse", "復路"),
     "units below": wide("arcsec", "{way} {c}", "Angle").replace("\n", "\ndeg" + ";arcsec" * 6 + "\n", 1),
     "positions": positions(),
+    "targets in gon": turned("gon", 0.9),
+    "targets in rad": turned("rad", 180.0 / np.pi),
     "long": long("target [°],direction,cycle,deviation [arcsec]"),
     "long of angles": long("Angle [deg],Direction,Cycle,Error [arcsec]"),
     "blocks": blocks(),
     "aligned": aligned(),
     "assigned": assigned(),
 }
+
+
+def test_a_sheet_of_a_workbook_is_read_by_the_name_of_its_axis(tmp_path: Path) -> None:
+    book = Workbook()
+    for title, scale in (("A", 2.0), ("C", 1.0)):
+        sheet = book.active if title == "A" else book.create_sheet()
+        sheet.title = f"{title} axis"
+        for number, row in enumerate(wide("arcsec").splitlines()):
+            cells = row.split(";")
+            sheet.append(cells if number == 0 else [float(cells[0]), *(scale * float(cell) for cell in cells[1:])])
+    book.save(path := tmp_path / "table.xlsx")
+    assert axis_turns(path) is True
+    (part,) = ROTARY.sheet(read(path), Circumstances()).parts
+    assert {c.symbol: c.value_um for c in part.characteristics} == pytest.approx(iso_230_2(FORWARD, REVERSE))
 
 
 def written(tmp_path: Path, text: str, name: str = "c.csv") -> Path:
@@ -202,6 +226,15 @@ def test_a_table_of_angles_is_none_of_a_linear_axis_and_the_refusal_names_the_ki
         with pytest.raises(InputError, match="in angles") as refused:
             check_source(path, told={**told, "machine": "m"})
         assert "--kind rotary --axis C" in str(refused.value.hint)
+
+
+def test_tilts_along_an_axis_are_no_positions_of_one_that_turns(tmp_path: Path) -> None:
+    path = written(tmp_path, wide("arcsec", target="target"))
+    assert axis_turns(path) is False
+    for axis in ("X", "C"):
+        with pytest.raises(InputError, match="in angles"):
+            check_source(path, told={"axis": axis, "machine": "m"})
+    assert "rotary.unit_assumed" in str(check_source(path, told={"axis": "C", "machine": "m", "kind": "rotary"}))
 
 
 def test_degrees_are_taken_only_where_the_kind_is_stated_and_that_is_said(tmp_path: Path) -> None:
