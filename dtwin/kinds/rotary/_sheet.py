@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.rotary._scale import ANGLES
+from dtwin.kinds.rotary._waves import waves
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
 from dtwin.positioning.matrix import TARGET_MM, LinearTest
@@ -98,7 +99,7 @@ def positioning_result(runs: Sequence[Run]) -> list[dict[str, Any]]:
         if told["runs"] > 1:
             figures = asdict(linear_figures(test.forward_um, test.reverse_um))
             told["iso_230_2"] = {f"{name.removesuffix('_um')}_arcsec": value for name, value in figures.items()}
-        out.append(told)
+        out.append(told | waves(test))
     return out
 
 
@@ -115,4 +116,15 @@ def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
             lines.append(
                 "  " + ", ".join(f"{symbol} {figures[f'{name}_arcsec']:z.2f}″" for symbol, name in _SHOWN.items())
             )
+        for wave in told.get("waves", ()):
+            often, size, half = wave["often"], wave["amplitude_arcsec"], wave["k95_arcsec"]
+            if half is not None and size <= half:
+                lines.append(f"  {often} a turn no more than what runs differ by, {half:z.2f}″")
+                continue
+            more = "" if half is None else f" ± {half:z.2f}″"
+            lines.append(
+                f"  {often} a turn {size:z.2f}″{more}, largest at {wave['largest_at_deg']:z.0f}°: {wave['may_be']}"
+            )
+        if "waves" in told:
+            lines.append(f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left")
     return lines

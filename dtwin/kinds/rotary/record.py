@@ -29,6 +29,7 @@ class _Rotary(Kind):
     prefixed = figures
     read_with = (*Kind.read_with, "condition.instrument")
     instead: ClassVar[Mapping[str, str]] = {
+        "twins": "dtwin check tells play, and what comes once and twice a turn",
         "variation": "a drift test tells displacements, and no angle follows from one",
         **dict.fromkeys(
             ("plan", "usual_plan", "draft", "proposals"),

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from openpyxl import Workbook
 from typer.testing import CliRunner
 
@@ -18,6 +21,7 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, unit_of_limit
+from dtwin.kinds.rotary._sheet import positioning_result
 from dtwin.pipeline.sheet_changes import sheet_changes
 from dtwin.positioning.position_table import axis_turns
 from dtwin.report.checking import check_source
@@ -245,6 +249,16 @@ def test_degrees_are_taken_only_where_the_kind_is_stated_and_that_is_said(tmp_pa
     assert [f.severity for f in read(path)[0].findings if f.code == "rotary.unit_assumed"] == ["warning"]
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=200))
+def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    path = tmp_path_factory.mktemp("any") / "a.csv"
+    path.write_bytes('Winkel [°],forward 1 ["],reverse 1 ["]\n'.encode() + content)
+    if axis_turns(path) is not None:
+        with suppress(InputError):
+            read(path)
+
+
 def sweeps(targets: Floats, runs: int = 5, step: float = 0.0) -> list[Run]:
     """Return runs without scatter but of the last target, which moves by ``step`` from that a turn before."""
     place = np.concatenate([targets, targets[::-1]])
@@ -280,6 +294,43 @@ def test_a_turn_closes_or_it_is_said_by_how_much_it_does_not() -> None:
     (one,) = (f for f in ROTARY.judge_campaign(sweeps(TARGETS, runs=1, step=2.5)) if f.code == "rotary.closure")
     assert one.severity == "info"
     assert not [f for f in ROTARY.judge_campaign(sweeps(TARGETS[:-1])) if f.code == "rotary.closure"]
+
+
+@pytest.mark.parametrize("last", [330.0, 360.0])
+def test_what_comes_once_and_twice_a_turn_is_told_with_its_scatter(last: float) -> None:
+    targets, rng = np.arange(0.0, last + 1.0, 30.0), np.random.default_rng(5)
+    runs = sweeps(targets)
+    for run in runs:
+        angle, way = run.samples["angle_deg"], run.samples["direction"]
+        wave = 6.0 * np.cos(np.radians(angle - 70.0)) + 2.0 * np.cos(2.0 * np.radians(angle - 25.0))
+        run.samples["error_arcsec"][:] = wave + 3.0 * (way == "forward") + rng.normal(0.0, 0.2, run.n_samples)
+    (told,) = ROTARY.campaign_figures(runs)["positioning"]
+    for wave, (size, at) in zip(told["waves"], ((6.0, 70.0), (2.0, 25.0)), strict=True):
+        assert wave["amplitude_arcsec"] == pytest.approx(size, abs=0.1)
+        assert wave["largest_at_deg"] == pytest.approx(at, abs=1.5)
+        assert 0.0 < wave["k95_arcsec"] < 0.15
+    assert told["left_rms_arcsec"] < 0.1
+    told["waves"][1]["amplitude_arcsec"] = 0.01
+    lines = "\n".join(ROTARY.figure_lines({"positioning": [told]}))
+    assert "once a turn" in lines
+    assert "twice a turn no more than what runs differ by" in lines
+
+
+def test_the_scatter_of_a_wave_covers_it_as_often_as_it_says() -> None:
+    rng, runs, held = np.random.default_rng(6), sweeps(TARGETS[:-1]), 0
+    for _ in range(300):
+        for run in runs:
+            once = 4.0 * np.cos(np.radians(run.samples["angle_deg"]))
+            run.samples["error_arcsec"][:] = once + rng.normal(0.0, 0.5, run.n_samples)
+        wave = positioning_result(runs)[0]["waves"][0]
+        held += abs(wave["amplitude_arcsec"] - 4.0) <= wave["k95_arcsec"]
+    assert 0.91 <= held / 300 <= 0.98
+
+
+@pytest.mark.parametrize("targets", [np.arange(0.0, 181.0, 15.0), np.arange(0.0, 316.0, 60.0)])
+def test_a_part_of_a_turn_and_few_targets_have_no_waves(targets: Floats) -> None:
+    (told,) = ROTARY.campaign_figures(sweeps(targets))["positioning"]
+    assert "waves" not in told
 
 
 def test_the_budget_is_in_seconds_and_knows_no_expansion() -> None:
