@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -16,7 +16,7 @@ from dtwin.positioning.matrix import TARGET_MM, LinearTest
 from dtwin.positioning.ways import BOTH
 from dtwin.report.text import counted
 from dtwin.report.uncertainty import Circumstances, Contribution
-from dtwin.schema import Finding, Floats, Run
+from dtwin.schema import Finding, Run
 from dtwin.statistics import t_quantile
 
 _FEWEST = ((90.0, 3), (180.0, 5), (float("inf"), 8))
@@ -43,35 +43,29 @@ def noted(test: LinearTest) -> list[str]:
     return [*asked(test), *(finding.message for finding in closures(test))]
 
 
-def closures(test: LinearTest) -> Iterator[Finding]:
-    """Yield how the readings of one place differ that was a target at two angles, a turn apart."""
+def closures(test: LinearTest) -> list[Finding]:
+    """Return by how much the readings of one place differ that was a target at two angles, a turn apart: of several the place with the most; empty of none."""
     at = np.round(test.position_mm / TARGET_MM).astype(int)
-    turn = round(ANGLES.turn / TARGET_MM)
-    for low in np.flatnonzero(np.isin(at + turn, at)):
-        high = int(np.flatnonzero(at == at[low] + turn)[0])
-        closed = [_closed(test, readings, int(low), high) for readings in (test.forward_um, test.reverse_um)]
-        ways = dict(zip(test.ways, closed, strict=True))
-        # Two directions of few runs each: by chance alone one in a hundred turns would seem open.
-        open_ = any(abs(off) > max(2.0 * half, _READING_ARCSEC) for off, half in ways.values())
-        told = ", ".join(
-            f"{way} {off:+z.2f}″" + (f" ± {half:z.2f}″" if np.isfinite(half) else "")
-            for way, (off, half) in ways.items()
-        )
-        why = (
-            ": the turn does not close, for the instrument, its mounting or the axis moved in between" if open_ else ""
-        )
-        said = f"{test.position_mm[high]:g}° is the place of {test.position_mm[low]:g}°, and its readings differ from those by {told} (95 %, of the means){why}"
-        largest = max((off for off, _ in closed), key=abs)
-        yield Finding("rotary.closure", "warning" if open_ else "info", said, {"closure_arcsec": largest})
-
-
-def _closed(test: LinearTest, readings: Floats, low: int, high: int) -> tuple[float, float]:
-    """Return by how much the mean of a target differs from that of another, and the half width that covers 95 % of it, infinite of one run."""
-    runs = readings.shape[1]
-    apart = readings[high] - readings[low]
-    return float(apart.mean()), float(
-        t_quantile(0.975, runs - 1) * np.std(apart, ddof=1)
-    ) / runs**0.5 if runs > 1 else float("inf")
+    turn, runs = round(ANGLES.turn / TARGET_MM), test.forward_um.shape[1]
+    low = np.flatnonzero(np.isin(at + turn, at))
+    high = np.flatnonzero(np.isin(at - turn, at))
+    if not low.size:
+        return []
+    apart = np.stack([readings[high] - readings[low] for readings in (test.forward_um, test.reverse_um)])
+    off = apart.mean(axis=2)
+    most = int(np.argmax(np.abs(off).max(axis=0)))
+    half = np.full(2, np.inf)
+    if runs > 1:
+        half = t_quantile(0.975, runs - 1) * apart[:, most].std(axis=1, ddof=1) / np.sqrt(runs)
+    # Two directions of few runs each: by chance alone one in a hundred turns would seem open.
+    stays_open = bool((np.abs(off[:, most]) > np.maximum(2.0 * half, _READING_ARCSEC)).any())
+    ways = dict(zip(test.ways, zip(off[:, most], half, strict=True), strict=True)).items()
+    told = ", ".join(f"{way} {by:+z.2f}″" + (f" ± {u:z.2f}″ (95 %)" if runs > 1 else "") for way, (by, u) in ways)
+    places = f"{test.position_mm[high[most]]:g}° is the place of {test.position_mm[low[most]]:g}°"
+    why = "; the turn does not close: the instrument, its mounting or the axis moved in between" if stays_open else ""
+    said = f"{places}, and its readings differ from those by {told}{why}"
+    largest = float(max(off[:, most], key=abs))
+    return [Finding("rotary.closure", "warning" if stays_open else "info", said, {"closure_arcsec": largest})]
 
 
 def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[Contribution, ...]:

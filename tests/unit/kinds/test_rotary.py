@@ -291,6 +291,10 @@ def test_a_turn_closes_or_it_is_said_by_how_much_it_does_not() -> None:
         (closure,) = (f for f in ROTARY.judge_campaign(runs) if f.code == "rotary.closure")
         assert (closure.severity, closure.numbers["closure_arcsec"]) == (severity, pytest.approx(step, abs=1e-9))
         assert any("360° is the place of 0°" in note for note in ROTARY.sheet(runs, Circumstances()).notes)
+    (several,) = (
+        f for f in ROTARY.judge_campaign(sweeps(np.arange(0.0, 541.0, 45.0), step=2.5)) if "closure" in f.code
+    )
+    assert several.numbers["closure_arcsec"] == pytest.approx(2.5)
     (one,) = (f for f in ROTARY.judge_campaign(sweeps(TARGETS, runs=1, step=2.5)) if f.code == "rotary.closure")
     assert one.severity == "info"
     assert not [f for f in ROTARY.judge_campaign(sweeps(TARGETS[:-1])) if f.code == "rotary.closure"]
