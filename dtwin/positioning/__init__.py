@@ -2,3 +2,5 @@
 
 It knows no kind of campaign: lengths and angles differ by a :class:`dtwin.positioning.scale.Scale`.
 """
+
+__all__: list[str] = []
