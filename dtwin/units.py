@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterable
@@ -22,6 +23,7 @@ UNITS: dict[str, str] = {
     "hz": "Hz",
     "mm": "mm",
     "um": "um",
+    "arcsec": "arcsec",
     "deg": "deg",
     "rad": "rad",
     "us": "us",
@@ -59,6 +61,16 @@ LENGTHS_MM = (
     | {f"{share}in": 25.4 * 10.0**-n for n, share in enumerate(_SHARES, 1)}
 )
 """How many millimetres a unit of length of a foreign file is, as people spell it, parts of one as :func:`with_shares` does."""
+ANGLES_DEG = (
+    {"mdeg": 1e-3, "m°": 1e-3, "gon": 0.9, "rad": 180.0 / math.pi, "mrad": 0.18 / math.pi}
+    | dict.fromkeys(("urad", "µrad", "μrad", "microrad"), 0.18e-3 / math.pi)
+    | dict.fromkeys(("°", "deg", "degree", "degrees", "度"), 1.0)
+    | dict.fromkeys(("arcmin", "arc min", "'", "\u2032", "角分", "分"), 1.0 / 60.0)
+    | dict.fromkeys(
+        ("arcsec", "arc sec", "arcseconds", '"', "''", "\u2033", "\u2032\u2032", "角秒", "秒"), 1.0 / 3600.0
+    )
+)
+"""The same of angles, in degrees; ``grad`` is none: a degree in German, 1/400 of a turn elsewhere."""
 TIMES_S = (
     {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3}
     | dict.fromkeys(("min", "mins", "minute", "minutes", "minuten", "分"), 60.0)
@@ -90,6 +102,8 @@ def _share(found: re.Match[str]) -> str:
 
 def shown_unit(unit: str) -> str:
     """Return a unit as people read it: ``um/(m/s2)`` as µm/(m/s²)."""
+    if unit == "arcsec":
+        return "″"
     return re.sub(r"(?<=s)2\b", "²", re.sub(r"\bu(?=m\b|rad\b)", "µ", unit))
 
 

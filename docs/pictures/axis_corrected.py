@@ -14,8 +14,8 @@ import numpy as np
 
 from dtwin.kinds.linear._evidence import evidence_plan
 from dtwin.kinds.linear._loop import ExactCorrection, looped, measured
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._simulate import virtual_lathe
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import load_bundle
 

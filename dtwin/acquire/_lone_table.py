@@ -21,10 +21,10 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     """Return a campaign of one run: a table that lies alone, and what is told of it.
 
     ``path``: ``.csv`` or ``.parquet``.
-    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine``, ``axis``, ``instrument`` and ``screw_pitch_mm``.
+    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``kind``, ``machine``, ``axis``, ``instrument`` and ``screw_pitch_mm``.
     Direction and campaign may be left away: the angle runs one way, the file has a name.
     """
-    kind = kind_of_table(path)
+    kind = str(told.get("kind") or kind_of_table(path))
     needed = kind_named(kind).stated
     missing = [name for name in needed or () if told.get(name) is None]
     if needed is None or missing:

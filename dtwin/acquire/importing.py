@@ -257,7 +257,7 @@ def understand(
             columns = columns_of(heads, looked.units, answers)
             plain = _converted(columns, looked.body)
             write_text(lone, plain, "a table")
-        kind = _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
+        kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:

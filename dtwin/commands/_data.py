@@ -24,13 +24,16 @@ Plane = Annotated[str | None, typer.Option(help="Of a table that lies alone: XY,
 Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed radius, mm.")]
 Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
 Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")]
-Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X.")]
+Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X, or C of a rotary one.")]
 Pitch = Annotated[
     float | None,
     typer.Option(help="Of a positioning table: travel in a turn of the screw, mm; else as the machine's record says."),
 ]
 Instrument = Annotated[
     str | None, typer.Option(help="Of a report with readings of several: which, as the report calls it.")
+]
+Kind = Annotated[
+    str | None, typer.Option(help="Of such a table: the kind of test, where heads do not tell it, such as rotary.")
 ]
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
@@ -76,6 +79,7 @@ def check(
     axis: Axis = None,
     pitch: Pitch = None,
     instrument: Instrument = None,
+    kind: Kind = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -88,7 +92,9 @@ def check(
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch, instrument=instrument)
+    told = told_of(
+        plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch, instrument=instrument, kind=kind
+    )
     limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
@@ -116,6 +122,7 @@ def ingest(
     axis: Axis = None,
     pitch: Pitch = None,
     instrument: Instrument = None,
+    kind: Kind = None,
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
@@ -129,7 +136,7 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument, kind)
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -245,6 +252,7 @@ def told_of(
     campaign: str | None = None,
     pitch: float | None = None,
     instrument: str | None = None,
+    kind: str | None = None,
 ) -> dict[str, Any]:
     """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
     from dtwin.machine_record import read_record
@@ -262,6 +270,7 @@ def told_of(
         "repeat": repeat,
         "machine": machine,
         "campaign": campaign,
+        "kind": kind,
     }
 
 

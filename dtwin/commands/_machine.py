@@ -34,7 +34,7 @@ def add(
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
-            help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10'; one number limits the size of D."
+            help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10', of rotary axes in seconds of arc, 'rotary:A=8'; one number limits the size of D."
         ),
     ] = None,
     test_every: Annotated[float | None, typer.Option(help="Days between two tests; 0 takes it back.")] = None,
@@ -234,24 +234,37 @@ def _number(text: str, where: str) -> float:
 
 
 def _record_text(record: MachineRecord) -> str:
+    from dtwin.kinds.registry import unit_of_limit
+    from dtwin.units import shown_unit
+
     lines = [record.name, *(f"  {name}: {value}" for name, value in record.facts.items())]
     for axis, known in record.axes.items():
         lines.append(f"  axis {axis}: " + ", ".join(f"{name} {value:g}" for name, value in known.items()))
-    lines += [f"  {symbol} {limits} µm" for symbol, limits in record.tolerances.items()]
+    lines += [
+        f"  {symbol} {limits} {shown_unit(unit_of_limit(symbol))}" for symbol, limits in record.tolerances.items()
+    ]
     lines += [f"  {e.on.isoformat()} {e.what}" + (f": {e.note}" if e.note else "") for e in record.events]
     return "\n".join(lines)
 
 
 def _history_text(history: Mapping[str, Any]) -> str:
+    from dtwin.units import shown_unit
 
     lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
     rows = [
-        [t["started"][:10], t["campaign"], t["kind"], t["figure"] or "-", t["shown"] or "-", t["decision"] or "-"]
+        [
+            t["started"][:10],
+            t["campaign"],
+            t["kind"],
+            t["figure"] or "-",
+            f"{t['shown']} {shown_unit(t['unit'])}" if t["shown"] else "-",
+            t["decision"] or "-",
+        ]
         for t in history["tests"]
     ]
     rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
     if rows:
-        lines += ["", table(("day", "test or note", "kind", "figure", "µm", "decision"), sorted(rows))]
+        lines += ["", table(("day", "test or note", "kind", "figure", "value", "decision"), sorted(rows))]
     if history["series"]:
         lines += ["", *_series_lines(history["series"])]
     if history["next_test"]:

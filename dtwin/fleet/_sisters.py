@@ -24,6 +24,7 @@ from dtwin.physics.twin import chosen_terms
 from dtwin.pipeline.kept import kept_already, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.progress import Progress
+from dtwin.report.sheet import number_of
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_quantile, holm, t_tail
 from dtwin.twins.measured import load
@@ -275,9 +276,9 @@ def _figures(home: Home, tests: Mapping[str, str]) -> dict[_Key, list[_Row]]:
             both = [c for c in part["characteristics"] if not _ONE_WAY.search(c["symbol"])]
             for c in part["characteristics"]:
                 # One more for each direction would say the same again, and every comparison costs the others power.
-                if c["expanded_um"] and (c in both or not both or c["decision"]):
-                    row = (machine, campaign, c["value_um"], c["expanded_um"])
-                    figures.setdefault((c["symbol"], c["name"], part["title"], "um"), []).append(row)
+                if number_of(c, "expanded") and (c in both or not both or c["decision"]):
+                    row = (machine, campaign, number_of(c, "value"), number_of(c, "expanded"))
+                    figures.setdefault((c["symbol"], c["name"], part["title"], c["unit"]), []).append(row)
     return figures
 
 

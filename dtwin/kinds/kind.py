@@ -165,6 +165,8 @@ class Kind:
         Columns of samples that a test sheet needs.
     figures : tuple of str
         Symbols of every figure that its test sheet may have.
+    unit : str
+        Of those figures and their tolerances, ``um`` or ``arcsec``.
     prefixed : tuple of str
         Those that another kind has, too: a tolerance of a machine is of these where it is stated as ``NAME:SYMBOL``.
     read_with : tuple of str
@@ -188,6 +190,7 @@ class Kind:
     campaign_columns: ClassVar[tuple[str, ...]] = ()
     sheet_columns: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()
+    unit: ClassVar[str] = "um"
     prefixed: ClassVar[tuple[str, ...]] = ()
     read_with: ClassVar[tuple[str, ...]] = ("instrument.sample_rate_hz",)
     always_fitted: ClassVar[str] = ""

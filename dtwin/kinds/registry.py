@@ -15,7 +15,7 @@ from dtwin.kinds.machine import VirtualMachine
 if TYPE_CHECKING:
     from dtwin.serve.bundle import Bundle
 
-_OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement", "poses", "drift", "rotation")
+_OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement", "poses", "drift", "rotation", "rotary")
 
 
 @cache
@@ -63,6 +63,12 @@ def kinds() -> Iterator[Kind]:
 def own_kinds() -> Iterator[Kind]:
     """Yield the kinds of dtwin: cheap, and no plug-in can break it."""
     return map(kind_named, _OWN)
+
+
+def unit_of_limit(symbol: str) -> str:
+    """Return the unit of a tolerance: of ``rotary:A`` that of the figures of such a kind, else ``um``."""
+    name, colon, _ = symbol.partition(":")
+    return kind_named(name).unit if colon and name in kind_names() else "um"
 
 
 def kind_of(bundle: Bundle) -> Kind:

@@ -24,6 +24,7 @@ from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
 from dtwin.progress import Progress
 from dtwin.report.faults import sizes_of
+from dtwin.report.sheet import number_of
 from dtwin.serve.pointer import resolve
 from dtwin.twins.measured import load
 from dtwin.twins.verbs import Twins
@@ -202,9 +203,9 @@ def _with_figures(
         for c in part["characteristics"]:
             if c["symbol"] not in (wanted if wanted & set(symbols) else symbols[:1]):
                 continue
-            new = Series(part["title"], c["symbol"], "um", (), c["low_um"], c["high_um"])
-            expanded = float("nan") if c["expanded_um"] is None else c["expanded_um"]
-            _append(series, ("figure", kind, part["title"], c["symbol"]), new, point, c["value_um"], expanded)
+            new = Series(part["title"], c["symbol"], c["unit"], (), number_of(c, "low"), number_of(c, "high"))
+            expanded = float("nan") if number_of(c, "expanded") is None else number_of(c, "expanded")
+            _append(series, ("figure", kind, part["title"], c["symbol"]), new, point, number_of(c, "value"), expanded)
 
 
 def _with_sizes(series: dict[tuple[str, ...], Series], sizes: Sequence[Sequence[Any]], point: Point) -> None:
@@ -278,6 +279,7 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
         return {
             "figure": "",
             "condition": "",
+            "unit": "um",
             "value_um": None,
             "expanded_um": None,
             "limit_um": None,
@@ -287,14 +289,15 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
     symbol = sheet["headline"]
     told = [(c, p) for p in parts for c in p["characteristics"] if c["symbol"] == symbol]
     told = told or [(p["characteristics"][0], p) for p in parts]
-    largest, part = max(told, key=lambda pair: abs(float(pair[0]["value_um"])))
+    largest, part = max(told, key=lambda pair: abs(float(number_of(pair[0], "value"))))
     shown = f"{largest['shown']['value']} {largest['shown']['expanded']}".removesuffix(" -")
     return {
         "figure": largest["symbol"],
         "condition": part["title"],
-        "value_um": largest["value_um"],
-        "expanded_um": largest["expanded_um"],
-        "limit_um": largest["high_um"],
+        "unit": sheet["unit"],
+        f"value_{sheet['unit']}": number_of(largest, "value"),
+        f"expanded_{sheet['unit']}": number_of(largest, "expanded"),
+        f"limit_{sheet['unit']}": number_of(largest, "high"),
         "shown": shown,
         "decision": sheet["verdict"],
     }

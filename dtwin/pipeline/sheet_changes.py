@@ -17,6 +17,7 @@ from dtwin.machine_record import events_between, events_of
 from dtwin.pipeline.certificate import earlier_test, when
 from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_history import record_of
+from dtwin.report.sheet import number_of
 
 CHANGED, SAME, OPEN = "changed", "not changed", "cannot be said"
 _FALSE_ALARMS = 0.05
@@ -135,6 +136,7 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
         "kind": known.kind,
         "campaign": campaign,
         "earlier": before["campaign"],
+        "unit": before["sheet"]["unit"],
         "days": [day[:10] for day in days],
         "events": [event.as_dict() for event in events],
         "figures": sorted(figures, key=lambda one: (CHANGED, OPEN, SAME).index(one["said"])),
@@ -152,30 +154,32 @@ def _figures(sheet: Mapping[str, Any]) -> dict[tuple[str, str], dict[str, Any]]:
 
 
 def _compared(key: tuple[str, str], old: Mapping[str, Any], new: Mapping[str, Any], critical: float) -> dict[str, Any]:
-    difference = float(new["value_um"]) - float(old["value_um"])
-    known = old["expanded_um"] is not None and new["expanded_um"] is not None
-    k2 = math.hypot(old["expanded_um"], new["expanded_um"]) if known else None
+    unit = new["unit"]
+    difference = float(number_of(new, "value")) - float(number_of(old, "value"))
+    known = number_of(old, "expanded") is not None and number_of(new, "expanded") is not None
+    k2 = math.hypot(number_of(old, "expanded"), number_of(new, "expanded")) if known else None
     budgets = [c for one in (old, new) for c in (one["budget"] or {"contributions": ()})["contributions"]]
     assumed = [c for c in budgets if c["assumed"]]
     said = OPEN
     if k2 is not None and not any(c["zero"] for c in assumed):
         # With what was assumed twice as large: its variance four times.
-        widest = math.hypot(k2 / _COVERAGE_FACTOR, *(math.sqrt(3.0) * float(c["standard_um"]) for c in assumed))
+        widest = math.hypot(k2 / _COVERAGE_FACTOR, *(math.sqrt(3.0) * float(c[f"standard_{unit}"]) for c in assumed))
         if abs(difference) > critical * widest:
             said = CHANGED
-        elif abs(difference) <= k2 < max(abs(float(old["value_um"])), abs(float(new["value_um"]))):
+        elif abs(difference) <= k2 < max(abs(float(number_of(old, "value"))), abs(float(number_of(new, "value")))):
             said = SAME
     return {
         "condition": key[0],
         "symbol": key[1],
         "name": new["name"],
-        "before_um": old["value_um"],
-        "before_k2_um": old["expanded_um"],
-        "now_um": new["value_um"],
-        "now_k2_um": new["expanded_um"],
+        "unit": unit,
+        f"before_{unit}": number_of(old, "value"),
+        f"before_k2_{unit}": number_of(old, "expanded"),
+        f"now_{unit}": number_of(new, "value"),
+        f"now_k2_{unit}": number_of(new, "expanded"),
         "shown": [f"{c['shown']['value']} {c['shown']['expanded']}".removesuffix(" -") for c in (old, new)],
-        "difference_um": difference,
-        "difference_k2_um": k2,
+        f"difference_{unit}": difference,
+        f"difference_k2_{unit}": k2,
         "assumed": sorted({c["source"] for c in assumed}),
         "said": said,
     }

@@ -12,7 +12,8 @@ from plotly.offline import get_plotlyjs
 
 from dtwin.report._german import GERMAN
 from dtwin.report.html import figure_html
-from dtwin.report.sheet import headline_budget, overview
+from dtwin.report.sheet import headline_budget, number_of, overview
+from dtwin.units import shown_unit
 
 _FIGURE_PX, _BESIDE_PX = 380, 300
 """So that a picture and its table fit below the head of the first page; and beside each other."""
@@ -47,11 +48,11 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 {% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
-<table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, µm</th><th>U (95 %), µm</th><th>{{ say("limit") }}, µm</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, µm</th><th>{{ say("change") }}, µm</th>{% endif %}</tr></thead>
+<table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, {{ unit }}</th><th>U (95 %), {{ unit }}</th><th>{{ say("limit") }}, {{ unit }}</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, {{ unit }}</th><th>{{ say("change") }}, {{ unit }}</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ tell(c.shown.value) }}</td><td>{{ tell(c.shown.expanded) }}</td><td>{{ tell(c.shown.limit) }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ tell(c.before) }}</td><td>{{ tell(c.change) }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
 {% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0]) }}</h2>
-<table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), µm</th><th>{{ say("from") }}</th></tr></thead>
+<table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), {{ unit }}</th><th>{{ say("from") }}</th></tr></thead>
 <tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
@@ -119,6 +120,7 @@ def certificate_page(
             say=lambda word: words.get(word, word),
             tell=tell,
             overview=overview(sheet),
+            unit=shown_unit(sheet["unit"]),
             beside=beside,
             language=language,
             facts=facts,
@@ -174,11 +176,11 @@ HEAD = (
 
 
 def _values(sheet: Mapping[str, Any]) -> dict[tuple[str, str], float]:
-    return {(p["title"], c["symbol"]): c["value_um"] for p in sheet["parts"] for c in p["characteristics"]}
+    return {(p["title"], c["symbol"]): number_of(c, "value") for p in sheet["parts"] for c in p["characteristics"]}
 
 
 def _row(part: Mapping[str, Any], c: Mapping[str, Any], old: Mapping[tuple[str, str], float]) -> dict[str, Any]:
     digits = len(c["shown"]["value"].partition(".")[2])
     value = old.get((part["title"], c["symbol"]))
-    told = ("-", "-") if value is None else (f"{value:z.{digits}f}", f"{c['value_um'] - value:+z.{digits}f}")
-    return {**c, "before": told[0], "change": told[1]}
+    change = ("-", "-") if value is None else (f"{value:z.{digits}f}", f"{number_of(c, 'value') - value:+z.{digits}f}")
+    return {**c, "before": change[0], "change": change[1]}

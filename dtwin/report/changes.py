@@ -6,14 +6,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dtwin.report.recorded import events_words
+from dtwin.report.sheet import number_of
 from dtwin.report.text import decimals
-
-_HEAD = ("figure", "condition", "before, µm", "now, µm", "difference, µm (k = 2)", "said")
+from dtwin.units import shown_unit
 
 
 def change_table(found: Mapping[str, Any]) -> tuple[Sequence[str], list[list[str]]]:
     """Return head and rows of the figures side by side, ``found`` as ``sheet_changes`` returns it."""
-    return _HEAD, [[c["symbol"], c["condition"], *c["shown"], difference_words(c), c["said"]] for c in found["figures"]]
+    unit = shown_unit(found["unit"])
+    head = ("figure", "condition", f"before, {unit}", f"now, {unit}", f"difference, {unit} (k = 2)", "said")
+    return head, [[c["symbol"], c["condition"], *c["shown"], difference_words(c), c["said"]] for c in found["figures"]]
 
 
 def changes_title(found: Mapping[str, Any]) -> str:
@@ -42,8 +44,8 @@ def changes_text(found: Mapping[str, Any]) -> list[str]:
 
 def difference_words(figure: Mapping[str, Any]) -> str:
     """Return the difference of a figure with its uncertainty."""
-    k2 = figure["difference_k2_um"]
+    k2, difference = number_of(figure, "difference_k2"), number_of(figure, "difference")
     if k2 is None:
-        return f"{figure['difference_um']:+z.2f}"
+        return f"{difference:+z.2f}"
     digits = decimals(k2)
-    return f"{figure['difference_um']:+z.{digits}f} ± {k2:z.{digits}f}"
+    return f"{difference:+z.{digits}f} ± {k2:z.{digits}f}"

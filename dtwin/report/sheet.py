@@ -11,13 +11,14 @@ from dtwin.report.text import decimals, micrometres, table
 from dtwin.report.uncertainty import REPEATABILITY, Budget, Contribution, combined
 from dtwin.schema import Run
 from dtwin.tolerances import Limits
+from dtwin.units import shown_unit
 
 INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
 
 
 @dataclass(frozen=True)
 class Characteristic:
-    """One figure of a standard under one condition.
+    """One figure of a standard under one condition; names that end in ``_um`` are in the unit of its sheet.
 
     Attributes
     ----------
@@ -59,20 +60,21 @@ class Characteristic:
         # Bounds are included: what may lie on a bound is not proved to be outside.
         return OUTSIDE if math.isfinite(self.expanded_um) and beyond > self.expanded_um else OPEN
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping; ``shown`` is rounded to two digits of the uncertainty."""
+    def as_dict(self, unit: str) -> dict[str, Any]:
+        """Return a JSON-ready mapping, whose names end in the unit; ``shown`` is rounded to two digits of the uncertainty."""
         known = math.isfinite(self.expanded_um)
         digits = decimals(self.expanded_um)
         return {
             "symbol": self.symbol,
             "name": self.name,
-            "value_um": self.value_um,
-            "expanded_um": self.expanded_um if known else None,
+            "unit": unit,
+            f"value_{unit}": self.value_um,
+            f"expanded_{unit}": self.expanded_um if known else None,
             "repeats": self.repeats,
-            "low_um": None if self.limits is None else self.limits.low_um,
-            "high_um": None if self.limits is None else self.limits.high_um,
+            f"low_{unit}": None if self.limits is None else self.limits.low_um,
+            f"high_{unit}": None if self.limits is None else self.limits.high_um,
             "decision": self.decision,
-            "budget": None if self.budget is None else self.budget.as_dict(),
+            "budget": None if self.budget is None else self.budget.as_dict(unit),
             "shown": {
                 "value": f"{self.value_um:z.{digits}f}" if known else micrometres(self.value_um),
                 "expanded": f"± {self.expanded_um:z.{digits}f}" if known else "-",
@@ -111,6 +113,8 @@ class Sheet:
         What was left out, and why.
     untold : tuple of str
         Symbols of figures that have a limit, and that no condition of this test tells: nothing is inside without them.
+    unit : str
+        Of figures and limits, ``um`` or ``arcsec``.
     """
 
     standard: str
@@ -119,6 +123,7 @@ class Sheet:
     basis: str = ""
     notes: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
+    unit: str = "um"
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -127,7 +132,7 @@ class Sheet:
             {
                 "title": p.title,
                 "runs": list(p.runs),
-                "characteristics": [c.as_dict() for c in p.characteristics],
+                "characteristics": [c.as_dict(self.unit) for c in p.characteristics],
                 "verdict": _worst(c.decision for c in p.characteristics),
             }
             for p in self.parts
@@ -135,6 +140,7 @@ class Sheet:
         return {
             "standard": self.standard,
             "headline": self.headline,
+            "unit": self.unit,
             "verdict": _worst([*made, OPEN] if self.untold else made),
             "parts": parts,
             "basis": self.basis,
@@ -201,7 +207,7 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
         c = replace(c, limits=limits.get(c.symbol))
         if not c.dof > 0 or not sound:
             return replace(c, expanded_um=math.nan, budget=None)
-        basis = f"standard deviation {c.deviation_um:.3g} µm, {c.dof:.3g} degrees of freedom"
+        basis = f"standard deviation {c.deviation_um:.3g} {shown_unit(sheet.unit)}, {c.dof:.3g} degrees of freedom"
         scatter = Contribution(REPEATABILITY, c.deviation_um / math.sqrt(c.repeats), basis, c.dof)
         budget = combined([scatter, *c.contributions])
         return replace(c, expanded_um=budget.expanded_um, budget=budget)
@@ -217,13 +223,15 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
         if budgets
         else "U is not known, for no sound run was repeated: no limit can be decided."
     )
-    told = {c.symbol for p in parts for c in p.characteristics}
-    untold = tuple(symbol for symbol in asked if symbol not in told)
+    known = {c.symbol for p in parts for c in p.characteristics}
+    untold = tuple(symbol for symbol in asked if symbol not in known)
     notes = [f"{symbol} has a tolerance, and this test does not tell it." for symbol in untold]
     return replace(sheet, parts=parts, basis=basis, notes=(*sheet.notes, *notes), untold=untold)
 
 
-HEAD = ("value, µm", "U (95 %), µm", "limit, µm", "decision")
+def number_of(characteristic: Mapping[str, Any], name: str) -> Any:
+    """Return a number of a figure, as :meth:`Characteristic.as_dict` gave it, in the unit of its sheet."""
+    return characteristic[f"{name}_{characteristic['unit']}"]
 
 
 def _rows(part: Mapping[str, Any]) -> list[list[str]]:
@@ -233,16 +241,13 @@ def _rows(part: Mapping[str, Any]) -> list[list[str]]:
     ]
 
 
-BUDGET_HEAD = ("contribution", "u (k = 1), µm", "from")
-
-
 def headline_budget(sheet: Mapping[str, Any]) -> tuple[str, list[list[str]]] | None:
     """Return title and rows of the budget of the figure that stands for the whole, where it is largest.
 
     ``sheet``: as :meth:`Sheet.as_dict` gave it. None when no uncertainty is known.
     """
     known = [
-        (abs(c["value_um"]), part["title"], c)
+        (abs(number_of(c, "value")), part["title"], c)
         for part in sheet["parts"]
         for c in part["characteristics"]
         if c["symbol"] == sheet["headline"] and c.get("budget")
@@ -256,9 +261,10 @@ def headline_budget(sheet: Mapping[str, Any]) -> tuple[str, list[list[str]]] | N
 def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
     """Return the rows of the budget of a figure, the last two its sum and the expanded uncertainty."""
     budget = characteristic["budget"]
-    rows = [[c["source"], f"{c['standard_um']:z.3f}", c["basis"]] for c in budget["contributions"]]
-    rows.append(["combined", f"{budget['standard_um']:z.3f}", "root of the sum of squares"])
-    return [*rows, [f"U (k = {budget['k']:z.2f})", f"{characteristic['expanded_um']:z.3f}", ""]]
+    size = f"standard_{characteristic['unit']}"
+    rows = [[c["source"], f"{c[size]:z.3f}", c["basis"]] for c in budget["contributions"]]
+    rows.append(["combined", f"{budget[size]:z.3f}", "root of the sum of squares"])
+    return [*rows, [f"U (k = {budget['k']:z.2f})", f"{number_of(characteristic, 'expanded'):z.3f}", ""]]
 
 
 def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -273,19 +279,20 @@ def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         shown = {c["symbol"]: c["shown"] for c in part["characteristics"]}
         cells = [" ".join((shown[s]["value"], shown[s]["expanded"])) if s in shown else "-" for s in symbols]
         rows.append([part["title"], *(cell.removesuffix(" -") for cell in cells), part["verdict"] or "-"])
-    return ["µm", *symbols, "decision"], rows
+    return [shown_unit(sheet["unit"]), *symbols, "decision"], rows
 
 
 def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
     """Return what :meth:`Sheet.as_dict` gave for a terminal: one condition in full, of several a line each."""
-    parts = sheet["parts"]
+    parts, unit = sheet["parts"], shown_unit(sheet["unit"])
     lines = [f"{sheet['standard']}: {sheet['verdict'] or 'no tolerance is stated'}"]
     if len(parts) == 1:
-        lines += table((parts[0]["title"], *HEAD), _rows(parts[0])).splitlines()
+        head = (parts[0]["title"], f"value, {unit}", f"U (95 %), {unit}", f"limit, {unit}", "decision")
+        lines += table(head, _rows(parts[0])).splitlines()
     elif parts:
         lines += table(*overview(sheet)).splitlines()
     lines.append(sheet["basis"])
-    told = headline_budget(sheet)
-    if told is not None:
-        lines += ["", *table((f"Budget of {told[0]}", *BUDGET_HEAD[1:]), told[1]).splitlines(), ""]
+    budget = headline_budget(sheet)
+    if budget is not None:
+        lines += ["", *table((f"Budget of {budget[0]}", f"u (k = 1), {unit}", "from"), budget[1]).splitlines(), ""]
     return [*lines, *sheet["notes"]]

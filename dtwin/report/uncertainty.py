@@ -12,6 +12,7 @@ from typing import Any
 
 from dtwin.errors import InputError
 from dtwin.statistics import t_quantile
+from dtwin.units import shown_unit
 
 REPEATABILITY = "repeatability"
 _COVERED = 0.9545
@@ -69,20 +70,20 @@ class Budget:
         """Half width of the interval."""
         return self.factor * self.standard_um
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
+    def as_dict(self, unit: str = "um") -> dict[str, Any]:
+        """Return a JSON-ready mapping, whose names end in the unit."""
         return {
             "contributions": [
                 {
                     "source": c.source,
-                    "standard_um": c.standard_um,
+                    f"standard_{unit}": c.standard_um,
                     "basis": c.basis,
                     "assumed": c.assumed,
                     "zero": c.zero,
                 }
                 for c in self.contributions
             ],
-            "standard_um": self.standard_um,
+            f"standard_{unit}": self.standard_um,
             "dof": self.dof if math.isfinite(self.dof) else None,
             "k": self.factor,
         }
@@ -174,10 +175,12 @@ class Circumstances:
             )
         return Stated(float(value), False)
 
-    def reading(self, otherwise_um: float) -> Contribution:
-        """Return what the instrument contributes to a difference of two readings, ``uncertainty_um`` (k = 2)."""
-        told = self.stated("uncertainty_um", otherwise_um)
-        return Contribution("instrument", told.value / 2, told.basis("µm (k = 2)"), assumed=told.assumed)
+    def reading(self, otherwise: float, unit: str = "um") -> Contribution:
+        """Return what the instrument contributes to a difference of two readings, ``uncertainty_um`` (k = 2), or in another unit."""
+        told = self.stated(f"uncertainty_{unit}", otherwise)
+        return Contribution(
+            "instrument", told.value / 2, told.basis(f"{shown_unit(unit)} (k = 2)"), assumed=told.assumed
+        )
 
     def length(self, metres: float) -> list[Contribution]:
         """Return what temperature and expansion contribute to a length that is to hold at 20 °C."""

@@ -19,6 +19,8 @@ from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.joint import title_of
+from dtwin.report.sheet import number_of
+from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
@@ -141,11 +143,15 @@ def summary(request: Request, name: str) -> dict[str, Any]:
     history = bench_of(request).history(name)
     tests = [test for test in history["tests"] if test["figure"]]
     last = tests[-1] if tests else None
-    values = [test["value_um"] for test in tests if last is not None and test["figure"] == last["figure"]]
+    alike = [
+        test for test in tests if last is not None and (test["kind"], test["figure"]) == (last["kind"], last["figure"])
+    ]
+    values = [number_of(test, "value") for test in alike]
     current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
     return {
         "last": last,
-        "values_um": values,
+        "values": values,
+        "unit": shown_unit(last["unit"]) if last else "",
         "changed": current[0] if current else "",
         "overdue": _overdue(history),
         "champion": history["champion"],

@@ -14,6 +14,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
+from dtwin.kinds.registry import unit_of_limit
 from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
@@ -59,6 +60,7 @@ _ENVIRONMENT.filters |= {
     "place": place_words,
     "stated": stated,
     "unit": shown_unit,
+    "unit_of_limit": unit_of_limit,
 }
 _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 

@@ -31,7 +31,7 @@ def _effect(name: str, title: str, regressors: object, meaning: str) -> Effect:
         meaning=meaning,  # type: ignore[arg-type]
         parameters=(Parameter("cosine", "um", 5.0), Parameter("sine", "um", 5.0)),
         law=Law(0.0, None, "even"),
-        kinds=("rotary",),
+        kinds=("turntable",),
         formula="C cos(n t + f)",
         looks_like="A wave.",
         separate_by="Count the waves of a turn.",

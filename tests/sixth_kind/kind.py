@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from dtwin.twins.verbs import Twins
 
 
-class Rotary(Kind):
-    name = "rotary"
+class Turntable(Kind):
+    name = "turntable"
     columns = ("t_s", "angle_deg", "error_um")
     campaign_columns = columns
     always_fitted = "The zero of every set-up is always fitted."
@@ -38,14 +38,14 @@ class Rotary(Kind):
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         repeats = int(document["plan"].get("repeats", REPEATS))
-        few = [Finding("rotary.few", "warning", "one turn has no noise floor")] if repeats < 2 else []
+        few = [Finding("turntable.few", "warning", "one turn has no noise floor")] if repeats < 2 else []
         seconds = repeats * sum(360.0 / speed for speed in SPEEDS_DEG_S)
-        return Planned("rotary", repeats, {"name": "table"}, seconds, few, (f"{repeats} turns",))
+        return Planned("turntable", repeats, {"name": "table"}, seconds, few, (f"{repeats} turns",))
 
     def judge_run(self, run: Run) -> list[Finding]:
         if len(run.samples["angle_deg"]) >= 36:
             return []
-        return [Finding("rotary.short", "error", "fewer than 36 places of the turn")]
+        return [Finding("turntable.short", "error", "fewer than 36 places of the turn")]
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         spans = {run.meta.run_id: float(np.ptp(run.samples["error_um"])) for run in runs}
@@ -128,4 +128,4 @@ class Turn:
         return f"C {self.speed_deg_s:g} deg/s"
 
 
-KIND = Rotary()
+KIND = Turntable()

@@ -30,7 +30,7 @@ def error_um(angle_deg: Floats, rng: np.random.Generator) -> Floats:
 
 
 class Table(VirtualMachine):
-    name, type, kind = "table", "rotary-table", "rotary"
+    name, type, kind = "table", "rotary-table", "turntable"
     options: ClassVar[Options] = {PLAN: ()}
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
@@ -38,7 +38,7 @@ class Table(VirtualMachine):
         runs = self.turns(repeats, request.seed)
         request.out.mkdir(parents=True, exist_ok=True)
         entries = [_written(request.out, run, number) for number, run in enumerate(runs)]
-        head = {"name": "table", "machine": "table-1", "kind": "rotary", "started": runs[0].meta.started}
+        head = {"name": "table", "machine": "table-1", "kind": "turntable", "started": runs[0].meta.started}
         lines = [
             "[campaign]",
             *_toml(head),
@@ -58,7 +58,7 @@ class Table(VirtualMachine):
                 error = error_um(angle, rng) - (correct(angle) if correct else 0.0)
                 meta = RunMeta(
                     f"r{len(out) + 1:03d}",
-                    kind="rotary",
+                    kind="turntable",
                     repeat=repeat,
                     correction=correction,
                     condition={"axis": "C", "speed_deg_s": speed},

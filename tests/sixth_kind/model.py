@@ -46,7 +46,7 @@ def _state(meta: RunMeta, condition: Any, feed_mm_s: float, geometry: Mapping[st
         return {axis: np.full(n, value)}
 
     return State(
-        kind="rotary",
+        kind="turntable",
         axes=(axis,),
         plane="",
         position_mm={axis: angle * RIM_MM},
@@ -64,7 +64,7 @@ def _state(meta: RunMeta, condition: Any, feed_mm_s: float, geometry: Mapping[st
 
 
 GRID = Grid(
-    kind="rotary",
+    kind="turntable",
     coordinate="angle_deg",
     points=POINTS_DEG,
     setup=np.ones((len(POINTS_DEG), 1)),
@@ -106,7 +106,7 @@ def _bundle(found: Floats, machine: str) -> Bundle:
         terms.append(g.apply("cos", angle * float(times)) * float(found[1 + i]))
         terms.append(g.apply("sin", angle * float(times)) * float(found[1 + n + i]))
     return create_bundle(
-        corrects="rotary",
+        corrects="turntable",
         name="waves",
         machine=machine,
         model_version=1,

@@ -19,11 +19,11 @@ from dtwin.kinds.linear._judging import (
     stacked,
     table_rms_um,
 )
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms

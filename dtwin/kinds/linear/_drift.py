@@ -10,8 +10,8 @@ import numpy as np
 from dtwin.kinds.linear._bundle import axis_number, told
 from dtwin.kinds.linear._gates import along
 from dtwin.kinds.linear._judging import HELD_OUT, noise_floor_um
-from dtwin.kinds.linear._matrix import linear_test
 from dtwin.lake.store import Lake
+from dtwin.positioning.matrix import linear_test
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms

@@ -13,10 +13,10 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import axis_number, is_positioning_bundle
 from dtwin.kinds.linear._gates import screw_logged
 from dtwin.kinds.linear._loop import PERIOD_S, ExactCorrection, looped, measured
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._models import MM_PER_IN
 from dtwin.kinds.linear._plan import LinearPlan, better_step
 from dtwin.kinds.linear._simulate import verification_plan, virtual_lathe
+from dtwin.positioning.matrix import LinearTest
 from dtwin.progress import Progress
 from dtwin.schema import Run, RunMeta
 from dtwin.serve.bundle import Bundle

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._models import Unidirectional, averages_of
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 from dtwin.train.results import Scores

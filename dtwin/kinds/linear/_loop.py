@@ -12,12 +12,12 @@ from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import RATE_HZ, axis_number, told
 from dtwin.kinds.linear._gates import along
-from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.kinds.linear._models import PositionModel
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, reverse_at, verification_plan, virtual_lathe
 from dtwin.machines.lathe import LatheRecording, VirtualLathe, Wander
+from dtwin.positioning.matrix import LinearTest, linear_test
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.safety import Guard

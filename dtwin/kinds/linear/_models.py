@@ -11,9 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.kinds.linear._net_training import Trained, train_net
 from dtwin.kinds.linear._small_net import SmallNet, new_net
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 
 MM_PER_IN, UM_PER_IN = 25.4, 25_400.0

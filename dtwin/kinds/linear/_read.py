@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._table_heads import way_of
-from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule, sweeps
+from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule
+from dtwin.positioning.order import sweeps
+from dtwin.positioning.ways import with_ways
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -64,19 +65,7 @@ def with_pitch(run: Run, campaign: Campaign) -> Run:
     ``run``: a run of kind ``linear``.
     ``campaign``: ``machine_geometry.screw_pitch_mm`` is the pitch.
     """
-    ways = {d: way_of(str(d), ones=True) for d in set(run.samples["direction"])}
-    unknown = sorted(str(d) for d, way in ways.items() if way is None)
-    if unknown:
-        raise InputError(
-            "a reading does not say from which side its target was approached",
-            code="linear.direction",
-            where=f"{run.source} direction",
-            got=", ".join(unknown)[:80],
-            allowed=f"{_FORWARD}, {_REVERSE}",
-        )
-    if any(d != way for d, way in ways.items()):
-        told = np.array([ways[d] for d in run.samples["direction"]], dtype=object)
-        run = replace(run, samples={**run.samples, "direction": told})
+    run = with_ways(run)
     pitch = campaign.machine_geometry.get("screw_pitch_mm")
     if pitch is None:
         return run

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.linear._check import phases_of
-from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.physics.linear import linear_figures
+from dtwin.positioning.check import phases_of
+from dtwin.positioning.matrix import LinearTest, linear_test
 from dtwin.report.text import counted, table
 from dtwin.schema import Floats, Run
 

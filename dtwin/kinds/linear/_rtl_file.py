@@ -20,9 +20,9 @@ import numpy as np
 from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
-from dtwin.kinds.linear._assignments import Reading
-from dtwin.kinds.linear._position_runs import runs_of
-from dtwin.kinds.linear._position_table import matrix_of
+from dtwin.positioning.assignments import Reading
+from dtwin.positioning.position_runs import runs_of
+from dtwin.positioning.position_table import matrix_of
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import ROOM_MM, Flanks, deployed_bundle, flanks_bundle, flanks_of
-from dtwin.kinds.linear._check import phases_of
 from dtwin.kinds.linear._gates import positioning_gates, screw_metrics
 from dtwin.kinds.linear._judging import HELD_OUT, explained_share, noise_floor_um, scores_of, stacked, without_run
-from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.kinds.linear._models import (
     MM_PER_IN,
     Averages,
@@ -26,6 +24,8 @@ from dtwin.kinds.linear._models import (
     fit_dual,
 )
 from dtwin.lake.store import Lake
+from dtwin.positioning.check import phases_of
+from dtwin.positioning.matrix import LinearTest, linear_test
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

@@ -137,31 +137,6 @@ def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
     return None, True
 
 
-def sweeps(position: Floats) -> list[tuple[slice, int]]:
-    """Part successive targets into sweeps of one direction.
-
-    At a turn the same target is read twice, from one side and from the other; where one of the
-    two is missing, the other belongs to the sweep before.
-
-    ``position``, (n,): targets in the order of measurement.
-    Rows of each sweep, and +1 or -1 for its direction.
-    """
-    pieces: list[tuple[slice, int]] = []
-    begun, sign = 0, 0
-    for i, step in enumerate(np.sign(np.diff(position)).astype(int).tolist()):
-        if step == 0 or (sign and step != sign):
-            pieces.append((slice(begun, i + 1), sign or _other(pieces)))
-            begun, sign = i + 1, step
-        else:
-            sign = step
-    pieces.append((slice(begun, len(position)), sign or _other(pieces)))
-    return pieces
-
-
-def _other(pieces: list[tuple[slice, int]]) -> int:
-    return -pieces[-1][1] if pieces else 1
-
-
 def _numbers(words: list[str], width: int) -> list[float] | None:
     try:
         values = [float(word) for word in words]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
@@ -61,15 +62,15 @@ class _Linear(Kind):
         return {".txt": read_laser_runs, ".las": read_laser_runs, **dict.fromkeys(SUFFIXES, read_rtl_runs)}
 
     def reader_of(self, path: Path) -> FileReader | None:
-        from dtwin.kinds.linear._position_table import is_position_table, read_position_runs
+        from dtwin.positioning.position_table import is_position_table, read_position_runs
 
         return read_position_runs if is_position_table(path) else super().reader_of(path)
 
     def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.linear._position_table import is_position_table
         from dtwin.kinds.linear._rtl_file import SUFFIXES
+        from dtwin.positioning.position_table import axis_turns
 
-        return path.suffix.lower() in SUFFIXES or is_position_table(path)
+        return path.suffix.lower() in SUFFIXES or axis_turns(path) is False
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.linear._planned import planned
@@ -102,27 +103,24 @@ class _Linear(Kind):
         return with_pitch(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.acquire.quality import judge_clock
-        from dtwin.kinds.linear._check import judge_linear_run
+        from dtwin.positioning.check import judge_positioning_run
 
-        # Of a clock that was assumed, a gap is a reading that is missing.
-        assumed = any(finding.code == "clock.assumed" for finding in run.findings)
-        clock = [finding for finding in judge_clock(run) if not assumed or finding.code != "clock.dropout"]
-        return [*clock, *judge_linear_run(run)]
+        return judge_positioning_run(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.linear._check import judge_linear_campaign
+        from dtwin.positioning.check import judge_positioning_campaign
 
         whole = [run for run in runs if run.samples]
-        return judge_linear_campaign(whole) if whole else []
+        return judge_positioning_campaign(whole) if whole else []
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.linear._sheet import positioning_sheet
+        from dtwin.kinds.linear._sheet import asked, contributions
+        from dtwin.positioning.sheet import positioning_sheet
 
-        return positioning_sheet(runs, under)
+        return positioning_sheet(runs, asked, partial(contributions, under))
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.linear._sheet import positioning_figure
+        from dtwin.positioning.sheet import positioning_figure
 
         return positioning_figure(runs)
 
@@ -138,9 +136,9 @@ class _Linear(Kind):
 
     @property
     def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.linear._drawings import DRAWINGS
+        from dtwin.positioning.drawings import drawings
 
-        return DRAWINGS
+        return drawings()
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
         from dtwin.twins.verbs import Twins
@@ -159,7 +157,7 @@ class _Linear(Kind):
         return axis_errors(bundle)
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.kinds.linear._grid import stroke_rows
+        from dtwin.positioning.grid import stroke_rows
 
         return stroke_rows(runs, times_h)
 

@@ -526,7 +526,7 @@ function watchDrop() {
 // ---- machines: what the last test of each says ----------------------------------------------------------
 const WORST = ["outside", "overdue", "changed", "cannot say", "inside"];
 
-function sparkline(values) {
+function sparkline(values, unit) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const place = (value, n) => `${(n * 96) / Math.max(values.length - 1, 1) + 2},${22 - ((value - low) / (high - low || 1)) * 20}`;
   const points = values.map(place);
@@ -535,7 +535,7 @@ function sparkline(values) {
   picture.setAttribute("viewBox", "0 0 100 24");
   picture.setAttribute("class", "spark");
   picture.setAttribute("role", "img");
-  picture.setAttribute("aria-label", `${values.length} values from ${values[0].toFixed(1)} to ${values[values.length - 1].toFixed(1)} µm`);
+  picture.setAttribute("aria-label", `${values.length} values from ${values[0].toFixed(1)} to ${values[values.length - 1].toFixed(1)} ${unit}`);
   const line = document.createElementNS(ns, "polyline");
   line.setAttribute("points", (points.length > 1 ? points : [points[0], points[0]]).join(" "));
   picture.append(line);
@@ -548,8 +548,8 @@ async function fillMachine(row) {
     const found = await ask(`/api/machines/${encodeURIComponent(row.dataset.machine)}/summary`);
     cell("champion").textContent = found.champion;
     if (!found.last) return;
-    cell("figure").textContent = `${found.last.figure} ${found.last.shown}`;
-    if (found.values_um.length > 1) cell("values").append(sparkline(found.values_um));
+    cell("figure").textContent = `${found.last.figure} ${found.last.shown} ${found.unit}`;
+    if (found.values.length > 1) cell("values").append(sparkline(found.values, found.unit));
     const words = [found.last.decision, found.overdue && "overdue", found.changed && "changed"].filter(Boolean);
     for (const word of words) {
       const tag = document.createElement("span");

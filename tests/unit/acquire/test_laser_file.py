@@ -11,8 +11,9 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
-from dtwin.kinds.linear.laser_file import LaserTest, linear_error, read_laser_file, sign_rule, sweeps, write_laser_file
+from dtwin.kinds.linear.laser_file import LaserTest, linear_error, read_laser_file, sign_rule, write_laser_file
 from dtwin.lake.store import Lake
+from dtwin.positioning.order import sweeps
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
 

@@ -30,7 +30,7 @@ from dtwin.workbench._server import application
 
 ROOT = Path(__file__).parents[3]
 # Where a kind has no virtual machine.
-FOLDERS = {"poses": ROOT / "data/poses/ur5-random"}
+FOLDERS = {"poses": ROOT / "data/poses/ur5-random", "rotary": Path(__file__).parent / "rotary_table"}
 # The quickest machine of a kind that has several, and a cause that its errors have.
 MACHINES = {"circular": "mill"}
 EFFECTS = {

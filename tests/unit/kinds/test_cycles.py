@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings, zero_of_each_cycle
-from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear._position_table import read_position_runs
-from dtwin.kinds.linear._still import still
+from dtwin.positioning.cycles import moving_zero, spoilt_readings, zero_of_each_cycle
+from dtwin.positioning.matrix import LinearTest
+from dtwin.positioning.position_table import read_position_runs
+from dtwin.positioning.still import still
 from dtwin.schema import Campaign, Finding, Run
 
 

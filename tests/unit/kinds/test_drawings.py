@@ -53,7 +53,14 @@ def turning() -> Run:
     return Run(meta, {"t_s": angle / 360.0, "angle_deg": angle, "displacement_um": moved_um})
 
 
-RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone, "rotation": turning}
+def indexed() -> Run:
+    angle, error = np.array([0.0, 90.0, 90.0, 0.0]), np.array([1.0, 2.0, 4.0, 3.0])
+    ways = np.repeat(np.array(["forward", "reverse"], dtype=object), 2)
+    samples = {"t_s": np.arange(4.0), "angle_deg": angle, "direction": ways, "error_arcsec": error}
+    return Run(RunMeta("i1", kind="rotary", condition={"axis": "C"}, sample_rate_hz=1.0), samples)
+
+
+RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone, "rotation": turning, "rotary": indexed}
 
 
 def no_floor() -> float:

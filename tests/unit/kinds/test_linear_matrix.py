@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.kinds.linear._matrix import linear_test
 from dtwin.kinds.registry import kind_named
+from dtwin.positioning.matrix import linear_test
 from dtwin.schema import Run, RunMeta
 
 

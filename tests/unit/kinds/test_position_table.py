@@ -25,11 +25,11 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.linear._grid import stroke_rows
-from dtwin.kinds.linear._position_runs import PositionTable
-from dtwin.kinds.linear._position_table import is_position_table, read_position_runs, table_in
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.positioning.grid import stroke_rows
+from dtwin.positioning.position_runs import PositionTable
+from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -1175,26 +1175,7 @@ def test_tables_of_angles_are_refused_with_what_to_do(tmp_path: Path, head: str)
     with pytest.raises(InputError) as refused:
         read_position_table(path)
     assert (refused.value.code, refused.value.got) == ("position_table.unit", head)
-    assert "rotary axis" in str(refused.value.hint)
-
-
-@pytest.mark.parametrize(
-    "heads",
-    [
-        'Winkel [°],Vor 1 ["],Rück 1 ["]',
-        "Angle [deg],Forward 1 [arcsec],Reverse 1 [arcsec]",
-        "角度 [度],正向1 [角秒],反向1 [角秒]",
-        "Target angle,Forward 1,Reverse 1",
-        "Angle,Direction,Deviation\ndeg,,arc sec",
-    ],
-)
-def test_a_table_of_an_axis_that_turns_is_refused_with_the_true_word(tmp_path: Path, heads: str) -> None:
-    path = tmp_path / "c.csv"
-    path.write_text(f"Rotary table\n\n{heads}\n0,1,2\n90,2,3\n180,1,2", encoding="utf-8")
-    with pytest.raises(InputError, match="in angles"):
-        check_source(path, {})
-    with pytest.raises(InputError, match="in angles"):
-        understand(path, Home(tmp_path / "home"), {}, {})
+    assert "--kind rotary" in str(refused.value.hint)
 
 
 def test_an_axis_that_turns_by_its_name_needs_a_unit(tmp_path: Path) -> None:

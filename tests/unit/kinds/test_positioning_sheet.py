@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.kinds.linear._sheet import positioning_figure
 from dtwin.kinds.registry import kind_named
+from dtwin.positioning.sheet import positioning_figure
 from dtwin.report.sheet import Sheet, judged
 from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Run, RunMeta

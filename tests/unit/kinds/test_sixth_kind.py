@@ -26,7 +26,7 @@ from dtwin.workbench._bench import Bench
 from dtwin.workbench._server import application
 
 POINTS = {
-    "dtwin.kinds": [EntryPoint("rotary", "sixth_kind.kind:KIND", "dtwin.kinds")],
+    "dtwin.kinds": [EntryPoint("turntable", "sixth_kind.kind:KIND", "dtwin.kinds")],
     library.ENTRY_POINTS: [
         EntryPoint("off_centre", "sixth_kind.effects:OFF_CENTRE", library.ENTRY_POINTS),
         EntryPoint("worm_error", "sixth_kind.effects:WORM_ERROR", library.ENTRY_POINTS),
@@ -56,7 +56,7 @@ def said(*words: object) -> Any:
 
 def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
-    plan.write_text('[plan]\nkind = "rotary"\nrepeats = 3\n', encoding="utf-8")
+    plan.write_text('[plan]\nkind = "turntable"\nrepeats = 3\n', encoding="utf-8")
     assert said("plan", plan)["total_s"] == pytest.approx(3 * 72.0)
     assert said("simulate", "--machine", "table", "--out", "turns", "--plan", plan)["runs"] == 6
     checked = said("check", "turns")
@@ -91,6 +91,6 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
 
 def test_what_the_sixth_kind_lacks_is_refused_by_its_name(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
-    plan.write_text('[plan]\nkind = "rotary"\n', encoding="utf-8")
-    with pytest.raises(NotOffered, match="what a plan could detect is not offered for rotary"):
+    plan.write_text('[plan]\nkind = "turntable"\n', encoding="utf-8")
+    with pytest.raises(NotOffered, match="what a plan could detect is not offered for turntable"):
         said("plan", plan, "--check")

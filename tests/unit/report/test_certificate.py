@@ -70,12 +70,27 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
     }
     shown = {"value": "11.2", "expanded": "± 3.4", "limit": "-5 to 12.5"}
     figures = [
-        {"symbol": symbol, "name": name, "value_um": 11.2, "expanded_um": 3.388, "shown": shown, "decision": ""}
+        {
+            "symbol": symbol,
+            "name": name,
+            "unit": "um",
+            "value_um": 11.2,
+            "expanded_um": 3.388,
+            "shown": shown,
+            "decision": "",
+        }
         for symbol, name in (("A", "bi-directional accuracy"), ("AD", "distance accuracy, largest"))
     ]
     figures[0]["budget"] = budget
     part = {"title": "axis X, forward only, 0 to 500.5 mm, 11 targets", "runs": ["r-1.5"], "verdict": "inside"}
-    sheet = {"standard": "ISO 230-2, positioning", "headline": "A", "verdict": "inside", "basis": "", "notes": []}
+    sheet = {
+        "standard": "ISO 230-2, positioning",
+        "headline": "A",
+        "verdict": "inside",
+        "basis": "",
+        "notes": [],
+        "unit": "um",
+    }
     sheet["parts"] = [{**part, "characteristics": figures}]
     drawn = go.Figure(go.Scatter(x=[0.5], y=[1.5], name="r-1.5"))
     page = certificate_page(
@@ -96,11 +111,11 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
         assert told in page
 
 
-@pytest.mark.parametrize("kind", ["drift", "linear", "poses", "rotation"])
+@pytest.mark.parametrize("kind", ["drift", "linear", "poses", "rotation", "rotary"])
 def test_pictures_of_a_german_certificate_have_no_english_words(kind: str) -> None:
     """A title of which only some words were known was half German: "Distance Herkunft the commanded pose"."""
     figure, words = kind_named(kind).sheet_figure([_of_kind(kind)]), set()
-    sheet = {"standard": "", "headline": "", "verdict": "", "basis": "", "notes": []}
+    sheet = {"standard": "", "headline": "", "verdict": "", "basis": "", "notes": [], "unit": "um"}
     sheet["parts"] = [{"title": "", "runs": ["r"], "verdict": "", "characteristics": []}] * 2
     page = certificate_page({"campaign": "c", "machine": "m"}, sheet, [figure, figure], [], language="de")
     for text in re.findall(r'"text":"([^"]*)"|"name":"([^"]*)"', page[page.index("<body>") :]):
@@ -120,6 +135,7 @@ def _of_kind(kind: str) -> Run:
         "drift": {"displacement_um": np.arange(n), "temperature_room_c": 20.0 + np.zeros(n)},
         "linear": {"position_mm": np.arange(n), "direction": np.repeat("forward", n), "error_um": np.arange(n)},
         "poses": {f"{what}_{a}_mm": places[:, i] for what in ("target", "measured") for i, a in enumerate("xyz")},
+        "rotary": {"angle_deg": np.arange(n), "direction": np.repeat("forward", n), "error_arcsec": np.arange(n)},
         "rotation": {"angle_deg": np.linspace(0.0, 1080.0, 600), "displacement_um": rng.normal(size=600)},
     }
     t_s = np.arange(float(len(next(iter(samples[kind].values())))))

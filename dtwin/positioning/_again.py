@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.statistics import shared_variances
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from dtwin.kinds.linear._matrix import LinearTest
 from dtwin.physics.linear import linear_figures
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import f_tail, usual_size
 
@@ -32,7 +32,6 @@ _WORTH = 0.5
 """Share of the variance between cycles that a description must take to be told."""
 _CHANCE = 1e-3
 """How often a description of readings that only scatter may be as good (F test)."""
-_STEEL_UM_M_K = 11.5
 _MOST_WARMER_K = 15.0
 """What an axis warms by in a test; a stretch that needs more is not called heat."""
 _BETWEEN = "cycle to cycle"
@@ -93,19 +92,19 @@ def spoilt_finding(test: LinearTest) -> Finding | None:
     if not found:
         return None
     told = "; ".join(
-        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} mm: {s.off_um:+z.3g} µm from the other "
-        f"{test.forward_um.shape[1] - 1}, which agree within {s.span_um:.2g} µm"
+        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} {test.scale.unit}: {s.off_um:+z.3g} {test.scale.fine} from the other "
+        f"{test.forward_um.shape[1] - 1}, which agree within {s.span_um:.2g} {test.scale.fine}"
         for s in found[:6]
     )
     with_all = linear_figures(test.forward_um, test.reverse_um).repeatability_um
     one = len(found) == 1
     return Finding(
-        "linear.spoilt_readings",
+        f"{test.scale.kind}.spoilt_readings",
         "error",
         f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
-        f"{with_all:z.4g} µm with {'it' if one else 'them'} and {repeatability_without(test, found):z.4g} µm without; measure "
+        f"{with_all:z.4g} {test.scale.fine} with {'it' if one else 'them'} and {repeatability_without(test, found):z.4g} {test.scale.fine} without; measure "
         "that sweep again, or leave that cycle out",
-        {"readings_1": float(len(found)), "largest_um": max(abs(s.off_um) for s in found)},
+        {"readings_1": float(len(found)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in found)},
     )
 
 
@@ -129,11 +128,17 @@ def shifted_zero(test: LinearTest) -> Finding | None:
     shift, spread = float(np.mean(every)), float(np.ptp(every))
     if abs(shift) < _MANY_TIMES * spread:
         return None
+    fine = test.scale.fine
     said = (
-        f"all readings are off by {shift:+z.1f} µm, alike to within {spread:z.3g} µm: a datum, the zero of instrument or axis; "
+        f"all readings are off by {shift:+z.1f} {fine}, alike to within {spread:z.3g} {fine}: a datum, the zero of instrument or axis; "
         "the figures of ISO 230-2 do not count it, and it is no error of positioning"
     )
-    return Finding("linear.datum", "info", said, {"shift_um": shift, "spread_um": spread})
+    return Finding(
+        f"{test.scale.kind}.datum",
+        "info",
+        said,
+        {f"shift_{test.scale.figure}": shift, f"spread_{test.scale.figure}": spread},
+    )
 
 
 def zero_of_each_cycle(test: LinearTest) -> Finding | None:
@@ -147,12 +152,14 @@ def zero_of_each_cycle(test: LinearTest) -> Finding | None:
     others = np.ptp(np.delete(values, targets, axis=1), axis=2)
     if targets.size != 1 or not others.size or not (others > 0.0).all():
         return None
-    at = f"{' and '.join(way for way, there in zip(ways, zero[:, targets[0]], strict=True) if there)} at {test.position_mm[targets[0]]:g} mm"
+    at = f"{' and '.join(way for way, there in zip(ways, zero[:, targets[0]], strict=True) if there)} at {test.position_mm[targets[0]]:g} {test.scale.unit}"
     said = (
         f"every cycle reads exactly 0 {at}: the instrument was set to zero there in each cycle; that is a datum, no accuracy: a zero that moves "
         "from cycle to cycle (slip, lost steps) is not in the table, and what that one reading scatters by is in all others"
     )
-    return Finding("linear.zeroed", "warning", said, {"target_mm": float(test.position_mm[targets[0]])})
+    return Finding(
+        f"{test.scale.kind}.zeroed", "warning", said, {test.scale.position: float(test.position_mm[targets[0]])}
+    )
 
 
 @dataclass(frozen=True)
@@ -246,31 +253,38 @@ def moving_zero(test: LinearTest) -> MovingZero | None:
     if little or name not in _SAID or _wanders(rest):
         return None
     moves = ", ".join(f"{size:+z.3g}" for size in sizes)
-    warmer_k = 1000.0 * abs(float(sizes[-1])) / (_STEEL_UM_M_K * max(float(np.ptp(test.position_mm)), 1e-9))
+    stretch = test.scale.stretch * max(float(np.ptp(test.position_mm)), 1e-9)
+    warmer_k = 1000.0 * abs(float(sizes[-1])) / stretch if stretch else math.inf
     if name == "warming" and warmer_k > _MOST_WARMER_K:
         name = "settling"
+    steel = f"; steel would have to be {warmer_k:z.0f} K warmer to stretch so" if stretch else ""
     words = _SAID[name].format(
-        steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, kelvin=f"{warmer_k:z.0f}"
+        steps=moves, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", where=where, fine=test.scale.fine, steel=steel
     )
     if len(ways) > 1 and (name == "slip" or where == _BETWEEN):
         half = float(np.mean(np.abs(sizes))) / 2.0
-        words += f". Up to {half:z.3g} µm of B and E may be this, too, if it goes on between the directions of a cycle"
-    finding = Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
+        words += f". Up to {half:z.3g} {test.scale.fine} of B and E may be this, too, if it goes on between the directions of a cycle"
+    finding = Finding(
+        f"{test.scale.kind}.{name}",
+        "warning",
+        f"cycles differ: {words}",
+        {f"size_{test.scale.figure}": float(sizes[0])},
+    )
     shift = np.sum([size * np.broadcast_to(c, moved.shape) for size, c in zip(sizes, columns, strict=True)], axis=0)
     return MovingZero(finding, np.asarray(shift))
 
 
 _SAID = {
-    "slip": "the zero moves by {size} µm each cycle, alike at all targets: a coupling or an encoder that slips, or lost steps in "
+    "slip": "the zero moves by {size} {fine} each cycle, alike at all targets: a coupling or an encoder that slips, or lost steps in "
     "every cycle; not warming, which would settle and stretch",
-    "jump": "from {where} on all readings lie {size} µm off, alike at all targets: lost steps, or something that moved "
+    "jump": "from {where} on all readings lie {size} {fine} off, alike at all targets: lost steps, or something that moved "
     "once; not backlash, which is the same in every cycle",
-    "jumps": "from {where} all readings move by {steps} µm, alike at all targets, neither steadily nor settling: lost steps, "
+    "jumps": "from {where} all readings move by {steps} {fine}, alike at all targets, neither steadily nor settling: lost steps, "
     "a coupling that slips now and then; not backlash, which is the same in every cycle",
-    "warming": "readings settle with a time constant of about {where} cycles, by {size} µm in the middle and {more} µm more from "
+    "warming": "readings settle with a time constant of about {where} cycles, by {size} {fine} in the middle and {more} {fine} more from "
     "one end to the other: warming, or cooling",
-    "settling": "readings settle with a time constant of about {where} cycles, by {size} µm in the middle and {more} µm more from "
-    "one end to the other; steel would have to be {kelvin} K warmer to stretch so: no warming unless a thermometer says it, but a "
+    "settling": "readings settle with a time constant of about {where} cycles, by {size} {fine} in the middle and {more} {fine} more from "
+    "one end to the other{steel}: no warming unless a thermometer says it, but a "
     "coupling or an encoder that slips less and less, or a part that yields",
 }
 
@@ -317,7 +331,7 @@ def _places(at: Sequence[float], within: Floats, test: LinearTest) -> str:
         way, target, cycle = (
             int(i) for i in np.argwhere(within >= time - 1e-9)[np.argmin(within[within >= time - 1e-9])]
         )
-        told.append(f"cycle {test.cycle(cycle)} {test.ways[way]} at {test.position_mm[target]:g} mm")
+        told.append(f"cycle {test.cycle(cycle)} {test.ways[way]} at {test.position_mm[target]:g} {test.scale.unit}")
     return ", ".join(told)
 
 

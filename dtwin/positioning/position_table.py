@@ -10,9 +10,9 @@ Four forms are known by what stands in them:
 
 In a report in Markdown the tables of these forms are read; direction or target may stand in the heading above.
 
-A column is in the unit that its head or a row of units states (mm, um, µm, in). It holds deviations when its head says so
+A column is in the unit that its head or a row of units states (mm, um, µm, in; of an axis that turns deg, arcsec, ″). It holds deviations when its head says so
 (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away. Targets and positions without
-a unit are millimetres; deviations must state theirs.
+a unit are millimetres, or degrees, which is said; deviations must state theirs.
 """
 
 from __future__ import annotations
@@ -31,72 +31,79 @@ from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.linear._assignments import Reading, assigned_readings, is_assigned, number_of, wrong_form
-from dtwin.kinds.linear._instruments import instruments_beside
-from dtwin.kinds.linear._joined_targets import joined_targets, with_joined_targets
-from dtwin.kinds.linear._one_place import one_place, trials_um
-from dtwin.kinds.linear._order import no_direction, ways_in_order
-from dtwin.kinds.linear._plain_table import table_of
-from dtwin.kinds.linear._position_runs import PositionTable, runs_of, said_of
-from dtwin.kinds.linear._refusals import (
+from dtwin.positioning._angles import angles_as_targets, of_angles
+from dtwin.positioning._instruments import instruments_beside
+from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
+from dtwin.positioning._one_place import one_place, trials_of
+from dtwin.positioning._plain_table import table_of
+from dtwin.positioning._refusals import (
     LITTLE,
-    of_angles,
-    require_lengths,
+    of_other_unit,
     require_near,
-    require_no_turns,
     require_positioning,
     require_sign,
+    require_unit_of,
     require_unit_of_heads,
 )
-from dtwin.kinds.linear._report_tables import of_one_instrument, report_tables, stated_figures
-from dtwin.kinds.linear._table_heads import (
+from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
+from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
+from dtwin.positioning.order import no_direction, ways_in_order
+from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,
+    MOVES,
+    NAMED,
     TURNS,
     Long,
     Wide,
     axes_beside,
-    deviation_um,
+    deviation_of,
     is_deviation,
     is_row_of_units,
     is_unit,
     long_of,
     names_no_direction,
     other_targets,
+    plain_unit,
     rows_of_axis,
-    scale_of,
     told_unit,
     way_of,
     wide_of,
     without_remarks,
 )
 from dtwin.schema import Campaign, Finding, Run
-from dtwin.units import UM_PER_MM
+from dtwin.units import ANGLES_DEG
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
 _MAX_BYTES = 16 * 1024 * 1024
 
 
 def is_position_table(path: Path) -> bool:
-    """Return whether a file looks like one of the forms; it is read no further than its beginning.
+    """Return whether a file looks like one of the forms; it is read no further than its beginning."""
+    return axis_turns(path) is not None
 
-    Raises ``InputError`` when it is the table of an axis that turns, which no kind reads.
-    """
+
+def axis_turns(path: Path) -> bool | None:
+    """Return whether a file that looks like one of the forms is of an axis that turns; None of any other file."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
-        return False
+        return None
     text = first_text(path, _MAX_BYTES)
     if is_assigned(text):
-        return True
-    text = next(iter(parts_by_axis(text).values()), text)
+        return assigned_unit(text) in ANGLES_DEG
+    text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
     rows = rows_of(text)
-    require_no_turns(rows, path)
-    known = table_of(rows) is not None or bool(names_no_direction(rows)) or bool(trials_um(rows))
-    return known or bool(report_tables(text, rows)) or bool(instruments_beside(rows))
+    tables = [table.rows for table in report_tables(text, rows) or instruments_beside(rows)]
+    plain = None if tables else table_of(rows)
+    if tables or plain is not None:
+        return all(of_angles(table[:2]) for table in tables or [plain or ()])
+    return False if names_no_direction(rows) or trials_of(rows, LENGTHS) else None
 
 
 def read_position_runs(
-    path: Path, campaign: Campaign, stated: Mapping[str, Any]
+    path: Path, campaign: Campaign, stated: Mapping[str, Any], scale: Scale = LENGTHS
 ) -> tuple[list[Run], list[dict[str, Any]]]:
     """Read a table as runs, each one cycle: forward through ascending targets, then back.
 
@@ -105,15 +112,18 @@ def read_position_runs(
     condition = stated.get("condition", {})
     axis = str(condition.get("axis", ""))
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
-    text = part_of_axis(whole, axis, path)
+    part = part_of_axis(whole, axis, path)
+    text = angles_as_targets(part)
     every = rows_of(text)
     rows, told = rows_of_axis(every, axis)
     require_axis(told, axis, path)
-    others = text != whole or len(rows) < len(every) or has_other_axes(path, axis)
+    others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
-    if TURNS.fullmatch(axis) and not tells and not is_assigned(text):
-        raise of_angles(path, f"axis {axis}, and no unit")
-    table = table_in(text, rows, path, str(condition.get("instrument", "")))
+    if scale.turn and MOVES.fullmatch(axis):
+        raise of_other_unit(LENGTHS, path, f"axis {axis}, which moves along")
+    if not scale.turn and TURNS.fullmatch(axis) and not tells and not is_assigned(text):
+        raise of_other_unit(scale, path, f"axis {axis}, and no unit")
+    table = table_in(text, rows, path, str(condition.get("instrument", "")), scale)
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     if others:
         only = f"the file holds other axes, too: what is called {axis} in it was read"
@@ -121,16 +131,19 @@ def read_position_runs(
     return runs_of(table, path, stated, said), []
 
 
-def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: str = "") -> PositionTable:
+def table_in(
+    text: str, rows: Sequence[Sequence[str]], path: Path, instrument: str = "", scale: Scale = LENGTHS
+) -> PositionTable:
     """Return the table of a text of any of the forms, whose cells are ``rows``; ``instrument``: of a report of several.
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
     if is_assigned(text):
         of_one_instrument([], instrument, path)
-        return matrix_of(assigned_readings(text, path), path)
-    if trials := trials_um(rows):
-        raise one_place(path, trials)
+        told = matrix_of(assigned_readings(text, path, scale), path, scale)
+        return replace(told, unit_told=bool(assigned_unit(text)))
+    if trials := trials_of(rows, scale):
+        raise one_place(path, trials, scale.fine)
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables = [table.rows for table in report]
     if not tables:
@@ -141,7 +154,7 @@ def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: s
             raise no_direction(
                 path,
                 head,
-                "heads such as forward 1 [mm], reverse 1 [mm]; of a test in one direction forward 1 [mm], forward 2 [mm]",
+                f"heads such as forward 1 [{scale.unit}], reverse 1 [{scale.unit}]; of a test in one direction forward 1 [{scale.unit}], forward 2 [{scale.unit}]",
             )
         if plain is None:
             raise wrong_form("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
@@ -149,25 +162,29 @@ def table_in(text: str, rows: Sequence[Sequence[str]], path: Path, instrument: s
     read: list[list[Reading]] = []
     in_order = False
     for lines in tables:
-        require_lengths(lines[:2], path)
-        require_unit_of_heads(rows, lines, path)
+        require_unit_of(scale, lines[:2], path)
+        require_unit_of_heads(scale, rows, lines, path)
         wide, long = wide_of(lines[0]), long_of(lines[0])
-        read.append(_from_wide(lines, wide, path) if wide else _from_long(lines, long, path) if long else [])
+        read.append(
+            _from_wide(lines, wide, path, scale) if wide else _from_long(lines, long, path, scale) if long else []
+        )
         in_order = in_order or (wide is None and long is not None and long.way is None)
     # A single pass of its own beside repeated cycles is another test.
     several = [any(reading[2] > 1 for reading in readings) for readings in read]
     kept = [readings for readings, more in zip(read, several, strict=True) if more or not any(several)]
     single = zip(report, read, several, strict=bool(report))
     left_out = dict.fromkeys(t.title for t, readings, more in single if readings and not more and any(several))
-    table = matrix_of(_as_they_are([reading for readings in kept for reading in readings]), path)
+    every = [reading for readings in kept for reading in readings]
+    table = matrix_of(_as_they_are(every, scale), path, scale)
     require_near(table, path)
     name = report[0].read_with if report else ""
-    return replace(table, in_order=in_order, read_with=name, left_out=tuple(left_out))
+    stated = all(_tells_units(lines) for lines in tables)
+    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out))
 
 
-def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
+def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
     """Return readings whose head says one thing and whose values are the other: positions in µm, deviations in mm."""
-    target_um = np.array([reading[0] for reading in readings]) * UM_PER_MM
+    target_um = np.array([reading[0] for reading in readings]) * scale.per
     told_um = np.array([reading[3] for reading in readings])
     size = float(np.abs(target_um - target_um.mean()).max()) if len(readings) else 0.0
     # Told as deviations: they grow as the targets do. Told as positions: what is left is the target itself.
@@ -182,7 +199,7 @@ def _as_they_are(readings: Sequence[Reading]) -> list[Reading]:
     return list(readings)
 
 
-def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
+def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -> PositionTable:
     """Return readings as a table.
 
     Cycles of one direction each, as 1 forward, 2 reverse, 3 forward, are sweeps: they are counted by direction.
@@ -193,11 +210,13 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     numbers = sorted(number for found in sweeps.values() for number in found)
     if all(sweeps.values()) and numbers == list(range(1, len(numbers) + 1)):
         readings = [(r[0], r[1], sweeps[r[1]].index(r[2]) + 1, r[3], r[4]) for r in readings]
-    readings, joined_um = with_joined_targets(readings)
+    readings, joined_mm = with_joined_targets(readings)
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
     if len(targets) == 1 < cycles:
-        raise one_place(path, {way: [r[3] for r in readings if r[1] == way] for way in ("forward", "reverse")})
+        raise one_place(
+            path, {way: [r[3] for r in readings if r[1] == way] for way in ("forward", "reverse")}, scale.fine
+        )
     if len(targets) < 2 or not 1 <= cycles <= 1000:
         raise wrong_form("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
     place = {target: i for i, target in enumerate(targets)}
@@ -205,20 +224,22 @@ def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
     for target, way, cycle, deviation, _ in readings:
         cell = place[target], cycle - 1
         if np.isfinite(found[way][cell]):
-            got = f"{way}, cycle {cycle}, {target:g} mm"
+            got = f"{way}, cycle {cycle}, {target:g} {scale.unit}"
             raise wrong_form(
                 "a reading stands there twice: say which cycle each belongs to, and of which axis it is", path, got
             )
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
-    return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position, joined_um=joined_um)
+    return PositionTable(
+        np.array(targets), found["forward"], found["reverse"], by_position, joined_mm=joined_mm, scale=scale
+    )
 
 
-def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Reading]:
+def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, wide.target, path)
     wide = replace(wide, cycle=_not_counting(wide.cycle, wide.target, body))
     read = {wide.target, *(i for i, _, _ in wide.cells)}
-    scale = {i: _scale(heads[i], units[i] if units is not None and i < len(units) else "", path) for i in read}
+    factor = {i: _factor(heads[i], units[i] if units is not None and i < len(units) else "", path, scale) for i in read}
     again = other_targets(heads, wide.target)
     out = []
     seen: Counter[float] = Counter()
@@ -228,7 +249,7 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
         for number, row in enumerate(body, start=2 if units is None else 3)
         if not any(SUMMARY.fullmatch(row[i].strip()) for i in summed if i < len(row))
     ]
-    targets = [_cell(row, wide.target, where) * scale[wide.target] for where, row in numbered]
+    targets = [_cell(row, wide.target, where) * factor[wide.target] for where, row in numbered]
     one = joined_targets(targets)
     for (where, row), target in zip(numbered, targets, strict=True):
         if any(i < len(row) and row[i].strip() and row[i].strip() != row[wide.target].strip() for i in again):
@@ -237,22 +258,22 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path) -> list[Re
         counted = seen[one[target]] if wide.cycle is None else _cycle(row, wide.cycle, where)
         for i, way, cycle in wide.cells:
             if i < len(row) and row[i].strip().lower() not in MISSING:
-                value = _cell(row, i, where) * scale[i]
-                out.append((target, way, cycle or counted, *deviation_um(heads[i], scale[i], value, target)))
+                value = _cell(row, i, where) * factor[i]
+                out.append((target, way, cycle or counted, *deviation_of(heads[i], factor[i], value, target, scale)))
     return out
 
 
-def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Reading]:
+def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, long.target, path)
     long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
-    scales = _scale(heads[long.target], below[0], path), _scale(heads[long.value], below[1], path)
+    factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))
     numbered = list(enumerate(body, start=2 if units is None else 3))
-    targets = [_cell(row, long.target, f"{path} row {number}") * scales[0] for number, row in numbered]
+    targets = [_cell(row, long.target, f"{path} row {number}") * factors[0] for number, row in numbered]
     one = joined_targets(targets)
     if long.way is None and len(set(one.values())) == 1 < len(targets):
         value_um = [number_or_none(row[long.value]) for _, row in numbered if long.value < len(row)]
-        raise one_place(path, {"": [um * scales[1] * UM_PER_MM for um in value_um if um is not None]})
+        raise one_place(path, {"": [um * factors[1] * scale.per for um in value_um if um is not None]}, scale.fine)
     ordered = ways_in_order([one[target] for target in targets]) if long.way is None else None
     if long.way is None and ordered is None:
         raise no_direction(
@@ -264,14 +285,14 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path) -> list[Re
         where = f"{path} row {number}"
         told = row[long.value].strip().lower() if long.value < len(row) else ""
         lost = told in MISSING
-        value = float("nan") if lost else _cell(row, long.value, where) * scales[1]
+        value = float("nan") if lost else _cell(row, long.value, where) * factors[1]
         way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
         if way is None:
             raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
         seen[one[target], way] += 1
         cycle = seen[one[target], way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
-            out.append((target, way, cycle, *deviation_um(heads[long.value], scales[1], value, target)))
+            out.append((target, way, cycle, *deviation_of(heads[long.value], factors[1], value, target, scale)))
     return out
 
 
@@ -309,21 +330,32 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
         )
 
 
-def _scale(head: str, below: str, path: Path) -> float:
-    """Return how many millimetres one of a column is; refuse a unit that is not known, and deviations without one."""
+def _tells_units(table: Sequence[Sequence[str]]) -> bool:
+    """Return whether targets, and what was read at them, state their units: in heads, or below them."""
+    heads, below = table[0], table[1] if len(table) > 1 else ()
+    wide, long = wide_of(heads), long_of(heads)
+    read = [wide.target, *(i for i, _, _ in wide.cells)] if wide else [long.target, long.value] if long else []
+    units = below if is_row_of_units(below, read[0]) else ()
+    return all(told_unit(heads[i], units[i] if i < len(units) else "") for i in read)
+
+
+def _factor(head: str, below: str, path: Path, scale: Scale) -> float:
+    """Return how many of the scale's unit one of a column is; refuse a unit that is not known, and deviations without one."""
     require_sign([head], path)
-    unit = told_unit(head, below)
-    scale = scale_of(unit)
-    if not scale > 0.0 or (not unit and is_deviation(head)):
+    unit = plain_unit(told_unit(head, below))
+    if scale.turn and unit in LENGTHS.units:
+        raise of_other_unit(scale, path, f"{head.strip()} {below.strip()}".strip()[:60])
+    factor = scale.factor(unit)
+    if not factor > 0.0 or (not unit and is_deviation(head)):
         raise InputError(
             "a column is in a unit that is not known" if unit else "deviations do not say their unit",
             code="position_table.unit",
             where=str(path),
-            got=f"{head.strip()} {below.strip()}".strip()[:60],
-            allowed="mm, µm, nm, m, cm, in, mil, µin",
-            hint="write the unit into the head, such as: deviation forward 1 [µm]",
+            got=f"{head.strip()} {below.strip()}".strip().removeprefix(NAMED)[:60],
+            allowed=scale.allowed,
+            hint=f"write the unit into the head, such as: deviation forward 1 [{scale.fine}]",
         )
-    return scale
+    return factor
 
 
 def _cycle(row: Sequence[str], i: int, where: str) -> int:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.linear._assignments import wrong_form
-from dtwin.kinds.linear._table_heads import OWN_SENSOR
+from dtwin.positioning.assignments import wrong_form
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.table_heads import OWN_SENSOR
 from dtwin.schema import Finding, Floats, Run, RunMeta
-from dtwin.units import UM_PER_MM
 
 _PERIOD_S = 1.0
 _LISTED = 4
@@ -22,11 +22,12 @@ _LISTED = 4
 class PositionTable:
     """A positioning test.
 
-    ``target_mm`` (targets,): ascending.
-    ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
+    ``target_mm`` (targets,): ascending; of an axis that turns in degrees, as ``scale`` says.
+    ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target, µm or seconds of arc; NaN where nothing was read.
     ``by_position``: whether the table holds positions, not deviations.
     ``in_order``: whether it names no direction, and the order of its targets told it.
-    ``joined_um``: by how much targets that are taken as one differ from it at most.
+    ``unit_told``: whether it states a unit.
+    ``joined_mm``: by how much targets that are taken as one differ from it at most.
     ``read_with``: the instrument, where columns of a report name it.
     ``left_out``: titles of its tables of a single pass, beside those of several cycles.
     """
@@ -36,9 +37,11 @@ class PositionTable:
     reverse_um: Floats
     by_position: bool
     in_order: bool = False
-    joined_um: float = 0.0
+    unit_told: bool = True
+    joined_mm: float = 0.0
     read_with: str = ""
     left_out: tuple[str, ...] = ()
+    scale: Scale = LENGTHS
 
 
 def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
@@ -50,9 +53,10 @@ def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: S
         "info",
         f"the table has no clock; cycles one after the other and a reading every {_PERIOD_S:g} s are assumed",
     )
-    if table.joined_um:
-        text = f"targets that differ by up to {table.joined_um:z.2g} µm are taken as one, their mean; deviations are from each one's own"
-        said = [*said, Finding("targets.joined", "info", text, {"off_um": table.joined_um})]
+    scale, joined = table.scale, table.joined_mm * table.scale.per
+    if joined:
+        text = f"targets that differ by up to {joined:z.2g} {scale.fine} are taken as one, their mean; deviations are from each one's own"
+        said = [*said, Finding("targets.joined", "info", text, {f"off_{scale.figure}": joined})]
     targets = table.target_mm
     position = np.concatenate([targets, targets[::-1]])
     direction = np.array(["forward"] * len(targets) + ["reverse"] * len(targets), dtype=object)
@@ -63,10 +67,10 @@ def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: S
         good = np.isfinite(error)
         if not good.any():
             continue
-        meta = RunMeta(run_id=str(cycle + 1), kind="linear", repeat=first + cycle, sample_rate_hz=1.0 / _PERIOD_S)
-        columns = {"t_s": t_s, "position_mm": position, "direction": direction, "error_um": error}
+        meta = RunMeta(run_id=str(cycle + 1), kind=scale.kind, repeat=first + cycle, sample_rate_hz=1.0 / _PERIOD_S)
+        columns = {"t_s": t_s, scale.position: position, "direction": direction, scale.error: error}
         if table.by_position:
-            columns["read_mm"] = position + error / UM_PER_MM
+            columns[scale.read] = position + error / scale.per
         samples = {name: values[good] for name, values in columns.items()}
         runs.append(Run(meta, samples, source=str(path), findings=(*said, finding)))
     if not runs:
@@ -80,12 +84,17 @@ def said_of(table: PositionTable) -> Iterator[Finding]:
         assumed = (
             "the table names no direction: the order of its targets is taken for the way on which they were approached"
         )
-        yield Finding("linear.direction_assumed", "warning", assumed)
+        yield Finding(f"{table.scale.kind}.direction_assumed", "warning", assumed)
+    if not table.unit_told and table.scale.turn:
+        assumed = f"targets, or positions, state no unit: they are taken to be in {table.scale.unit}"
+        yield Finding(f"{table.scale.kind}.unit_assumed", "warning", assumed)
     if table.left_out:
         titles = "; ".join(title[:60] for title in table.left_out[:_LISTED])
         several = f"tables of several cycles are read, and those of a single pass beside them are left out: {titles}"
-        yield Finding("linear.single_pass", "warning", f"{several}. In a file of their own they are a test, too")
+        yield Finding(
+            f"{table.scale.kind}.single_pass", "warning", f"{several}. In a file of their own they are a test, too"
+        )
     if OWN_SENSOR.search(table.read_with):
         own = f"the readings are those of {table.read_with}, by its name a sensor of the axis itself"
         follows = "they show how the control follows its own sensor, not where the axis is: no accuracy"
-        yield Finding("linear.own_sensor", "warning", f"{own}: {follows}. Measure against an instrument")
+        yield Finding(f"{table.scale.kind}.own_sensor", "warning", f"{own}: {follows}. Measure against an instrument")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections import Counter
@@ -11,15 +12,21 @@ from dataclasses import dataclass
 from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
-from dtwin.units import LENGTHS_MM, UM_PER_MM, with_shares
+from dtwin.positioning.scale import Scale
+from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
 MOST_TITLES = 20
+NAMED = "target: "
+"""What a head of angles is given to be one of targets; nobody wrote it."""
 MISSING = frozenset(("", "nan", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "null", "none", "out of range"))
 _ANGLES = "deg|grad|gon|mdeg|arc ?sec|arc ?min|[mµμu]?rad"
 ANGLE = re.compile(rf"[\[(_\s/]({_ANGLES})[\])]?$|°(?!\s*[CF])|^[\[(]?({_ANGLES})[\])]?$", re.I)
 TURNS = re.compile(r"[ABC]\d?", re.I)
-"""Name of an axis that turns, after ISO 841."""
-_LENGTHS = "|".join(sorted(LENGTHS_MM, key=len, reverse=True))
+MOVES = re.compile(r"[XYZUVW]\d?", re.I)
+"""Names of axes that turn, and of those that move along, after ISO 841."""
+_OF_POSITIONS = 0.5
+"""Of the unit of targets: in smaller units there are deviations."""
+_UNITS = "|".join(sorted((*LENGTHS_MM, *ANGLES_DEG), key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
@@ -32,8 +39,8 @@ _OF_AXIS = re.compile(
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
-UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_LENGTHS})\s*[\])]", re.I)
-_UNIT = re.compile(rf"[_\s/,]({_LENGTHS})\s*$", re.I)
+UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
+_UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
@@ -269,13 +276,13 @@ def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
 
 
 def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Return the columns of targets and of readings, in units of length, by heads that name no direction."""
+    """Return the columns of targets and of readings, in units of length or angle, by heads that name no direction."""
     told = [name.strip() for name in names]
-    lengths = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and way_of(name) is None]
-    targets = [i for i in lengths if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
+    there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and way_of(name) is None]
+    targets = [i for i in there if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
     read = [
         i
-        for i in lengths
+        for i in there
         if i not in targets
         and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or _CYCLE.match(told[i]))
         and not SUMS_UP.search(told[i])
@@ -311,10 +318,11 @@ def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ..
     return (target, way, cycles) if len(cycles) > 1 and len(alike) == 1 else None
 
 
-def deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
-    """Return the deviation, and whether the column holds positions."""
-    by_position = not is_deviation(head) and scale >= 1.0
-    return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
+def deviation_of(head: str, factor: float, value: float, target: float, scale: Scale) -> tuple[float, bool]:
+    """Return the deviation, and whether the column holds positions; ``factor``: how many of the unit of targets its own is."""
+    by_position = not is_deviation(head) and factor >= _OF_POSITIONS
+    off = value - target if by_position else value
+    return (math.remainder(off, scale.turn) if by_position and scale.turn else off) * scale.per, by_position
 
 
 def way_of(text: str, *, ones: bool = False) -> str | None:
@@ -338,15 +346,15 @@ def is_deviation(head: str) -> bool:
 
 
 def unit_of(head: str) -> str:
-    """Return the unit of length that a head tells, in brackets or at its end; empty when it tells none."""
+    """Return the unit of length, or of angle, that a head tells, in brackets or at its end; empty when it tells none."""
     head = with_shares(head)
     match = UNIT_INSIDE.search(head) or _UNIT.search(head)
     return match[1] if match else ""
 
 
 def is_unit(cell: str) -> bool:
-    """Return whether a cell holds a unit of length and nothing else."""
-    return _plain_unit(cell) in LENGTHS_MM
+    """Return whether a cell holds a unit of length, or of angle, and nothing else."""
+    return plain_unit(cell) in LENGTHS_MM or plain_unit(cell) in ANGLES_DEG
 
 
 def is_row_of_units(row: Sequence[str], target: int) -> bool:
@@ -363,11 +371,11 @@ def told_unit(head: str, unit: str) -> str:
     return told or next((text for text in inside if not any(word.search(text) for word in words)), "")
 
 
-def scale_of(unit: str) -> float:
-    """Return how many millimetres a unit is: 1 where it is empty, NaN where it is not known."""
-    told = _plain_unit(unit)
-    return LENGTHS_MM.get(told, float("nan")) if told else 1.0
+def is_length(head: str, unit: str = "") -> bool:
+    """Return whether a column is in a unit of length, as the row below, or its head, tells."""
+    return plain_unit(told_unit(head, unit)) in LENGTHS_MM or plain_unit(head) in LENGTHS_MM
 
 
-def _plain_unit(cell: str) -> str:
+def plain_unit(cell: str) -> str:
+    """Return a unit as tables of units have it."""
     return with_shares(unicodedata.normalize("NFKC", cell).strip().strip("[]()").strip().lower())

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._still import still
 from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
+from dtwin.positioning.still import still
 from dtwin.schema import Floats, Run, RunMeta
 
 Way = Literal["forward", "reverse"]

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.units import LENGTHS_MM, UM_PER_MM
+from dtwin.positioning.scale import Scale
 
 _ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
-_UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
+_UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\S+)\s*$", re.M)
 
 Reading = tuple[float, str, int, float, bool]
-"""Target in mm, direction, cycle from 1, deviation in µm, and whether it follows from a position."""
+"""Target, direction, cycle from 1, deviation, and whether it follows from a position; in the units of a scale."""
 
 
 def is_assigned(text: str) -> bool:
@@ -22,14 +22,19 @@ def is_assigned(text: str) -> bool:
     return any(_ASSIGNED.match(line) for line in text.splitlines())
 
 
-def assigned_readings(text: str, path: Path) -> list[Reading]:
+def assigned_unit(text: str) -> str:
+    """Return the unit of a text of assignments; empty where it states none."""
+    stated = _UNIT_ASSIGNED.search(text)
+    return stated[1].lower() if stated else ""
+
+
+def assigned_readings(text: str, path: Path, scale: Scale) -> list[Reading]:
     """Return the readings of a text.
 
     Raises ``InputError`` when a unit or a target is not told.
     """
-    stated = _UNIT_ASSIGNED.search(text)
-    unit = stated[1].lower() if stated else "mm"
-    if unit not in LENGTHS_MM:
+    unit = assigned_unit(text) or scale.unit
+    if unit not in scale.units:
         raise wrong_form("a unit that is not known", path, unit[:20])
     targets: dict[int, float] = {}
     read: list[tuple[str, int, int, float]] = []
@@ -37,7 +42,7 @@ def assigned_readings(text: str, path: Path) -> list[Reading]:
         match = _ASSIGNED.match(line)
         if match is None:
             continue
-        value = number_of(match[4], f"{path} line {number}") * LENGTHS_MM[unit]
+        value = number_of(match[4], f"{path} line {number}") * scale.units[unit]
         if match[1] == "TGT_DATA":
             targets[int(match[2])] = value
         elif match[3] is None:
@@ -47,7 +52,7 @@ def assigned_readings(text: str, path: Path) -> list[Reading]:
     lost = sorted({point for _, point, _, _ in read} - set(targets))
     if lost:
         raise wrong_form("readings of a target that is not told", path, f"number {lost[0]}")
-    return [(targets[p], way, cycle, (value - targets[p]) * UM_PER_MM, True) for way, p, cycle, value in read]
+    return [(targets[p], way, cycle, (value - targets[p]) * scale.per, True) for way, p, cycle, value in read]
 
 
 def number_of(cell: str, where: str) -> float:

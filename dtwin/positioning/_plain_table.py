@@ -8,8 +8,8 @@ from itertools import zip_longest
 
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import SUMMARY
-from dtwin.kinds.linear._report_tables import name_of
-from dtwin.kinds.linear._table_heads import (
+from dtwin.positioning._report_tables import name_of
+from dtwin.positioning.table_heads import (
     MOST_TITLES,
     UNIT_INSIDE,
     by_way_of,

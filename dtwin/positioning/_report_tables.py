@@ -13,8 +13,9 @@ import numpy as np
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.linear._matrix import other_formulas_um
-from dtwin.kinds.linear._table_heads import (
+from dtwin.physics.linear import linear_figures
+from dtwin.positioning.matrix import other_formulas_um
+from dtwin.positioning.table_heads import (
     OTHER_TEST,
     OWN_SENSOR,
     is_deviation,
@@ -27,7 +28,6 @@ from dtwin.kinds.linear._table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.physics.linear import linear_figures
 from dtwin.schema import Finding, Floats
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.kinds.linear._asked import ways_of
-from dtwin.kinds.linear._cycles import moving_zero
-from dtwin.kinds.linear._matrix import TARGET_MM, clock_is_assumed, in_order, linear_test
+from dtwin.positioning.cycles import moving_zero
+from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, in_order, linear_test
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.ways import ways_of
 from dtwin.schema import Run
 
 
-def still(runs: Sequence[Run]) -> list[Run]:
+def still(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Run]:
     """Return runs of one set-up without what their zero moves by from reading to reading: slip, lost steps, settling.
 
     It belongs to no place and no direction of the axis, but makes both where cycles run forward first. Without a clock it cannot
@@ -22,19 +23,19 @@ def still(runs: Sequence[Run]) -> list[Run]:
     ways = {ways_of(run) for run in runs}
     if not clock_is_assumed(runs) or len(ways) > 1 or len({run.meta.setup for run in runs}) > 1:
         return list(runs)
-    test = linear_test(runs, next(iter(ways)))
+    test = linear_test(runs, next(iter(ways)), scale)
     moving = None if test.position_mm.size < 2 else moving_zero(test)
     if moving is None:
         return list(runs)
     cycle = {id(run): number for number, run in enumerate(in_order(runs))}
-    return [_without(run, moving.shift_um[:, :, cycle[id(run)]], test.ways, test.position_mm) for run in runs]
+    return [_without(run, moving.shift_um[:, :, cycle[id(run)]], test) for run in runs]
 
 
-def _without(run: Run, shift_um: np.ndarray, ways: Sequence[str], targets_mm: np.ndarray) -> Run:
+def _without(run: Run, shift_um: np.ndarray, test: LinearTest) -> Run:
     """Return a run without a shift (ways, targets); between targets that all runs share it is interpolated."""
-    at = np.round(np.asarray(run.samples["position_mm"], dtype=float) / TARGET_MM) * TARGET_MM
-    error = np.array(run.samples["error_um"], dtype=float)
-    for way, shift in zip(ways, shift_um, strict=False):
+    at = np.round(np.asarray(run.samples[test.scale.position], dtype=float) / TARGET_MM) * TARGET_MM
+    error = np.array(run.samples[test.scale.error], dtype=float)
+    for way, shift in zip(test.ways, shift_um, strict=False):
         here = np.asarray(run.samples["direction"] == way)
-        error[here] -= np.interp(at[here], targets_mm, shift)
-    return replace(run, samples=dict(run.samples) | {"error_um": error})
+        error[here] -= np.interp(at[here], test.position_mm, shift)
+    return replace(run, samples=dict(run.samples) | {test.scale.error: error})

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dtwin.kinds.linear._assignments import Reading
-from dtwin.units import UM_PER_MM
+from dtwin.positioning.assignments import Reading
 
 _CLOSE_MM = 0.01
+"""Of an axis that turns, degrees, as all targets here."""
 _FARTHER = 20.0
 """Times the width of a group of targets that another group lies off it at least."""
 
@@ -26,7 +26,7 @@ def joined_targets(targets_mm: Iterable[float]) -> dict[float, float]:
 
 
 def with_joined_targets(readings: Sequence[Reading]) -> tuple[Sequence[Reading], float]:
-    """Return readings at the targets that were meant, and by how much the others were off them at most, in µm.
+    """Return readings at the targets that were meant, and by how much the others were off them at most.
 
     Where one sweep was at two that would be one, they are two.
     """
@@ -34,4 +34,4 @@ def with_joined_targets(readings: Sequence[Reading]) -> tuple[Sequence[Reading],
     joined = [(one[r[0]], *r[1:]) for r in readings]
     if len({r[:3] for r in joined}) < len({r[:3] for r in readings}):
         return readings, 0.0
-    return joined, max((abs(target - told) for told, target in one.items()), default=0.0) * UM_PER_MM
+    return joined, max((abs(target - told) for told, target in one.items()), default=0.0)

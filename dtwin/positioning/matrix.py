@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.linear import linear_figures
+from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.schema import Floats, Run
 
 TARGET_MM = 1e-3
-"""Positions closer than this are one target."""
+"""Positions closer than this, mm or degrees, are one target."""
 
 
 @dataclass(frozen=True)
 class LinearTest:
-    """Readings of a bidirectional test in matrices.
+    """Readings of a bidirectional test in matrices; of an axis that turns in degrees and seconds of arc, as ``scale`` says.
 
     ``position_mm`` (targets,): targets that were read in both directions in every run, ascending.
     ``forward_um``, ``reverse_um`` (targets, runs): errors.
@@ -37,19 +38,22 @@ class LinearTest:
     first: str = "forward"
     ways: tuple[str, str] = ("forward", "reverse")
     repeats: tuple[int, ...] = ()
+    scale: Scale = LENGTHS
 
     def cycle(self, index: int) -> int:
         """Return the number of a cycle, from 0, as people know it: its repeat, also where others were left out."""
         return self.repeats[index] if self.repeats else index + 1
 
 
-def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse")) -> LinearTest:
+def linear_test(
+    runs: Sequence[Run], ways: tuple[str, str] = ("forward", "reverse"), scale: Scale = LENGTHS
+) -> LinearTest:
     """Put the readings of runs into matrices, in the order of the runs' times and repeats.
 
     ``ways``: of both matrices; twice the same of runs in one direction only.
     """
     runs = in_order(runs)
-    columns = [_by_target(run, way) for way in ways for run in runs]
+    columns = [_by_target(run, way, scale) for way in ways for run in runs]
     anywhere, times = np.unique(np.concatenate([numbers for numbers, _ in columns]), return_counts=True)
     targets = anywhere[times == len(columns)]
     matrix = np.stack([errors[np.isin(numbers, targets, assume_unique=True)] for numbers, errors in columns], axis=1)
@@ -65,6 +69,7 @@ def linear_test(runs: Sequence[Run], ways: tuple[str, str] = ("forward", "revers
         first=_first(runs),
         ways=ways,
         repeats=repeats if len(set(repeats)) == len(repeats) else (),
+        scale=scale,
     )
 
 
@@ -85,12 +90,12 @@ def _first(runs: Sequence[Run]) -> str:
     return begun.pop() if len(begun) == 1 else ""
 
 
-def _by_target(run: Run, way: str) -> tuple[NDArray[np.int64], Floats]:
+def _by_target(run: Run, way: str, scale: Scale) -> tuple[NDArray[np.int64], Floats]:
     """Return the numbers of targets, ascending, and the last error that was read at each."""
     chosen = run.samples["direction"] == way
-    numbers = np.round(run.samples["position_mm"][chosen] / TARGET_MM).astype(np.int64)
+    numbers = np.round(run.samples[scale.position][chosen] / TARGET_MM).astype(np.int64)
     unique, last = np.unique(numbers[::-1], return_index=True)
-    return unique, np.asarray(run.samples["error_um"][chosen][::-1][last], dtype=float)
+    return unique, np.asarray(run.samples[scale.error][chosen][::-1][last], dtype=float)
 
 
 def other_formulas_um(forward_um: Floats, reverse_um: Floats) -> dict[str, float]:

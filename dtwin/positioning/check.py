@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.kinds.linear._asked import BOTH, Ways, ways_of
-from dtwin.kinds.linear._cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
-from dtwin.kinds.linear._matrix import TARGET_MM, LinearTest, linear_test
+from dtwin.acquire.quality import judge_clock
+from dtwin.positioning.cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
+from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.ways import BOTH, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
 
-# A slide that is further off than this has lost steps, or the unit is wrong.
-_MAX_ERROR_UM = 5_000.0
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
 _STUCK_READINGS = 12
@@ -36,22 +36,25 @@ def phases_of(position_mm: Floats, pitch_mm: float) -> int:
     return max(1, int(np.count_nonzero(gaps > TARGET_MM)))
 
 
-def judge_linear_run(run: Run) -> list[Finding]:
+def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
     """Return the findings of one positioning run.
 
-    ``run``: with ``position_mm``, ``direction`` and ``error_um``.
+    ``run``: with positions, ``direction`` and deviations, as ``scale`` calls them.
     """
-    position, error = run.samples["position_mm"], run.samples["error_um"]
-    findings = _missed(run)
+    position, error = run.samples[scale.position], run.samples[scale.error]
+    # Of a clock that was assumed, a gap is a reading that is missing.
+    assumed = clock_is_assumed([run])
+    clock = [finding for finding in judge_clock(run) if not assumed or finding.code != "clock.dropout"]
+    findings = [*clock, *_missed(run, scale)]
     largest = float(np.max(np.abs(error)))
-    if largest > _MAX_ERROR_UM:
+    if largest > scale.largest:
         findings.append(
             Finding(
                 "reading.out_of_range",
                 "error",
-                f"an error of {largest:z.0f} µm is beyond any slide: wrong unit, a lost beam, or the "
-                "laser was not zeroed at the first target",
-                {"largest_um": largest},
+                f"an error of {largest:z.0f} {scale.fine} is beyond any axis: wrong unit, a lost beam, or the "
+                "instrument was not zeroed at the first target",
+                {f"largest_{scale.figure}": largest},
             )
         )
     constant = _longest_constant(error)
@@ -60,7 +63,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
             Finding(
                 "reading.stuck",
                 "error",
-                f"{constant} equal errors in a row: the beam was broken or the laser not read",
+                f"{constant} equal errors in a row: the beam was broken or the instrument not read",
                 {"readings_1": float(constant)},
             )
         )
@@ -70,7 +73,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
     return findings
 
 
-def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
+def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Finding]:
     """Return what the positioning runs of a campaign say together: repeats, spoilt readings, drift.
 
     ``runs``: with their samples.
@@ -85,11 +88,16 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
                 {"conditions_1": 1.0},
             )
         )
-    tests = [linear_test(alike, ways) for ways, alike in _by_axis(runs)]
+    tests = tests_by_axis(runs, scale)
     told = [finding for test in tests for finding in _across_cycles(test)]
     datum = [finding for test in tests if test.ways == BOTH and (finding := shifted_zero(test)) is not None]
     zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
-    return findings + (told or _drift(runs)) + datum + zeroed
+    return findings + (told or _drift(runs, scale)) + datum + zeroed
+
+
+def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
+    """Return the test of each axis: of both directions, or of each one of an axis that has none of both."""
+    return [linear_test(alike, ways, scale) for ways, alike in _by_axis(runs)]
 
 
 def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
@@ -113,14 +121,16 @@ def _across_cycles(test: LinearTest) -> list[Finding]:
     return [f for f in (spoilt_finding(test), moving.finding if moving else None) if f is not None]
 
 
-def _missed(run: Run) -> list[Finding]:
-    position, direction = run.samples["position_mm"], run.samples["direction"]
+def _missed(run: Run, scale: Scale) -> list[Finding]:
+    position, direction = run.samples[scale.position], run.samples["direction"]
     wanted = _targets_of(position)
     ways = [way for way in ("forward", "reverse") if np.any(direction == way)]
     if len(ways) == 1:
         return [
             Finding(
-                "linear.one_direction", "warning", f"the targets were approached {ways[0]} only: play cannot be seen"
+                f"{scale.kind}.one_direction",
+                "warning",
+                f"the targets were approached {ways[0]} only: play cannot be seen",
             )
         ]
     absent: list[float] = []
@@ -134,17 +144,17 @@ def _missed(run: Run) -> list[Finding]:
     if absent:
         findings.append(
             Finding(
-                "linear.missed_targets",
+                f"{scale.kind}.missed_targets",
                 "error",
                 f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
-                f"{absent[0]:z.3f} mm: window too small, or the dwell too short",
-                {"missed_1": float(len(absent)), "first_mm": float(absent[0])},
+                f"{absent[0]:z.3f} {scale.unit}: window too small, or the dwell too short",
+                {"missed_1": float(len(absent)), f"first_{scale.position.partition('_')[2]}": float(absent[0])},
             )
         )
     if twice:
         findings.append(
             Finding(
-                "linear.read_twice",
+                f"{scale.kind}.read_twice",
                 "warning",
                 f"{twice} targets were read more than once in one sweep",
                 {"readings_1": float(twice)},
@@ -170,21 +180,21 @@ def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
     ]
 
 
-def _drift(runs: Sequence[Run]) -> list[Finding]:
+def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
     """Tell drift from noise by whether neighbouring readings of a run deviate alike.
 
     Deviations from the mean over the runs are put in the order of time; the mean square of their
     successive differences is twice their variance when each reading is on its own (von Neumann,
     Annals of Mathematical Statistics 12, 1941) and far less when they wander.
     """
-    deviations = _run_deviations_um(runs)
+    deviations = _run_deviations_um(runs, scale)
     n = len(deviations)
     if n < 2 or deviations.shape[1] < _FEWEST_FOR_DRIFT:
         return []
     # The mean over the runs took a share of every run with it.
-    scale = n / (n - 1)
-    variance = scale * float(np.mean(deviations**2))
-    noise = scale * float(np.mean(np.diff(deviations, axis=1) ** 2)) / 2.0
+    share = n / (n - 1)
+    variance = share * float(np.mean(deviations**2))
+    noise = share * float(np.mean(np.diff(deviations, axis=1) ** 2)) / 2.0
     if variance <= 0.0:
         return []
     expected_scatter = 4.0 / math.sqrt(deviations.size)
@@ -193,18 +203,18 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
     drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
     return [
         Finding(
-            "linear.drift",
+            f"{scale.kind}.drift",
             "warning",
-            f"the runs disagree by drift, not by noise: {drift_um:z.2f} µm RMS wander from run to "
-            f"run, {noise_um:z.2f} µm RMS from one reading to the next; R counts it as scatter, and more runs do not average "
+            f"the runs disagree by drift, not by noise: {drift_um:z.2f} {scale.fine} RMS wander from run to "
+            f"run, {noise_um:z.2f} {scale.fine} RMS from one reading to the next; R counts it as scatter, and more runs do not average "
             "it away. A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the "
             "axis's own encoder with the reference, log temperatures",
-            {"drift_um": drift_um, "noise_um": noise_um},
+            {f"drift_{scale.figure}": drift_um, f"noise_{scale.figure}": noise_um},
         )
     ]
 
 
-def _run_deviations_um(runs: Sequence[Run]) -> Floats:
+def _run_deviations_um(runs: Sequence[Run], scale: Scale) -> Floats:
     """Return deviations from the mean over the runs, shape (runs, readings), in order of time.
 
     ``runs``: those whose targets and directions are not the first one's are left out.
@@ -213,10 +223,10 @@ def _run_deviations_um(runs: Sequence[Run]) -> Floats:
         return np.empty((0, 0))
     first = runs[0].samples
     alike = [
-        run.samples["error_um"]
+        run.samples[scale.error]
         for run in runs
         if np.array_equal(run.samples["direction"], first["direction"])
-        and np.allclose(run.samples["position_mm"], first["position_mm"], atol=TARGET_MM)
+        and np.allclose(run.samples[scale.position], first[scale.position], atol=TARGET_MM)
     ]
     stacked = np.stack(alike)
     deviations: Floats = stacked - stacked.mean(axis=0)

@@ -11,8 +11,8 @@ import numpy as np
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.linear._table_heads import is_index, scale_of, told_unit
-from dtwin.units import UM_PER_MM
+from dtwin.positioning.scale import Scale
+from dtwin.positioning.table_heads import is_index, plain_unit, told_unit
 
 _COUNTS = re.compile(
     r"^(trial|run|cycle|repeat|repetition|approach|test|home|homing|session|series|day|versuch|messung|zyklus|lauf|anfahrt|serie|sitzung|essai|prova)"
@@ -27,7 +27,7 @@ _OTHER = re.compile(STATISTICS, re.I)
 _FEWEST = 5
 
 
-def trials_um(rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[float]]:
+def trials_of(rows: Sequence[Sequence[str]], scale: Scale) -> Mapping[str, Sequence[float]]:
     """Return the readings by session of a table of trials and one reading each, which says of no place where it should be; else nothing."""
     for begin, row in enumerate(rows[:20]):
         heads = [cell.strip() for cell in row]
@@ -40,31 +40,32 @@ def trials_um(rows: Sequence[Sequence[str]]) -> Mapping[str, Sequence[float]]:
             or _OTHER.search(heads[read[0]])
         ):
             continue
-        scale = scale_of(told_unit(heads[read[0]], "")) if told_unit(heads[read[0]], "") else float("nan")
+        unit = plain_unit(told_unit(heads[read[0]], ""))
+        factor = scale.factor(unit) if unit else float("nan")
         session = next((i for i in counts if _SESSION.match(heads[i])), None)
         told: dict[str, list[float]] = {}
         for line in rows[begin + 1 :]:
             value = number_or_none(line[read[0]]) if read[0] < len(line) else None
-            if value is not None and scale > 0.0:
+            if value is not None and factor > 0.0:
                 name = line[session].strip() if session is not None and session < len(line) else ""
-                told.setdefault(name, []).append(value * scale * UM_PER_MM)
+                told.setdefault(name, []).append(value * factor * scale.per)
         if sum(map(len, told.values())) >= _FEWEST:
             return told
     return {}
 
 
-def one_place(path: Path, groups_um: Mapping[str, Sequence[float]]) -> InputError:
-    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction or session."""
+def one_place(path: Path, groups_um: Mapping[str, Sequence[float]], fine: str) -> InputError:
+    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction or session, in ``fine``."""
     groups = [np.array(group) for group in groups_um.values() if len(group)]
     dof = sum(len(group) - 1 for group in groups)
     within = float(np.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) / dof)) if dof else float("nan")
-    got = f"{sum(map(len, groups))} readings, standard deviation {within:z.3g} µm, a next one lies within ± {2.0 * within:z.3g} µm (k = 2)"
+    got = f"{sum(map(len, groups))} readings, standard deviation {within:z.3g} {fine}, a next one lies within ± {2.0 * within:z.3g} {fine} (k = 2)"
     if len(groups) > 1:
         means = [float(group.mean()) for group in groups]
         names = (
             " and ".join(name for name in groups_um if name) if set(groups_um) <= {"forward", "reverse"} else "sessions"
         )
-        got += f"; means of {names} differ by {max(means) - min(means):z.3g} µm"
+        got += f"; means of {names} differ by {max(means) - min(means):z.3g} {fine}"
     return InputError(
         "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions",
         code="position_table.one_place",

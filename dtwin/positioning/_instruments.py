@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from dtwin.kinds.linear._report_tables import DIFFERENCE, ReportTable, name_of
-from dtwin.kinds.linear._table_heads import (
+from dtwin.positioning._report_tables import DIFFERENCE, ReportTable, name_of
+from dtwin.positioning.table_heads import (
     MOST_TITLES,
     OTHER_TEST,
     OWN_SENSOR,

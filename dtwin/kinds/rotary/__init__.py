@@ -1,0 +1,3 @@
+"""Positioning of rotary axes: the record of the kind."""
+
+__all__: list[str] = []

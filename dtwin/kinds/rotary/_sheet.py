@@ -1,0 +1,124 @@
+"""What ISO 230-2 asks of a test of a rotary axis, whether a turn closes, and what makes its figures uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.rotary._scale import ANGLES
+from dtwin.kinds.rotary._waves import waves
+from dtwin.physics.linear import linear_figures
+from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
+from dtwin.positioning.matrix import TARGET_MM, LinearTest
+from dtwin.positioning.ways import BOTH
+from dtwin.report.text import counted
+from dtwin.report.uncertainty import Circumstances, Contribution
+from dtwin.schema import Finding, Run
+from dtwin.statistics import t_quantile
+
+_FEWEST = ((90.0, 3), (180.0, 5), (float("inf"), 8))
+"""Targets that a travel up to so many degrees asks for."""
+_RUNS = 5
+_READING_ARCSEC = 1.0
+_SHOWN = {"A": "accuracy", "R": "repeatability", "E": "systematic", "B": "reversal", "M": "mean_deviation"}
+
+
+def asked(test: LinearTest) -> list[str]:
+    """Return what the standard asks for and the test has not."""
+    targets, runs = test.forward_um.shape
+    fewest = next(n for most, n in _FEWEST if float(np.ptp(test.position_mm)) <= most + TARGET_MM)
+    said = []
+    if targets < fewest:
+        said.append(f"ISO 230-2 asks for {fewest} targets on this travel, these are {targets}")
+    if runs < _RUNS:
+        said.append(f"ISO 230-2 asks for five runs, these are {runs}")
+    return said
+
+
+def noted(test: LinearTest) -> list[str]:
+    """Return what is to be noted of a test: what it lacks, and how turns close."""
+    return [*asked(test), *(finding.message for finding in closures(test))]
+
+
+def closures(test: LinearTest) -> list[Finding]:
+    """Return by how much the readings of one place differ that was a target at two angles, a turn apart: of several the place with the most; empty of none."""
+    at = np.round(test.position_mm / TARGET_MM).astype(int)
+    turn, runs = round(ANGLES.turn / TARGET_MM), test.forward_um.shape[1]
+    low = np.flatnonzero(np.isin(at + turn, at))
+    high = np.flatnonzero(np.isin(at - turn, at))
+    if not low.size:
+        return []
+    apart = np.stack([readings[high] - readings[low] for readings in (test.forward_um, test.reverse_um)])
+    off = apart.mean(axis=2)
+    most = int(np.argmax(np.abs(off).max(axis=0)))
+    half = np.full(2, np.inf)
+    if runs > 1:
+        half = t_quantile(0.975, runs - 1) * apart[:, most].std(axis=1, ddof=1) / np.sqrt(runs)
+    # Two directions of few runs each: by chance alone one in a hundred turns would seem open.
+    stays_open = bool((np.abs(off[:, most]) > np.maximum(2.0 * half, _READING_ARCSEC)).any())
+    ways = dict(zip(test.ways, zip(off[:, most], half, strict=True), strict=True)).items()
+    told = ", ".join(f"{way} {by:+z.2f}″" + (f" ± {u:z.2f}″ (95 %)" if runs > 1 else "") for way, (by, u) in ways)
+    places = f"{test.position_mm[high[most]]:g}° is the place of {test.position_mm[low[most]]:g}°"
+    why = "; the turn does not close: the instrument, its mounting or the axis moved in between" if stays_open else ""
+    said = f"{places}, and its readings differ from those by {told}{why}"
+    largest = float(max(off[:, most], key=abs))
+    return [Finding("rotary.closure", "warning" if stays_open else "info", said, {"closure_arcsec": largest})]
+
+
+def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[Contribution, ...]:
+    """Return what makes a figure uncertain: the instrument; an angle does not grow with temperature."""
+    return (under.reading(_READING_ARCSEC, ANGLES.figure),)
+
+
+def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return what the runs of a campaign say together, what the standard asks for besides, and how turns close."""
+    found = judge_positioning_campaign(runs, ANGLES)
+    for test in tests_by_axis(runs, ANGLES):
+        found += [Finding("rotary.asked", "warning", said) for said in asked(test)]
+        found += closures(test)
+    return found
+
+
+def positioning_result(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the figures of each axis that was approached from both sides, JSON-ready, in seconds of arc."""
+    out = []
+    for test in tests_by_axis(runs, ANGLES):
+        if test.ways != BOTH or not test.position_mm.size:
+            continue
+        ends = {"from_deg": float(test.position_mm[0]), "to_deg": float(test.position_mm[-1])}
+        told = {"axis": test.axis, "runs": test.forward_um.shape[1], "targets": len(test.position_mm), **ends}
+        if told["runs"] > 1:
+            figures = asdict(linear_figures(test.forward_um, test.reverse_um))
+            told["iso_230_2"] = {f"{name.removesuffix('_um')}_arcsec": value for name, value in figures.items()}
+        out.append(told | waves(test))
+    return out
+
+
+def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the lines that a terminal shows of :func:`positioning_result`."""
+    lines = [] if result else ["no target was read in every run from both sides: no figures of both directions"]
+    for told in result:
+        lines.append(
+            f"axis {told['axis']}: {counted(told['runs'], 'run')}, {counted(told['targets'], 'target')} "
+            f"from {told['from_deg']:g}° to {told['to_deg']:g}°"
+        )
+        figures = told.get("iso_230_2", {})
+        if figures:
+            lines.append(
+                "  " + ", ".join(f"{symbol} {figures[f'{name}_arcsec']:z.2f}″" for symbol, name in _SHOWN.items())
+            )
+        for wave in told.get("waves", ()):
+            often, size, half = wave["often"], wave["amplitude_arcsec"], wave["k95_arcsec"]
+            if half is not None and size <= half:
+                lines.append(f"  {often} a turn no more than what runs differ by, {half:z.2f}″")
+                continue
+            more = "" if half is None else f" ± {half:z.2f}″"
+            lines.append(
+                f"  {often} a turn {size:z.2f}″{more}, largest at {wave['largest_at_deg']:z.0f}°: {wave['may_be']}"
+            )
+        if "waves" in told:
+            lines.append(f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left")
+    return lines

@@ -1,0 +1,99 @@
+"""Positioning tests of rotary axes, after ISO 230-2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dtwin.kinds.kind import Drawing, FileReader, Kind
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import plotly.graph_objects as go
+
+    from dtwin.report.sheet import Sheet
+    from dtwin.report.uncertainty import Circumstances
+    from dtwin.schema import Campaign, Finding, Run
+
+
+class _Rotary(Kind):
+    name = "rotary"
+    columns = ("t_s", "angle_deg", "direction", "error_arcsec")
+    stated = ("axis",)
+    campaign_columns = columns
+    sheet_columns = columns
+    figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
+    unit = "arcsec"
+    prefixed = figures
+    read_with = (*Kind.read_with, "condition.instrument")
+    instead: ClassVar[Mapping[str, str]] = {
+        "twins": "dtwin check tells play, and what comes once and twice a turn",
+        "variation": "a drift test tells displacements, and no angle follows from one",
+        **dict.fromkeys(
+            ("plan", "usual_plan", "draft", "proposals"),
+            "eight targets or more on a turn, five runs, both directions: docs/how-to/positioning-table.md",
+        ),
+    }
+
+    def reader_of(self, path: Path) -> FileReader | None:
+        from dtwin.kinds.rotary._scale import ANGLES
+        from dtwin.positioning.position_table import is_position_table, read_position_runs
+
+        return partial(read_position_runs, scale=ANGLES) if is_position_table(path) else super().reader_of(path)
+
+    def takes_alone(self, path: Path) -> bool:
+        from dtwin.positioning.position_table import axis_turns
+
+        return axis_turns(path) is True
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.positioning.ways import with_ways
+
+        return with_ways(run)
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.kinds.rotary._scale import ANGLES
+        from dtwin.positioning.check import judge_positioning_run
+
+        return judge_positioning_run(run, ANGLES)
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        from dtwin.kinds.rotary._sheet import judge_campaign
+
+        whole = [run for run in runs if run.samples]
+        return judge_campaign(whole) if whole else []
+
+    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
+        from dtwin.kinds.rotary._scale import ANGLES
+        from dtwin.kinds.rotary._sheet import contributions, noted
+        from dtwin.positioning.sheet import positioning_sheet
+
+        return positioning_sheet(runs, noted, partial(contributions, under), ANGLES)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.rotary._scale import ANGLES
+        from dtwin.positioning.sheet import positioning_figure
+
+        return positioning_figure(runs, ANGLES)
+
+    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
+        from dtwin.kinds.rotary._sheet import positioning_result
+
+        return {"positioning": positioning_result(runs)}
+
+    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
+        from dtwin.kinds.rotary._sheet import positioning_lines
+
+        return positioning_lines(result["positioning"])
+
+    @property
+    def drawings(self) -> Sequence[Drawing]:
+        from dtwin.kinds.rotary._scale import ANGLES
+        from dtwin.positioning.drawings import drawings
+
+        return drawings(ANGLES)
+
+
+KIND = _Rotary()

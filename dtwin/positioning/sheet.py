@@ -1,0 +1,155 @@
+"""Test sheet of positioning tests after ISO 230-2, with the scatter that its figures would have again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics.linear import linear_figures, stacked_figures
+from dtwin.positioning._again import made_again
+from dtwin.positioning.cycles import spoilt_finding
+from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
+from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.ways import BOTH, Ways, can_be_told, ways_of
+from dtwin.report.plots import error_figure
+from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
+from dtwin.report.uncertainty import Contribution
+from dtwin.schema import Run
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Asked = Callable[[LinearTest], list[str]]
+Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
+_AGAIN = 400
+_FIGURES = (
+    ("A", "bi-directional accuracy", "accuracy_um"),
+    ("A↑", "accuracy, forward", "accuracy_forward_um"),
+    ("A↓", "accuracy, reverse", "accuracy_backward_um"),
+    ("R", "bi-directional repeatability", "repeatability_um"),
+    ("R↑", "repeatability, forward", "repeatability_forward_um"),
+    ("R↓", "repeatability, reverse", "repeatability_backward_um"),
+    ("E", "bi-directional systematic deviation", "systematic_um"),
+    ("E↑", "systematic deviation, forward", "systematic_forward_um"),
+    ("E↓", "systematic deviation, reverse", "systematic_backward_um"),
+    ("B", "reversal error", "reversal_um"),
+    ("B̄", "mean reversal error", "mean_reversal_um"),
+    ("M", "mean bi-directional deviation", "mean_deviation_um"),
+)
+
+
+def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: Uncertain, scale: Scale = LENGTHS) -> Sheet:
+    """Evaluate every axis of a campaign.
+
+    ``runs``: with all columns; runs with an error of quality are left out where there are others, and named. Runs of one
+    direction are evaluated, in that direction, where an axis has no others.
+    ``asked``: returns what the standard asks for and a test has not, and what else is to be noted of it.
+    ``uncertain``: returns what makes a figure of a test uncertain, by its symbol.
+    """
+    axes: dict[str, dict[Ways, list[Run]]] = {}
+    for run in runs:
+        of_axis = axes.setdefault(str(run.meta.condition.get("axis", "Z")), {})
+        of_axis.setdefault(ways_of(run), []).append(run)
+    parts: list[Part] = []
+    notes: list[str] = []
+    for axis, by_ways in sorted(axes.items()):
+        both = by_ways.get(BOTH)
+        if both is not None:
+            alone = [run for ways, members in by_ways.items() if ways != BOTH for run in members]
+            notes += [f"{run.meta.run_id} is not evaluated: it has one direction only." for run in alone]
+            by_ways = {BOTH: both}
+        for ways, every in sorted(by_ways.items()):
+            part, said = _evaluated(
+                f"axis {axis}" + ("" if ways == BOTH else f", {ways[0]} only"), every, ways, asked, uncertain, scale
+            )
+            parts += [] if part is None else [part]
+            notes += said
+    basis = "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)"
+    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), unit=scale.figure)
+
+
+def _evaluated(
+    title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: Uncertain, scale: Scale
+) -> tuple[Part | None, list[str]]:
+    members, notes = sound_runs(every)
+    sound = not any(f.severity == "error" for run in members for f in run.findings)
+    test = linear_test(members, ways, scale)
+    if not test.position_mm.size:
+        return None, [*notes, f"{title} is not evaluated: its runs share no target."]
+    span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} {scale.unit}"
+    spoilt = spoilt_finding(test)
+    if spoilt is not None:
+        sound = False
+        notes.append(f"{title}: {spoilt.message}.")
+    if test.left_out:
+        many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
+        sides = " from both sides" if ways == BOTH else ""
+        notes.append(f"{title}: {many} not evaluated, for not every run read them{sides}.")
+    if ways == BOTH and len(members) > 1:
+        notes += _other_formulas(test, title)
+    notes += [f"{title}: {said}." for said in asked(test)]
+    stated = {f.message for run in members for f in run.findings if f.code.endswith(".stated_figures")}
+    notes += [f"{title}: {message}." for message in sorted(stated)]
+    targets = "1 target" if len(test.position_mm) == 1 else f"{len(test.position_mm)} targets"
+    ids = tuple(run.meta.run_id for run in members)
+    return Part(f"{title}, {span}, {targets}", ids, _figures(test, ways, uncertain), sound), notes
+
+
+def _figures(test: LinearTest, ways: Ways, uncertain: Uncertain) -> tuple[Characteristic, ...]:
+    n = test.forward_um.shape[1]
+    named = [figure for figure in _FIGURES if can_be_told(figure[0], ways, n)]
+    if n == 1:
+        # Of single readings means are known, and what runs differ by is not.
+        twice = (np.repeat(errors, 2, axis=1) for errors in (test.forward_um, test.reverse_um))
+        told = asdict(linear_figures(*twice))
+        scatter, whole = dict.fromkeys(told, math.nan), 0.0
+    else:
+        told = asdict(linear_figures(test.forward_um, test.reverse_um))
+        forward, reverse, whole = made_again(test, _AGAIN, one_way=ways != BOTH)
+        drawn = stacked_figures(forward, reverse)
+        scatter = {key: float(np.std(drawn[key], ddof=1)) for key in told}
+    # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction; of runs that move
+    # as wholes on those of the runs.
+    dof = (2.0 - whole if ways == BOTH else 1.0) * (n - 1)
+    return tuple(
+        Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=uncertain(symbol, test))
+        for symbol, name, key in named
+    )
+
+
+def _other_formulas(test: LinearTest, title: str) -> list[str]:
+    """Return what R and E would be by formulas that some reports use instead of the standard's, where they differ."""
+    told, other = linear_figures(test.forward_um, test.reverse_um), other_formulas_um(test.forward_um, test.reverse_um)
+    larger, narrow = other["R"], other["E"]
+    said = []
+    if larger < 0.995 * told.repeatability_um:
+        said.append(
+            f"R as the larger of R↑ and R↓ would be {larger:z.4g} {test.scale.fine}; the standard's has the reversal in it"
+        )
+    if narrow < 0.995 * told.systematic_um:
+        said.append(
+            f"E from the higher of both minima would be {narrow:z.4g} {test.scale.fine}; the standard takes the lowest of all means"
+        )
+    return [f"{title}: {'; '.join(said)}."] if said else []
+
+
+def positioning_figure(runs: Sequence[Run], scale: Scale = LENGTHS) -> go.Figure:
+    """Draw the mean of each direction over the position."""
+    ways = ways_of(runs[0])
+    test = linear_test(runs, ways, scale)
+    if not test.position_mm.size:
+        raise InputError("no target was read in every run from both sides", code="sheet.targets")
+    means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
+    count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
+    named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
+    return error_figure(
+        named,
+        title=f"Deviation of axis {test.axis}",
+        x_title=f"position, {scale.unit}",
+        y_title=f"deviation, {scale.fine}",
+    )
