@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
 
+_FORMS = "SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10"
 app = typer.Typer(name="machine", no_args_is_help=True, help="What is known of a machine, and what happened to it.")
 
 
@@ -68,7 +69,9 @@ def event(
 ) -> None:
     """Note what happened to a machine, so that its history can be read."""
     from dtwin.machine_record import with_event
+    from dtwin.pipeline.machine_history import require_machine
 
+    require_machine(home(), name)
     record = with_event(home(), name, what, on, note)
     emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
 
@@ -207,6 +210,8 @@ def _joint_text(diagnosis: Mapping[str, Any]) -> str:
 
 def _axis(text: str) -> tuple[str, dict[str, float]]:
     axis, _, rest = text.partition(":")
+    if not axis.isalnum():
+        raise InputError("an axis has no such name", code="machine.axis", got=text[:80], allowed=_FORMS)
     pairs = [part.partition("=") for part in rest.split(",") if part]
     return axis, {key.strip(): _number(value, text) for key, _, value in pairs}
 
@@ -224,19 +229,15 @@ def _number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            "not a number",
-            code="machine.number",
-            where=where,
-            got=text[:40],
-            allowed="SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10",
-        ) from None
+        raise InputError("not a number", code="machine.number", where=where, got=text[:40], allowed=_FORMS) from None
 
 
 def _record_text(record: MachineRecord) -> str:
     lines = [record.name, *(f"  {name}: {value}" for name, value in record.facts.items())]
     for axis, known in record.axes.items():
         lines.append(f"  axis {axis}: " + ", ".join(f"{name} {value:g}" for name, value in known.items()))
+    if record.test_every_days:
+        lines.append(f"  tested every {record.test_every_days:g} days")
     lines += [f"  {symbol} {limits} µm" for symbol, limits in record.tolerances.items()]
     lines += [f"  {e.on.isoformat()} {e.what}" + (f": {e.note}" if e.note else "") for e in record.events]
     return "\n".join(lines)
