@@ -131,6 +131,9 @@ def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
     InputError
         When a field is unknown or not usable.
     """
+    for symbol, limit in stated.get("tolerances", {}).items():
+        if is_number(limit) and limit <= 0 and "Fmin" not in symbol:
+            raise _refused(f"{machine}: tolerances", f"{symbol}={limit:g}", "a largest value above 0 µm, or LOW:HIGH")
     document = (read_record(home, machine) or MachineRecord(machine)).as_dict()
     for key, value in stated.items():
         document[key] = {**document[key], **value} if isinstance(value, Mapping) else value

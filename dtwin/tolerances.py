@@ -42,7 +42,7 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     Raises
     ------
     InputError
-        When one is no number, or none that a figure can have, or its bounds are exchanged.
+        When one is no number, or its bounds are exchanged.
     """
     by_symbol = {}
     for symbol, value in stated.items():
@@ -56,19 +56,17 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
                 code="sheet.tolerance",
                 where=f"{where}: {symbol}",
                 got=str(value)[:60],
-                allowed="a largest value above 0 in µm, or low and high with low below high",
+                allowed="a largest value in µm, or low and high with low below high",
             )
         by_symbol[symbol] = Limits(*(None if b is None else float(b) for b in (low, high)))
     return by_symbol
 
 
 def _bounds(symbol: str, value: Any) -> dict[str, Any]:
-    """Return the bounds that one number states, none of one that is not positive; what is no number as it is, to be refused."""
+    """Return the bounds that one number states; what is no number as it is, to be refused."""
     symbol = symbol.rpartition(":")[2]
     if is_number(value) and value > 0.0 and symbol in _SIGNED:
         return {"low": -value, "high": value}
     if is_number(value) and symbol.startswith("Fmin"):
         return {"low": -abs(value)}
-    if is_number(value) and value <= 0.0:
-        return {}
     return {"high": value}

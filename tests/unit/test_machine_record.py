@@ -89,6 +89,7 @@ def test_what_cannot_be_meant_of_a_machine_is_refused(home: Home) -> None:
         ("add", "mill-a", "--tolerance", "G(b)=0"),
         ("add", "mill-a", "--axis", "X=500"),
         ("event", "mill-b", "crash"),
+        ("measure", "mill-b"),
         ("event", "mill-a", "crash", "--on", "2099-01-01"),
     ):
         assert isinstance(CliRunner().invoke(app, ["machine", *words]).exception, InputError), words
