@@ -110,7 +110,9 @@ def show(
                 "no next test is known",
                 code="machine.next_test",
                 where=name,
-                hint=f"dtwin machine add {name} --test-every 30",
+                hint="dtwin ingest a test of it, from which the days count"
+                if history["test_every_days"]
+                else f"dtwin machine add {name} --test-every 30",
             )
         write_text(ics, calendar_of(name, history["next_test"], datetime.now(UTC)), "the calendar file")
     shown = with_sheets(home(), history) if as_json else history

@@ -147,6 +147,7 @@ def _said_of_the_tray(folder: Path) -> Iterator[None]:
 
 def _for_the_page(error: InputError, folder: Path) -> None:
     error.where = error.where and error.where.replace(f"{folder}/", "")
+    error.hint = error.hint and error.hint.replace(f"{folder}/", "")
     if error.hint and not error.hint.startswith("dtwin "):
         error.hint = _OPTION.sub(r"\1 in the form: ", error.hint)
 

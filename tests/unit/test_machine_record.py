@@ -93,6 +93,10 @@ def test_what_cannot_be_meant_of_a_machine_is_refused(home: Home) -> None:
         ("event", "mill-a", "crash", "--on", "2099-01-01"),
     ):
         assert isinstance(CliRunner().invoke(app, ["machine", *words]).exception, InputError), words
+    said("machine", "add", "mill-a", "--test-every", "30")
+    asked = CliRunner().invoke(app, ["machine", "show", "mill-a", "--ics", "next.ics"]).exception
+    assert isinstance(asked, InputError)
+    assert "ingest" in str(asked.hint)
     known = read_record(home, "mill-a")
     assert known is not None
     assert (known.axes, known.events, read_record(home, "mill-b")) == ({}, (), None)
