@@ -70,7 +70,10 @@ def _options(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    if context.invoked_subcommand in _FOLLOW_THEMSELVES or {"--help", "-h"} & set(sys.argv):
+    if {"--help", "-h"} & set(sys.argv):
+        return
+    home().require_parts()
+    if context.invoked_subcommand in _FOLLOW_THEMSELVES:
         return
     told = os.environ.get("DTWIN_HOME", "")
     if "://" in told:
