@@ -14,7 +14,7 @@ import typer
 
 from dtwin import __version__
 from dtwin.commands import register
-from dtwin.commands.tasks import ByTask, Commands
+from dtwin.commands.tasks import ByTask, Commands, EndedEarly
 from dtwin.config import home, quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError
 
@@ -70,7 +70,10 @@ def _options(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    if context.invoked_subcommand in _FOLLOW_THEMSELVES or {"--help", "-h"} & set(sys.argv):
+    if {"--help", "-h"} & set(sys.argv):
+        return
+    home().require_parts()
+    if context.invoked_subcommand in _FOLLOW_THEMSELVES:
         return
     told = os.environ.get("DTWIN_HOME", "")
     if "://" in told:
@@ -117,18 +120,18 @@ def _run() -> None:
         absent = _missing_part(missing)
         _report(absent)
         sys.exit(absent.exit_code)
-    except BrokenPipeError:
-        # The reader of our output went away, as `head` does.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+    except EndedEarly as ended:
+        if isinstance(ended.__cause__, BrokenPipeError):
+            # As `head` does.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(0)
+        print("interrupted; run the same command again to continue", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
     except OSError as error:
         if error.errno not in _UNUSABLE:
             raise
         _report(_not_usable(error))
         sys.exit(EXIT_USER)
-    except KeyboardInterrupt:
-        print("interrupted; run the same command again to continue", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
     except Exception as error:
         if not _is_of_database(error):
             raise

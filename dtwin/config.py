@@ -84,6 +84,24 @@ class Home:
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
         return self._closed()
 
+    def require_parts(self) -> None:
+        """Refuse a home of which a part is a link that leads nowhere: it would look as if nothing was measured yet.
+
+        Raises
+        ------
+        InputError
+            When there is such a part.
+        """
+        for part in self.root.glob("*"):
+            if part.is_symlink() and not part.exists():
+                raise InputError(
+                    "a part of the home is a link that leads nowhere",
+                    code="home.link",
+                    where=str(part),
+                    got=str(part.readlink())[:200],
+                    hint="mount the disk that it is on, or mend the link",
+                )
+
     def tightened(self) -> Home:
         """Take the folder from other users when state of dtwin lies in it, and return the home."""
         # Another folder that was named by mistake, or a file, is none of ours.

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 
 EXIT_DONE = 0
 EXIT_USER = 1
+EXIT_COMMAND_LINE = 2
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
@@ -98,6 +99,12 @@ class DtwinError(Exception):
 
 class InputError(DtwinError):
     """A file, plan or option that cannot be used as given."""
+
+
+class CommandLineError(InputError):
+    """Arguments or options that the command does not have, or lacks."""
+
+    exit_code = EXIT_COMMAND_LINE
 
 
 class StoreError(DtwinError):

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from datetime import UTC, date, datetime
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +131,9 @@ def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
     InputError
         When a field is unknown or not usable.
     """
+    for symbol, limit in stated.get("tolerances", {}).items():
+        if is_number(limit) and limit <= 0 and "Fmin" not in symbol:
+            raise _refused(f"{machine}: tolerances", f"{symbol}={limit:g}", "a largest value above 0 µm, or LOW:HIGH")
     document = (read_record(home, machine) or MachineRecord(machine)).as_dict()
     for key, value in stated.items():
         document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
@@ -144,9 +147,18 @@ def keep_record(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
 
 
 def with_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
-    """Add an event to a record, which is made when there is none; an empty day is today."""
-    day = on or datetime.now(UTC).date().isoformat()
-    event = _event({"on": day, "what": what, "note": note}, "the event")
+    """Add an event to a record, which is made when there is none; an empty day is today, where this computer stands.
+
+    Raises
+    ------
+    InputError
+        When it is not usable, or did not happen yet.
+    """
+    # The days of tests are those of where they were measured: in UTC a crash of this morning would be one of yesterday.
+    today = datetime.now().astimezone().date()
+    event = _event({"on": on or today.isoformat(), "what": what, "note": note}, "the event")
+    if event.on > today + timedelta(days=1):
+        raise _refused("the event: on", event.on.isoformat(), f"a day until {today}: a record says what happened")
     with _alone(home, machine):
         known = read_record(home, machine) or MachineRecord(machine)
         return _written(home, replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on))))

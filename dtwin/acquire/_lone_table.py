@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,11 @@ from dtwin.kinds.registry import kind_named
 _EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X"}
 
 
-def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
+def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None) -> CampaignFolder:
     """Return a campaign of one run: a table that lies alone, and what is told of it.
 
     ``path``: ``.csv`` or ``.parquet``.
+    ``made_of``: the file that the user knows, where the table was made of it.
     ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``kind``, ``machine``, ``axis``, ``instrument`` and ``screw_pitch_mm``.
     Direction and campaign may be left away: the angle runs one way, the file has a name.
     """
@@ -31,12 +33,14 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
         raise InputError(
             f"a table of a {kind} test does not say under which conditions it was measured",
             code="ingest.condition",
-            where=str(path),
+            where=str(made_of or path),
             got=", ".join(sorted(k for k, v in told.items() if v is not None)) or "the file alone",
             allowed="a folder with a file for each run" if needed is None else "with " + ", ".join(needed),
             hint=f'name it in a campaign.toml with kind = "{kind}": docs/how-to/ingest-your-own.md'
             if needed is None
-            else f"dtwin ingest {path.name} "
+            else (
+                f"dtwin import {quote(str(made_of))} --out FOLDER " if made_of else f"dtwin ingest {quote(str(path))} "
+            )
             + " ".join(f"--{name.split('_')[0]} {_EXAMPLE[name]}" for name in needed)
             + " --machine NAME",
         )

@@ -13,6 +13,7 @@ from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
 _LONGEST = 400
+_FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
 _CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
 
 
@@ -39,12 +40,14 @@ def count(value: object, name: str, where: str) -> int:
 
 
 def iso_time(value: object, name: str, where: str) -> str:
-    """Return a time as ISO 8601 text, empty when none is stated."""
-    if isinstance(value, datetime | date):
-        return value.isoformat()
+    """Return a time as ISO 8601 text that begins with its day, empty when none is stated."""
+    if value == "":
+        return ""
     try:
-        if isinstance(value, str) and (not value or datetime.fromisoformat(value)):
-            return value
+        told = value if isinstance(value, datetime | date) else datetime.fromisoformat(str(value))
+        # A clock that was never set says the first day of some calendar.
+        if told.year >= _FIRST_YEAR:
+            return str(value) if isinstance(value, str) and _BY_DAY.match(value) else told.isoformat()
     except ValueError:
         pass
     raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z")

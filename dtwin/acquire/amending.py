@@ -83,8 +83,7 @@ def amend(
             code="amend.same",
             where=f"campaign {campaign}",
             got=", ".join(settings) or "no setting",
-            allowed=_ALLOWED,
-            hint=f"dtwin amend {campaign} --set instrument.calibrated_mm=100.015 --because WHY",
+            hint=f"dtwin amend {campaign} says what was stated anew",
         )
     _record(lake, campaign, changes, because, who)
     return changes

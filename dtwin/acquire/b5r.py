@@ -358,7 +358,8 @@ def _started(text: str) -> str:
         stamp = datetime.strptime(text, "%Y%m%d-%H%M%S")  # local, the file names no zone
     except ValueError:
         return ""
-    return stamp.isoformat()
+    # A clock that was never set says the first day of some calendar.
+    return stamp.isoformat() if stamp.year >= 1900 else ""
 
 
 def _vendor_date(started: str) -> str:

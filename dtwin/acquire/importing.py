@@ -317,7 +317,7 @@ def write_folder(understood: Understood, folder: Path, home: Home, *, confirmed:
     with tempfile.TemporaryDirectory() as scratch:
         lone = Path(scratch) / f"{safe_name(understood.path.stem)}.csv"
         write_text(lone, understood.text, "a table")
-        opened = open_table(lone, understood.told)
+        opened = open_table(lone, understood.told, understood.path)
     campaign, (entry,) = opened.campaign, opened.entries
     # A comment: files of one campaign may differ in it.
     digest = hashlib.sha256(understood.path.read_bytes()).hexdigest()

@@ -50,7 +50,8 @@ def require_bounded(path: Path, max_bytes: int) -> None:
     """Refuse what is no plain file, empty or absurdly large; raises as :func:`read_bounded`."""
     try:
         if not path.is_file():
-            raise InputError("no such file", code="file.missing", where=str(path), hint="check the path")
+            what = "a folder is no file" if path.is_dir() else "no such file"
+            raise InputError(what, code="file.missing", where=str(path), hint="check the path")
         size = path.stat().st_size
     except OSError as error:
         raise _unreadable(path, error) from error

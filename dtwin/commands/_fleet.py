@@ -80,7 +80,7 @@ def nightly(
     night = night_of(
         home(),
         folder=folder,
-        machines=machine or (),
+        machines=_known(machine),
         on=on or home().engine,
         workers=workers,
         seed=seed,
@@ -110,7 +110,7 @@ def show(machine: Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
     from dtwin.fleet import fleet_view
 
-    lines = fleet_view(home(), machine or ())
+    lines = fleet_view(home(), _known(machine))
     head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")
     rows = [
         [
@@ -168,11 +168,22 @@ def _um(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
+def _known(machines: list[str] | None) -> list[str]:
+    """Return machines as they were named; one that nobody knows is refused: nothing would be done of it, every night."""
+    from dtwin.pipeline.machine_history import require_machine
+
+    for name in machines or ():
+        require_machine(home(), name)
+    return machines or []
+
+
 def _run(job: Job, machines: list[str] | None, on: str | None, workers: int | None, seed: int, as_json: bool) -> None:
     from dtwin.fleet import run_fleet
 
     progress = ProgressLine(job.name, quiet=as_json)
-    run = run_fleet(home(), job, machines or (), on=on or home().engine, workers=workers, seed=seed, progress=progress)
+    run = run_fleet(
+        home(), job, _known(machines), on=on or home().engine, workers=workers, seed=seed, progress=progress
+    )
     emit(run.as_dict(), lambda: _text(run), as_json=as_json)
     if run.failed:
         raise typer.Exit(EXIT_USER)

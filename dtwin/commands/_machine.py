@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
 
+_FORMS = "SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10"
 app = typer.Typer(name="machine", no_args_is_help=True, help="What is known of a machine, and what happened to it.")
 
 
@@ -68,7 +69,9 @@ def event(
 ) -> None:
     """Note what happened to a machine, so that its history can be read."""
     from dtwin.machine_record import with_event
+    from dtwin.pipeline.machine_history import require_machine
 
+    require_machine(home(), name)
     record = with_event(home(), name, what, on, note)
     emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
 
@@ -107,7 +110,9 @@ def show(
                 "no next test is known",
                 code="machine.next_test",
                 where=name,
-                hint=f"dtwin machine add {name} --test-every 30",
+                hint="dtwin ingest a test of it, from which the days count"
+                if history["test_every_days"]
+                else f"dtwin machine add {name} --test-every 30",
             )
         write_text(ics, calendar_of(name, history["next_test"], datetime.now(UTC)), "the calendar file")
     shown = with_sheets(home(), history) if as_json else history
@@ -207,6 +212,8 @@ def _joint_text(diagnosis: Mapping[str, Any]) -> str:
 
 def _axis(text: str) -> tuple[str, dict[str, float]]:
     axis, _, rest = text.partition(":")
+    if not axis.isalnum():
+        raise InputError("an axis has no such name", code="machine.axis", got=text[:80], allowed=_FORMS)
     pairs = [part.partition("=") for part in rest.split(",") if part]
     return axis, {key.strip(): _number(value, text) for key, _, value in pairs}
 
@@ -224,13 +231,7 @@ def _number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            "not a number",
-            code="machine.number",
-            where=where,
-            got=text[:40],
-            allowed="SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10",
-        ) from None
+        raise InputError("not a number", code="machine.number", where=where, got=text[:40], allowed=_FORMS) from None
 
 
 def _record_text(record: MachineRecord) -> str:
@@ -240,6 +241,8 @@ def _record_text(record: MachineRecord) -> str:
     lines = [record.name, *(f"  {name}: {value}" for name, value in record.facts.items())]
     for axis, known in record.axes.items():
         lines.append(f"  axis {axis}: " + ", ".join(f"{name} {value:g}" for name, value in known.items()))
+    if record.test_every_days:
+        lines.append(f"  tested every {record.test_every_days:g} days")
     lines += [
         f"  {symbol} {limits} {shown_unit(unit_of_limit(symbol))}" for symbol, limits in record.tolerances.items()
     ]

@@ -58,10 +58,12 @@ def measure(
     A campaign that comes in later, of the name or with all conditions of the plan, answers it, and is compared with the last
     such test of the machine.
     """
+    from dtwin.pipeline.machine_history import require_machine
     from dtwin.pipeline.planned_tests import free_name, keep_plan, kept_plans, measured_by, write_plan
     from dtwin.plan_file import planned_document, read_plan_file
 
     if file is None:
+        require_machine(home(), name)
         waiting = kept_plans(home(), name)
         emit({"machine": name, "plans": waiting}, lambda: _plans_text(name, waiting), as_json=as_json)
         return

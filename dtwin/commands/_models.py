@@ -35,6 +35,8 @@ def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.
         lambda: (
             f"{campaign}: {features.windows} windows of {features.runs} runs, "
             f"{features.not_finite} not finite, {features.constant} constant; table version {features.version}"
+            if features.runs
+            else f"{campaign}: no run of it has signals that features are computed of"
         ),
         as_json=as_json,
     )

@@ -10,6 +10,8 @@ import typer
 from typer.core import TyperGroup
 from typer.models import TyperInfo
 
+from dtwin.errors import CommandLineError
+
 TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": (
@@ -66,6 +68,12 @@ FLEET_TASKS: dict[str, tuple[str, ...]] = {
 }
 _OTHER = "More"
 _LONGEST = 200
+# Typer has no public name for it.
+_WrongUse: Any = typer.BadParameter.__base__
+
+
+class EndedEarly(Exception):
+    """Ctrl-C, or a reader of our output that went away: its cause. Typer would end both without a word."""
 
 
 def _sections(tasks: dict[str, tuple[str, ...]], names: list[str]) -> dict[str, list[str]]:
@@ -104,6 +112,20 @@ class ByTask(TyperGroup):
     """Commands of ``dtwin``."""
 
     tasks = TASKS
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; a program that asked for JSON is told in JSON what is wrong with its command line."""
+        try:
+            done = super().invoke(ctx)
+            sys.stdout.flush()
+        except _WrongUse as error:
+            if "--json" not in sys.argv:
+                raise
+            where = error.ctx.command_path if error.ctx else None
+            raise CommandLineError(error.format_message(), code="usage", where=where) from error
+        except (KeyboardInterrupt, BrokenPipeError) as error:
+            raise EndedEarly from error
+        return done
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write one section for each task, whole sentences instead of cut ones."""

@@ -143,17 +143,28 @@ def _require_local(home: Home) -> None:
 
 
 def _files(root: Path, but: Path) -> Iterator[Path]:
-    """Yield what is to be kept, in order."""
-    for folder, folders, names in os.walk(root):
+    """Yield what is to be kept, in order.
+
+    A part of the home may be a link, as to a larger disk; one further down could lead anywhere.
+    """
+    for folder, folders, names in os.walk(root, followlinks=True):
         here = Path(folder)
         if here == root:
             folders[:] = [name for name in folders if name not in _LEFT_OUT]
             names = [name for name in names if name not in _LEFT_OUT]
+        elif links := [here / name for name in (*folders, *names) if (here / name).is_symlink()]:
+            raise InputError(
+                "a link inside a part of the home is not backed up",
+                code="home.link",
+                where=str(links[0]),
+                got=str(links[0].readlink())[:200],
+                hint="put what it leads to in its place; a whole part, such as lake, may be a link",
+            )
         folders.sort()
         for name in sorted(names):
             path = here / name
             spoilt = name.endswith((".partial", ".lock", *_OF_SQLITE)) or name in (".lock", ".writing")
-            if not spoilt and path != but and path.is_file() and not path.is_symlink():
+            if not spoilt and path != but and path.is_file():
                 yield path
 
 
@@ -209,7 +220,8 @@ def _extracted(archive: Path, into: Path, progress: Progress | None) -> Mapping[
     try:
         with tarfile.open(archive, "r:") as members:
             for member in members:
-                held = members.extractfile(member) if member.isreg() else None
+                # A sparse one of some bytes may say that it holds a whole disk.
+                held = members.extractfile(member) if member.isreg() and not member.issparse() else None
                 if held is None:
                     raise _damaged(archive, member.name, "a regular file")
                 if member.name == MANIFEST:

@@ -103,7 +103,7 @@ def _records(home: Home) -> Iterator[tuple[str, str]]:
 
 
 def _databases(home: Home) -> Iterator[tuple[str, str]]:
-    for path in sorted(home.root.rglob("*.db")):
+    for path in sorted(home.root.glob("*/**/*.db")):
         try:
             with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
                 said = "; ".join(row[0] for row in file.execute("PRAGMA integrity_check") if row[0] != "ok")

@@ -168,11 +168,16 @@ def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> Ma
     """
     record = read_record(home, machine)
     if record is None and not rows:
-        known = ", ".join(found["machine"] for found in machine_overviews(home)) or "none"
-        raise InputError(
-            "no such machine", code="machine.unknown", got=machine, allowed=known, hint=f"dtwin machine add {machine}"
-        )
+        require_machine(home, machine)
     return record or MachineRecord(machine)
+
+
+def require_machine(home: Home, machine: str) -> None:
+    """Raise ``InputError`` when a machine has neither a record nor a campaign."""
+    known = [found["machine"] for found in machine_overviews(home)]
+    if machine not in known:
+        allowed, hint = ", ".join(known) or "none", f"dtwin machine add {machine}"
+        raise InputError("no such machine", code="machine.unknown", got=machine, allowed=allowed, hint=hint)
 
 
 def _readable(shelf: Twins, name: str) -> Twin | None:

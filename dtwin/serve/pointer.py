@@ -253,7 +253,8 @@ def proven_states(machine: str, said: Mapping[int, str], home: Home) -> dict[int
     for model in _POINTERS:
         with contextlib.suppress(InputError, GateRefusal):
             resolved = _follow(model, machine, home)
-            named[resolved.version] = resolved.state
+            # Of both, the champion comes first.
+            named.setdefault(resolved.version, resolved.state)
 
     def state(version: int, tagged: str) -> str:
         if barred_why(machine, home, version):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from contextlib import nullcontext
+import sqlite3
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 from mlflow import MlflowClient
@@ -32,9 +33,19 @@ def client_of(home: Home) -> MlflowClient:
             database = Path(uri.removeprefix("sqlite:///"))
             database.parent.mkdir(parents=True, exist_ok=True)
             database.touch(mode=0o600)
+            with closing(sqlite3.connect(database)) as opened:
+                opened.execute("PRAGMA schema_version")
         except OSError as error:
             raise StoreError(
                 "the model registry cannot be written", code="registry.write", where=uri, got=str(error)
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise StoreError(
+                "the database of the model registry is damaged, or none",
+                code="registry.damaged",
+                where=str(database),
+                got=str(error),
+                hint="restore it from a backup; moved away, it begins anew, and dtwin repair logs the twins in it",
             ) from error
     if home.file.endpoint:
         # MLflow asks the environment only.

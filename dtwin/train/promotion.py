@@ -126,10 +126,14 @@ def trial(
     if not all(v.passed for v in verdicts):
         _remember(home, version, "refused", comment, verdicts)
         raise _refusal(version, verdicts)
-    path = _freeze(home, version, bundle, verdicts, "none")
+    path = _bundle_path(home, version)
+    # What is champion, or may be again, keeps its bundle with the evidence: its pointer names the checksum.
+    if not (version.tags.get("evidence") and path.is_file()):
+        path = _freeze(home, version, bundle, verdicts, "none")
     _write_machine(version.machine, home, geometry)
     write_pointer(version.machine, home, path, int(version.version), "trial")
-    registry.mark(version, {"state": "trial"})
+    if version.tags.get("state") not in ("champion", "previous"):
+        registry.mark(version, {"state": "trial"})
     _remember(home, version, "trial", comment, verdicts)
     return path
 

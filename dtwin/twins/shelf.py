@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
+from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
 from dtwin.twins.registration import log_soon, place_of, version_name, version_number, version_paths
@@ -156,11 +157,26 @@ class TwinShelf:
         ----------
         document : dict
             ``as_dict`` of the twin.
+
+        Raises
+        ------
+        InputError
+            When another process made this version meanwhile.
         """
+        name, version, at_once = document["twin"], document["version"], self.home.mlflow_at_once
         # No two files are alike: by that MLflow tells a version from one of another home or of a
         # twin that was removed.
         unique = {**document, "id": uuid.uuid4().hex}
-        self._write(unique, f"{version_name(document['version'])}.json")
+        with locked(self.home.root / "locks" / f"twin-{name}.lock", wait=True):
+            if version in self._numbers(name):
+                raise InputError(
+                    "another process changed the twin meanwhile",
+                    code="twin.meanwhile",
+                    where=f"twin {name} version {version}",
+                    hint="run this again: it takes the new version as its base",
+                )
+            write_document(self._file(document, ".json"), unique, "the twin")
+        self._tell(name, at_once=at_once)
 
     def can_keep(self, name: str) -> bool:
         """Whether what is found out of a twin can be written here."""
@@ -169,7 +185,9 @@ class TwinShelf:
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:
         """Write a diagnosis beside its version, and have its verdict noted in MLflow; nothing in a home that can only be read."""
         if self.can_keep(document["twin"]):
-            self._write(document, f"{version_name(document['version'])}.diagnosis.json")
+            at_once = self.home.mlflow_at_once
+            write_document(self._file(document, ".diagnosis.json"), document, "the twin")
+            self._tell(document["twin"], at_once=at_once)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return every rung of a twin, oldest first."""
@@ -220,12 +238,13 @@ class TwinShelf:
     def _numbers(self, name: str) -> Sequence[int]:
         return [version_number(p) for p in version_paths(self.root / name)]
 
-    def _write(self, document: Mapping[str, Any], file: str) -> None:
-        at_once = self.home.mlflow_at_once
-        write_document(self.root / document["twin"] / file, document, "the twin")
+    def _file(self, document: Mapping[str, Any], ending: str) -> Path:
+        return self.root / document["twin"] / f"{version_name(document['version'])}{ending}"
+
+    def _tell(self, name: str, *, at_once: bool) -> None:
         # Before MLflow is told: another computer may have made the same version.
         follow_shared(self.home)
-        log_soon(self.home, document["twin"], at_once=at_once)
+        log_soon(self.home, name, at_once=at_once)
 
 
 def kind_of(home: Home, name: str) -> str:

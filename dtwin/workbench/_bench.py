@@ -58,6 +58,7 @@ class Bench:
                 hint="move it back and reload, or stop the workbench and start it with DTWIN_HOME=FOLDER dtwin ui",
             )
         self._place = place
+        self.home.require_parts()
 
     @property
     def folder(self) -> Path:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
@@ -47,6 +47,10 @@ class _Told(BaseModel):
         return {name: value for name, value in self if value not in ("", None)}
 
 
+# With a limit, what is no text (half a character) is refused, too.
+_Word = Annotated[str, Field(max_length=1000)]
+
+
 class _Table(BaseModel):
     """A table of a tray, and what is answered of it.
 
@@ -56,7 +60,7 @@ class _Table(BaseModel):
 
     file: str = Field(max_length=500)
     told: _Told = Field(default_factory=lambda: _Told.model_validate({}))
-    answers: dict[str, str] = Field(default_factory=dict, max_length=512)
+    answers: dict[_Word, _Word] = Field(default_factory=dict, max_length=512)
     decimal: Literal["", "comma", "point"] = ""
     confirmed: bool = False
 
@@ -143,6 +147,7 @@ def _said_of_the_tray(folder: Path) -> Iterator[None]:
 
 def _for_the_page(error: InputError, folder: Path) -> None:
     error.where = error.where and error.where.replace(f"{folder}/", "")
+    error.hint = error.hint and error.hint.replace(f"{folder}/", "")
     if error.hint and not error.hint.startswith("dtwin "):
         error.hint = _OPTION.sub(r"\1 in the form: ", error.hint)
 

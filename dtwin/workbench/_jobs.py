@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import queue
@@ -73,8 +74,8 @@ class Jobs:
         """
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         job = Job(secrets.token_hex(8), title, begun=begun)
-        self._jobs[job.id] = job
         self._note(job)
+        self._jobs[job.id] = job
         # Of who asked: his name stands under what is done.
         self._queue.put((job, work, copy_context()))
         return job
@@ -110,8 +111,8 @@ class Jobs:
 
         job.state = "running"
         tell("started")
-        self._note(job)
         try:
+            self._note(job)
             job.address = work(tell)
             job.state = "done"
         except DtwinError as error:
@@ -120,7 +121,9 @@ class Jobs:
             logging.getLogger(__name__).exception("%s failed", job.title)
             job.error, job.state = f"error[internal]: {type(error).__name__}: {error}", "failed"
         job.seconds = time.monotonic() - since
-        self._note(job)
+        # On a full disk the work is over all the same, and so is not the thread: later work would wait for ever.
+        with contextlib.suppress(DtwinError):
+            self._note(job)
 
     def _note(self, job: Job) -> None:
         write_text(self.folder / f"{job.id}.json", json.dumps(asdict(job)), "the note of a job")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
@@ -24,15 +24,17 @@ from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted
 
 router = APIRouter()
+# With a limit, what is no text (half a character) is refused, too.
+_Word = Annotated[str, Field(max_length=120)]
 
 
 class _FitRequest(BaseModel):
     """What to fit: one campaign, or several of one machine."""
 
-    campaign: str = ""
-    campaigns: list[str] = Field(default_factory=list, max_length=20)
-    name: str
-    effects: list[str] = Field(default_factory=list, max_length=60)
+    campaign: _Word = ""
+    campaigns: list[_Word] = Field(default_factory=list, max_length=20)
+    name: _Word
+    effects: list[_Word] = Field(default_factory=list, max_length=60)
     robust: bool = False
 
 

@@ -261,8 +261,10 @@ def waterfall(request: Request, name: str) -> Response:
 def ranked(request: Request, name: str) -> Response:
     """Return the candidates by the error predicted after adding each."""
     bench = bench_of(request)
-    version = bench.twins.newest(name).version
-    return drawn(ranked_figure(_with_nan(reading.diagnosis_of(bench, name, version) or {})))
+    diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version)
+    if diagnosis is None:
+        raise InputError("the twin is not diagnosed yet", code="twin.undiagnosed", where=f"twin {name}")
+    return drawn(ranked_figure(_with_nan(diagnosis)))
 
 
 @router.get("/api/twins/{name}/signature")

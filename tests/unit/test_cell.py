@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -130,3 +132,11 @@ def test_both_twins_make_their_step_better() -> None:
         assert result["error_um"] < 0.3 * result["error_without_um"], step
     unloaded = do_step("unload", 1, COBOT, 0)
     assert unloaded["error_um"] < 30.0
+
+
+def test_a_mistake_in_a_flow_is_logged_without_a_traceback() -> None:
+    import_module("flows._runtime")
+    for error, kept in ((InputError("the cell has no job"), False), (ValueError("ours"), True)):
+        record = logging.LogRecord("prefect.flow_runs", logging.ERROR, "", 1, "", (), (type(error), error, None))
+        assert logging.getLogger("prefect.flow_runs").filter(record)
+        assert bool(record.exc_info) is kept

@@ -151,6 +151,31 @@ def test_a_mistake_is_a_message_with_exit_code_1_and_json_when_wanted(tmp_path: 
     assert wanted.stderr == ""
 
 
+def test_a_wrong_command_line_is_json_for_a_program_that_asked_for_it() -> None:
+    for words in (("runs", "--bogus"), ("machine", "show"), ("mach",), ("machine", "sho")):
+        wanted = here(*words, "--json")
+        assert (wanted.returncode, json.loads(wanted.stdout)["error"]["code"], wanted.stderr) == (2, "usage", "")
+    plain = here("machine", "sho")
+    assert (plain.returncode, plain.stdout, "Did you mean 'show'" in plain.stderr) == (2, "", True)
+
+
+def test_ctrl_c_is_told_and_a_reader_that_went_away_is_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dtwin.pipeline.machine_history.machine_overviews", interrupted)
+    stopped = here("machine", "list", "--json")
+    assert (stopped.returncode, stopped.stdout) == (130, "")
+    assert "run the same command again" in stopped.stderr
+    reader, writer = os.pipe()
+    os.close(reader)
+    listed = subprocess.run(
+        [sys.executable, "-m", "dtwin", "effects", "list"], stdout=writer, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writer)
+    assert (listed.returncode, listed.stderr) == (0, b"")
+
+
 @pytest.mark.parametrize("blocked", ["pyarrow", "mlflow"])
 def test_a_missing_part_is_named_without_a_traceback(blocked: str) -> None:
     command = {"pyarrow": "runs", "mlflow": "models"}[blocked]

@@ -100,6 +100,30 @@ def _link(members: list[tuple[tarfile.TarInfo, bytes]]) -> None:
     members.insert(0, (head, b""))
 
 
+def test_a_part_that_is_a_link_is_backed_up_and_one_further_down_is_refused(lived_in: Home, tmp_path: Path) -> None:
+    lived_in.lake.rename(tmp_path / "disk")
+    lived_in.lake.symlink_to(tmp_path / "disk")
+    rows = Lake(lived_in.lake).runs()
+    backup(lived_in, tmp_path / "home.tar")
+    other = Home(tmp_path / "other")
+    restore(tmp_path / "home.tar", other)
+    shutil.rmtree(tmp_path / "disk")
+    assert Lake(other.lake).runs() == rows
+    for words in (["runs"], ["home", "check"], ["home", "backup", str(tmp_path / "again.tar")]):
+        assert CliRunner().invoke(app, words, env={"DTWIN_HOME": str(lived_in.root)}).exception.code == "home.link"  # type: ignore[union-attr]
+    (other.machines / "mill-1.toml").symlink_to(other.machines / "mill-0.toml")
+    with pytest.raises(InputError, match="a link"):
+        backup(other, tmp_path / "again.tar")
+    assert not (tmp_path / "again.tar").exists()
+
+
+def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> None:
+    (lived_in.root / "mlflow").mkdir(exist_ok=True)
+    (lived_in.root / "mlflow" / "mlflow.db").write_text("x" * 2000)
+    with pytest.raises(StoreError, match="damaged"):
+        Registry(lived_in)
+
+
 def test_a_file_of_settings_that_states_nothing_is_in_no_backup(lived_in: Home, tmp_path: Path) -> None:
     (lived_in.root / "home.toml").write_text("# all is here\n", encoding="utf-8")
     backup(lived_in, tmp_path / "home.tar")

@@ -82,6 +82,27 @@ def test_a_file_that_is_no_record_is_refused_with_its_place(home: Home, text: st
     assert "mill-a.toml" in str(refused.value.where)
 
 
+def test_what_cannot_be_meant_of_a_machine_is_refused(home: Home) -> None:
+    said("machine", "add", "mill-a", "--tolerance", "Fmin(CW)=-5", "--tolerance", "D=-8:-3")
+    for words in (
+        ("add", "mill-a", "--tolerance", "G(b)=-8"),
+        ("add", "mill-a", "--tolerance", "G(b)=0"),
+        ("add", "mill-a", "--axis", "X=500"),
+        ("event", "mill-b", "crash"),
+        ("measure", "mill-b"),
+        ("event", "mill-a", "crash", "--on", "2099-01-01"),
+    ):
+        assert isinstance(CliRunner().invoke(app, ["machine", *words]).exception, InputError), words
+    said("machine", "add", "mill-a", "--test-every", "30")
+    asked = CliRunner().invoke(app, ["machine", "show", "mill-a", "--ics", "next.ics"]).exception
+    assert isinstance(asked, InputError)
+    assert "ingest" in str(asked.hint)
+    known = read_record(home, "mill-a")
+    assert known is not None
+    assert (known.axes, known.events, read_record(home, "mill-b")) == ({}, (), None)
+    assert known.tolerances == {"Fmin(CW)": Limits(-5.0, None), "D": Limits(-8.0, -3.0)}
+
+
 def test_a_name_cannot_leave_the_folder(home: Home) -> None:
     with pytest.raises(InputError, match="usable name"):
         read_record(home, "../../x")

@@ -27,6 +27,8 @@ from dtwin.people import (
     remove_person,
     require_second_person,
 )
+from dtwin.serve.bundle_file import load_bundle
+from dtwin.serve.pointer import resolve
 from dtwin.train import promotion
 from dtwin.train.registry import Registry
 from dtwin.workbench._access import Access
@@ -152,6 +154,26 @@ def test_a_champion_may_need_two_people(monkeypatch: pytest.MonkeyPatch) -> None
     stated, *promoted = audit(state)
     assert stated["what"] == "a champion needs two people"
     assert [line["who"] for line in promoted] == ["lena", "max"]
+
+
+def test_a_trial_of_the_champion_or_of_the_one_before_takes_nothing_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    state = home()
+    registry = Registry(state)
+    registered(state, small_bundle(), r2=(0.9, 0.8))
+    monkeypatch.setattr(promotion, "evidence_gate", lambda *args, **settings: [])
+    monkeypatch.setattr(promotion, "records", lambda *args: [])
+    evidence = dataclasses.make_dataclass("Told", ["kind", "runs"])("virtual", ())
+    for number in ("1", "2"):
+        promotion.promote(registry, state, registry.version(MACHINE, number), geometry={}, evidence=evidence)
+    champion = resolve("latest", MACHINE, state)
+    for number in ("2", "1"):
+        promotion.trial(registry, state, registry.version(MACHINE, number), geometry={})
+        assert resolve("trial", MACHINE, state).version == int(number)
+        assert resolve("latest", MACHINE, state) == champion
+        assert promotion.state_of(registry.version(MACHINE, "2"), state) == "champion"
+    promotion.rollback(registry, state, MACHINE)
+    back = resolve("latest", MACHINE, state)
+    assert (back.version, load_bundle(back.path, MACHINE).bundle.provenance.evidence) == (1, "virtual")
 
 
 def test_people_who_are_stated_at_one_moment_are_all_kept() -> None:

@@ -308,3 +308,10 @@ def test_a_twin_whose_first_version_could_not_be_written_is_none(tmp_path: Path)
     with pytest.raises(InputError) as refused:
         shelf.folder("empty")
     assert (refused.value.code, refused.value.allowed) == ("twin.unknown", "none yet")
+
+
+def test_a_version_that_another_process_made_meanwhile_is_not_replaced(shelf: TwinShelf) -> None:
+    shelf.store(version("t", 1))
+    with pytest.raises(InputError, match="another process"):
+        shelf.store(version("t", 1) | {"action": "of one that did not know"})
+    assert shelf.newest_document("t")[0]["action"] == "step 1"

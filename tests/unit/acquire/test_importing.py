@@ -336,3 +336,12 @@ def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_
     path.write_text("\n".join(["G03", *block, "G02", *block]), encoding="utf-8")
     with pytest.raises(InputError, match="second table"):
         understand(path, Home(tmp_path / "home"), CIRCLE, {})
+
+
+def test_conditions_that_are_missing_are_asked_of_the_file_that_the_user_knows(tmp_path: Path) -> None:
+    path = tmp_path / "my circle.csv"
+    path.write_text("t_s,angle_deg,deviation_um\n" + "".join(f"{n / 10},{n},0.1\n" for n in range(360)))
+    with pytest.raises(InputError) as refused:
+        write_folder(understand(path, Home(tmp_path), {"machine": "m"}, {}), tmp_path / "out", Home(tmp_path))
+    assert (refused.value.where, refused.value.code) == (str(path), "ingest.condition")
+    assert (refused.value.hint or "").startswith(f"dtwin import '{path}' --out FOLDER --plane XY")

@@ -167,6 +167,8 @@ def test_commands_say_what_was_done_and_what_was_passed_over(lake: Home) -> None
     said = shell.invoke(app, ["fleet", "diagnose", "--workers", "1"]).stdout
     assert "passed over, diagnosed already: c00, c01, c02, c03" in said
     assert "mill-1" in shell.invoke(app, ["fleet", "show", "--machine", "mill-1"]).stdout
+    for verb in ("diagnose", "train", "recheck", "nightly", "show"):
+        assert shell.invoke(app, ["fleet", verb, "--machine", "mill-x"]).exception.code == "machine.unknown"  # type: ignore[union-attr]
     assert "no controller signals" in shell.invoke(app, ["fleet", "train", "--workers", "1"]).stdout
 
 

@@ -19,7 +19,7 @@ import uvicorn
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.machine_record import keep_record, tolerances_of
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
@@ -171,6 +171,30 @@ def test_a_job_says_what_went_wrong_and_the_next_one_runs(tmp_path: Path) -> Non
     assert good.address == "/there"
 
 
+def test_work_goes_on_after_a_time_in_which_nothing_could_be_noted(tmp_path: Path) -> None:
+    notes, blocked, done = tmp_path / "jobs", threading.Event(), threading.Event()
+    jobs = Jobs(notes)
+
+    def fills_the_disk(_: Tell) -> str:
+        notes.rename(tmp_path / "away")
+        notes.write_text("")
+        blocked.set()
+        return ""
+
+    def right(_: Tell) -> str:
+        done.set()
+        return ""
+
+    first = jobs.start("fills the disk", fills_the_disk)
+    assert blocked.wait(10)
+    with pytest.raises(StoreError):
+        jobs.start("cannot be noted", right)
+    assert [job.title for job in jobs.unfinished() if job is not first] == []
+    notes.unlink()
+    jobs.start("right", right)
+    assert done.wait(10)
+
+
 def test_a_job_that_was_cut_off_is_known_at_the_next_start(tmp_path: Path) -> None:
     let_go, entered = threading.Event(), threading.Event()
 
@@ -196,6 +220,8 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
     client.get("/", params={"token": bench.access.token})
+    half = {"name": "x", "campaign": chr(0xD800)}
+    assert client.post("/api/twins", content=json.dumps(half)).status_code == 400
     told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
     jobs = [client.post("/api/machines/mill-a/tolerance", json=one).json()["job"] for one in told]
     let_go.set()

@@ -1,0 +1,28 @@
+"""Times of tests: their text begins with the day, whatever form of ISO 8601 stated it."""
+
+from __future__ import annotations
+
+import pytest
+
+from dtwin.acquire._stated import iso_time
+from dtwin.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("stated", "kept"),
+    [
+        ("", ""),
+        ("2026-03-02T08:00:00Z", "2026-03-02T08:00:00Z"),
+        ("2026-03-02 08:00:00", "2026-03-02 08:00:00"),
+        ("20260302T080000Z", "2026-03-02T08:00:00+00:00"),
+        ("2026-W10-1", "2026-03-02T00:00:00"),
+    ],
+)
+def test_a_time_is_kept_as_stated_where_its_day_can_be_read(stated: str, kept: str) -> None:
+    assert iso_time(stated, "started", "file") == kept
+
+
+@pytest.mark.parametrize("stated", ["yesterday", 5, True, None, "0001-01-01T00:00:00"])
+def test_what_is_no_time_of_a_test_is_refused(stated: object) -> None:
+    with pytest.raises(InputError, match="started"):
+        iso_time(stated, "started", "file")
