@@ -91,7 +91,8 @@ def _text(understood: Understood, out: Path | None) -> str:
         )
     if not understood.columns:
         lines.append(f"  {', '.join(understood.header)[:200]}: read as a table of its own form")
-    lines.append(f"  kind {understood.kind}" + "".join(f"; {name} {value}" for name, value in understood.told.items()))
+    told = {"kind": understood.kind, **understood.told}
+    lines.append("  " + "; ".join(f"{name} {value}" for name, value in told.items()))
     if understood.missing:
         lines.append(f"  missing: {', '.join(understood.missing)}")
     if understood.unconfirmed and out is None:
