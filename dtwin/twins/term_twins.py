@@ -10,15 +10,22 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.schema import require_name
-from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there
+from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
 
 class _Told(Protocol):
     def as_dict(self) -> dict[str, Any]: ...
 
 
+class _Measured(Protocol):
+    @property
+    def campaign(self) -> str: ...
+    @property
+    def machine(self) -> str: ...
+
+
 T = TypeVar("T")
-L = TypeVar("L")
+L = TypeVar("L", bound=_Measured)
 D = TypeVar("D", bound=_Told)
 W = TypeVar("W", bound="TermTwin[Any]")
 
@@ -111,7 +118,9 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[W, D]:
         """Find out what a twin lacks; nothing here is random."""
         twin = self.newest(name)
-        return twin, self._diagnosed(twin, self.loaded(twin.campaign))
+        loaded = self.loaded(twin.campaign)
+        require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
+        return twin, self._diagnosed(twin, loaded)
 
     def add(self, name: str, effect: str, axis: str = "") -> W:
         """Add an effect, of one axis or of all, refit, and store the new version."""

@@ -139,6 +139,8 @@ class Twins(TwinShelf):
         """Find out what a twin lacks."""
         twin = self.newest(name)
         loaded = self._load(twin.campaigns)
+        for one in loaded:
+            require_same_machine(name, twin.machine, one.obs.campaign.name, one.obs.campaign.machine)
         if isinstance(twin, SeveralTwin):
             diagnosis: Diagnosis = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
         else:

@@ -135,8 +135,9 @@ class HeatTwins(TwinShelf):
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[HeatTwin, HeatDiagnosis]:
         """Find out what a twin lacks; nothing here is random."""
-        twin = self.newest(name)
-        return twin, self._diagnosed(twin, self._loaded(twin))
+        twin, loaded = self.newest(name), self._loaded(self.newest(name))
+        require_same_machine(name, twin.machine, loaded.series.campaign, loaded.series.machine)
+        return twin, self._diagnosed(twin, loaded)
 
     def add(self, name: str, effect: str, axis: str = "") -> HeatTwin:
         """Add an error motion or a family, refit, and store the new version.

@@ -13,6 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
+from dtwin.acquire.amending import amend
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
@@ -240,3 +241,16 @@ def test_an_equation_is_trained_gated_and_served_or_it_is_said_why_not(measured:
     assert bundle.corrects == kind.name
     assert kind.gates(bundle, candidate.numbers)
     CompiledBundle(bundle)
+
+
+def test_a_twin_says_nothing_of_runs_that_turned_out_to_be_of_another_machine(measured: Measured, twin: str) -> None:
+    if not measured.kind.offers("twins"):
+        return
+    lake = Lake(measured.home.lake)
+    before = lake.campaign(measured.campaign).machine
+    amend(lake, measured.campaign, ["machine=other"], "a wrong name")
+    twins = measured.kind.twins(measured.home, None)
+    for ask in (twins.diagnose, twins.compare):
+        with pytest.raises(InputError, match="another machine"):
+            ask(twin)
+    amend(lake, measured.campaign, [f"machine={before}"], "it was right")
