@@ -147,9 +147,12 @@ def positioning_figure(runs: Sequence[Run], scale: Scale = LENGTHS) -> go.Figure
     means = zip(ways, (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)), strict=True)
     count = f"{len(runs)} run{'s' if len(runs) > 1 else ''}"
     named = {f"{way}, mean of {count}": (test.position_mm, mean) for way, mean in means}
-    return error_figure(
+    figure = error_figure(
         named,
         title=f"Deviation of axis {test.axis}",
         x_title=f"position, {scale.unit}",
         y_title=f"deviation, {scale.fine}",
     )
+    if scale.turn and np.ptp(test.position_mm) > scale.turn / 2:
+        figure.update_xaxes(dtick=scale.turn / 8)
+    return figure
