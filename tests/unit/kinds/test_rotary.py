@@ -396,6 +396,7 @@ def test_a_machine_has_a_decision_a_history_and_a_certificate(tmp_path: Path) ->
         said("ingest", path, "--kind", "rotary", "--axis", "C", "--machine", "m5")
     (first, _) = json.loads(said("machine", "show", "m5", "--json"))["tests"]
     assert (first["kind"], first["figure"], first["decision"]) == ("rotary", "A", "inside")
+    assert "A, axis C, 0 to 360 °, 9 targets" in said("machine", "show", "m5")
     assert first["value_arcsec"] == pytest.approx(figures["A"], abs=2e-3)
     changes = sheet_changes(Home(tmp_path / "home"), "autumn", "spring")
     assert {one["difference_arcsec"] for one in changes["figures"]} == {0.0}
