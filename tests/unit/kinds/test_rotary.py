@@ -391,9 +391,9 @@ def test_a_machine_has_a_decision_a_history_and_a_certificate(tmp_path: Path) ->
     said("machine", "add", "m5", "--tolerance", f"rotary:A={figures['A'] + 3:.0f}", "--tolerance", "A=0.1")
     assert "rotary:A ≤" in said("machine", "list") or unit_of_limit("rotary:A") == "arcsec"
     assert unit_of_limit("A") == unit_of_limit("rotation:A") == "um"
-    for name in ("spring", "autumn"):
+    for name, axis in (("spring", "C"), ("autumn", "c")):
         path = written(tmp_path, wide("mdeg"), f"{name}.csv")
-        said("ingest", path, "--kind", "rotary", "--axis", "C", "--machine", "m5")
+        said("ingest", path, "--kind", "rotary", "--axis", axis, "--machine", "m5")
     (first, _) = json.loads(said("machine", "show", "m5", "--json"))["tests"]
     assert (first["kind"], first["figure"], first["decision"]) == ("rotary", "A", "inside")
     assert "A, axis C, 0 to 360 °, 9 targets" in said("machine", "show", "m5")
