@@ -17,6 +17,7 @@ a unit are millimetres, or degrees, which is said; deviations must state theirs.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -121,7 +122,7 @@ def read_position_runs(
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
     if scale.turn and MOVES.fullmatch(axis):
         raise of_other_unit(LENGTHS, path, f"axis {axis}, which moves along")
-    turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(is_angle, first), "")
+    turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
     lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
     if not scale.turn and turns and not lengths:
         raise of_other_unit(scale, path, turns.strip()[:60])
@@ -131,6 +132,11 @@ def read_position_runs(
         only = f"the file holds other axes, too: what is called {axis} in it was read"
         said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
+
+
+def _names_angles(title: str) -> bool:
+    """Return whether a title tells a unit of angle; ``20.3 °`` is one value of something."""
+    return is_angle(title) and re.search(r"\d\s*°", title) is None
 
 
 def table_in(

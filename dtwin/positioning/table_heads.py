@@ -44,11 +44,11 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(
-    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)",
+    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
-    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
+    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
     r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
@@ -72,7 +72,7 @@ _SERIES = re.compile(
 _WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
 _WORDS = {
     "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
-    | {"aller", "andata", "ida", "正向", "往路", "正方向"},
+    | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
     "reverse": {
         "bwd",
         "backward",
@@ -88,7 +88,7 @@ _WORDS = {
         "minus",
     }
     | {"rück", "rückwärts", "zurück", "her"}
-    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向"},
+    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
 }
 _SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 

@@ -157,6 +157,9 @@ FORMS = {
     },
     "German": wide('"', "{way} {c} [{unit}]", "Winkel [°]").replace("forward", "vor").replace("reverse", "rück"),
     "Japanese": wide("arcsec", "{way}{c} [角秒]", "角度 [度]").replace("forward", "往路").replace("reverse", "復路"),
+    "Japanese of turns": wide("″", "{way}{c}({unit})", "指令角度(°)")
+    .replace("forward", "正転")
+    .replace("reverse", "逆転"),
     "units below": wide("arcsec", "{way} {c}", "Angle").replace("\n", "\ndeg" + ";arcsec" * 6 + "\n", 1),
     "positions": positions(),
     "parts of degrees": cells("deviation {way} {c}", "target", lambda t, x: sexagesimal(x)),
