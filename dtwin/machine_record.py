@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from datetime import date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from dtwin.atomic import make_folder, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
+from dtwin.local_time import local_day
 from dtwin.locks import locked
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
@@ -154,11 +155,10 @@ def with_event(home: Home, machine: str, what: str, on: str, note: str) -> Machi
     InputError
         When it is not usable, or did not happen yet.
     """
-    # The days of tests are those of where they were measured: in UTC a crash of this morning would be one of yesterday.
-    today = datetime.now().astimezone().date()
-    event = _event({"on": on or today.isoformat(), "what": what, "note": note}, "the event")
-    if event.on > today + timedelta(days=1):
-        raise _refused("the event: on", event.on.isoformat(), f"a day until {today}: a record says what happened")
+    day = local_day()
+    event = _event({"on": on or day.isoformat(), "what": what, "note": note}, "the event")
+    if event.on > day + timedelta(days=1):
+        raise _refused("the event: on", event.on.isoformat(), f"a day until {day}: a record says what happened")
     with _alone(home, machine):
         known = read_record(home, machine) or MachineRecord(machine)
         return _written(home, replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on))))

@@ -62,12 +62,26 @@ LENGTHS_MM = (
 )
 """How many millimetres a unit of length of a foreign file is, as people spell it, parts of one as :func:`with_shares` does."""
 ANGLES_DEG = (
-    {"mdeg": 1e-3, "m°": 1e-3, "gon": 0.9, "rad": 180.0 / math.pi, "mrad": 0.18 / math.pi}
+    {"mdeg": 1e-3, "m°": 1e-3, "gon": 0.9, "mgon": 0.9e-3, "rad": 180.0 / math.pi, "mrad": 0.18 / math.pi}
     | dict.fromkeys(("urad", "µrad", "μrad", "microrad"), 0.18e-3 / math.pi)
     | dict.fromkeys(("°", "deg", "degree", "degrees", "度"), 1.0)
     | dict.fromkeys(("arcmin", "arc min", "'", "\u2032", "角分", "分"), 1.0 / 60.0)
     | dict.fromkeys(
-        ("arcsec", "arc sec", "arcseconds", '"', "''", "\u2033", "\u2032\u2032", "角秒", "秒"), 1.0 / 3600.0
+        (
+            "arcsec",
+            "arc sec",
+            "arc-sec",
+            "arcseconds",
+            "bogensekunden",
+            "winkelsekunden",
+            '"',
+            "''",
+            "\u2033",
+            "\u2032\u2032",
+            "角秒",
+            "秒",
+        ),
+        1.0 / 3600.0,
     )
 )
 """The same of angles, in degrees; ``grad`` is none: a degree in German, 1/400 of a turn elsewhere."""

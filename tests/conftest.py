@@ -7,6 +7,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,9 @@ from hypothesis import settings
 from dtwin.config import quiet_environment, sample_recording
 
 quiet_environment()
+# Days and times of tests are those of the clock here, wherever that is.
+os.environ["TZ"] = "UTC"
+time.tzset()
 # Not by a process in the background, which would outlive the test.
 os.environ["DTWIN_MLFLOW"] = "now"
 # Thousands of small files, each written through to its disk: in memory where there is room.

@@ -13,6 +13,7 @@ from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
 _LONGEST = 400
+_AXIS = re.compile(r"[a-cu-z]\d?")
 _FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
 _CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
 
@@ -62,11 +63,13 @@ def covariates(value: object, where: str) -> dict[str, float]:
 
 
 def condition(value: object, where: str) -> dict[str, float | str]:
-    """Return what was set for a run: numbers and words by name."""
+    """Return what was set for a run: numbers and words by name; ``axis = "c"`` is C, with which it is compared."""
     if not isinstance(value, Mapping):
         raise _refused("condition", where, value, "a table of numbers and words")
     return {
-        name: v
+        name: v.upper()
+        if name == "axis" and isinstance(v, str) and _AXIS.fullmatch(v)
+        else v
         if isinstance(v, str) and len(v) <= _LONGEST
         else v
         if isinstance(v, int) and not isinstance(v, bool) and abs(v) < 2**53

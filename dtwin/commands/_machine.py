@@ -254,20 +254,22 @@ def _history_text(history: Mapping[str, Any]) -> str:
     from dtwin.units import shown_unit
 
     lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
-    rows = [
+    rows = [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
+    rows += [
         [
             t["started"][:10],
             t["campaign"],
             t["kind"],
-            t["figure"] or "-",
+            ", ".join(filter(None, (t["figure"], t["condition"]))) or "-",
             f"{t['shown']} {shown_unit(t['unit'])}" if t["shown"] else "-",
             t["decision"] or "-",
         ]
         for t in history["tests"]
     ]
-    rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
     if rows:
-        lines += ["", table(("day", "test or note", "kind", "figure", "value", "decision"), sorted(rows))]
+        # Of one day tests stand in the order of their times.
+        rows.sort(key=lambda row: row[0])
+        lines += ["", table(("day", "test or note", "kind", "figure", "value", "decision"), rows)]
     if history["series"]:
         lines += ["", *_series_lines(history["series"])]
     if history["next_test"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.fleet._channels import Channel
+from dtwin.local_time import local_day
 from dtwin.locks import locked
 
 SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
@@ -84,7 +85,7 @@ class Told:
 def tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], today: date | None = None) -> Told:
     """Send each channel one message with the alerts that it was not told of; what is over may be told again later."""
     with locked(_path(home).with_suffix(".lock"), wait=True):
-        return _tell(home, alerts, channels, today or datetime.now(UTC).date())
+        return _tell(home, alerts, channels, today or local_day())
 
 
 def _tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], day: date) -> Told:
@@ -133,7 +134,7 @@ def silence(home: Home, key: str, days: float, today: date | None = None) -> str
         )
     if not 0 <= days <= _MOST_DAYS:
         raise InputError("not a number of days", code="alert.days", got=f"{days:g}", allowed=f"0 to {_MOST_DAYS}")
-    until = ((today or datetime.now(UTC).date()) + timedelta(days=math.ceil(days))).isoformat()
+    until = ((today or local_day()) + timedelta(days=math.ceil(days))).isoformat()
     with locked(_path(home).with_suffix(".lock"), wait=True):
         _silence(home, key, until if days else "")
     return until

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from datetime import UTC, date, datetime
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from dtwin.fleet._alerts import Alert, Told, sorted_alerts, tell
 from dtwin.fleet._channels import channels_of
 from dtwin.fleet._jobs import DIAGNOSE, Job, recheck_job
 from dtwin.fleet._run import FleetRun, run_fleet
+from dtwin.local_time import local_day
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
 from dtwin.progress import Progress, StageProgress
@@ -93,7 +94,7 @@ def nightly(
 
     night = Night(done(DIAGNOSE), done(recheck_job(_DAYS)), arrived)
     looked_at = None if progress is None else partial(progress, "history")
-    day = today or datetime.now(UTC).date()
+    day = today or local_day()
     night.alerts = sorted_alerts([*_of_work(night, folder), *_of_machines(home, machines, day, looked_at)])
     night.told = tell(home, night.alerts, channels, today)
     # A night that is cut short before tells the next time what it refused.

@@ -14,6 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from dtwin.errors import StoreError
+from dtwin.local_time import local_time
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 
 _Row = TypeVar("_Row", bound=Mapping[str, Any])
@@ -214,6 +215,8 @@ def differences(stored: Mapping[str, Any], stated: Mapping[str, Any]) -> list[st
                 for key in sorted({*before, *after})
                 if before.get(key) != after.get(key)
             ]
+        elif name == "started" and local_time(was or "") == local_time(now or ""):
+            continue
         elif was != now and not (was is None and now != now):
             told.append(f"{name}: {was} -> {now}")
     measured = ("samples", "signals")
@@ -246,6 +249,8 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
         now = {
             **row,
             **changes,
+            # As times without a zone are told, so that order and days of tests are those of one clock.
+            "started": local_time(changes.get("started", row["started"]) or ""),
             "raw_sha256": row["content_sha256"],
             "amendments": records,
             "metadata_version": records[-1]["version"] if records else 0,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 from dtwin.config import Home
@@ -11,6 +10,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.kind import Planned
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
+from dtwin.local_time import local_day
 from dtwin.machine_record import MachineRecord
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
@@ -132,7 +132,7 @@ def _proposed(
 ) -> list[tuple[Planned, dict[str, Any]]]:
     """Return plans with their documents, named after machine and day so that each becomes a campaign of its own."""
     axes = record.axes or {axis: {} for obs in measured for axis in obs.axes} or {axis: {} for axis in _USUAL_AXES}
-    day = datetime.now(UTC).date().isoformat()
+    day = local_day().isoformat()
     out = []
     for kind in [kind_named(name) for name in allowed] or [kind for kind in kinds() if kind.offers("proposals")]:
         for document in kind.proposals(record.name, axes):

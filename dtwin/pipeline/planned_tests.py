@@ -20,6 +20,7 @@ from dtwin.kinds.machine import PLAN, VirtualMachine
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.rows import campaign_of, meta_of
 from dtwin.lake.store import Lake
+from dtwin.local_time import local_day
 from dtwin.machine_record import read_record
 from dtwin.physics.candidates import applicable
 from dtwin.physics.effect import Effect
@@ -48,7 +49,7 @@ def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
     record = read_record(home, require_name(machine, "the machine"))
     axes = (record.axes if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
     document = {table: dict(known) for table, known in kind_named(kind).draft(machine, axes).items()}
-    stem = f"{machine}-{document['plan']['name']}-{datetime.now(UTC).date().isoformat()}"
+    stem = f"{machine}-{document['plan']['name']}-{local_day().isoformat()}"
     taken = {*Lake(home.lake).campaigns(), *(path.stem for path in home.plans.glob("*.toml"))}
     free = (stem if n == 1 else f"{stem}-{n}" for n in range(1, len(taken) + 2))
     document["plan"]["name"] = next(name for name in free if name not in taken)

@@ -9,8 +9,10 @@ from dtwin.acquire.foreign_columns import in_english
 from dtwin.acquire.table_dialect import rows_of
 from dtwin.positioning.table_heads import (
     ANGLE,
+    CYCLE,
     MOST_TITLES,
     NAMED,
+    SURELY_READ,
     is_deviation,
     is_length,
     names_target,
@@ -22,18 +24,55 @@ from dtwin.units import ANGLES_DEG
 
 _ANGLE_HEAD = re.compile(r"(\w+[ _-]?)?(angle|winkel|angular position|rotary position)\b", re.I)
 
+_NUMBER = r"(\d+(?:\.\d+)?)\s*"
+_PARTS = re.compile(
+    rf"([+\-\u2212]?)\s*(?:{_NUMBER}°\s*)?(?:{_NUMBER}['\u2032\u2019]\s*)?(?:{_NUMBER}(?:[\"\u2033\u201d]|''|\u2032\u2032|\u2019\u2019))?"
+)
+
+
+def with_degrees(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return a table whose cells in degrees, minutes and seconds, ``12°30'05"``, are numbers: in the unit of their head, or in degrees, which it says then."""
+    out = [list(row) for row in rows]
+    seen: dict[int, float] = {}
+    # Alone, ``2.5"`` may be a length.
+    surely = any("°" in cell and _degrees(cell) is not None for row in rows for cell in row)
+    for n, row in enumerate(rows if surely else ()):
+        for i, cell in enumerate(row):
+            degrees = _degrees(cell)
+            if degrees is None:
+                continue
+            if i not in seen:
+                head = out[n - 1][i] if n and i < len(out[n - 1]) else ""
+                seen[i] = ANGLES_DEG.get(plain_unit(told_unit(head, "")), 0.0)
+                if head and not seen[i]:
+                    out[n - 1][i] = f"{head.partition('[')[0].strip()} [°]"
+            out[n][i] = repr(degrees / (seen[i] or 1.0))
+    return out
+
+
+def _degrees(cell: str) -> float | None:
+    """Return an angle in degrees, minutes and seconds; None of another cell."""
+    match = _PARTS.fullmatch(cell.strip())
+    if match is None or not any(match.groups()[1:]):
+        return None
+    degrees, minutes, seconds = (float(part or 0) for part in match.groups()[1:])
+    if (match[2] and minutes >= 60.0) or ((match[2] or match[3]) and seconds >= 60.0):
+        return None
+    return (1.0 if match[1] in ("", "+") else -1.0) * (degrees + minutes / 60.0 + seconds / 3600.0)
+
 
 def angles_as_targets(text: str) -> str:
     """Return a text whose heads of angles, ``Winkel [°]``, say that they are targets, ``target: Winkel [°]``, where the heads beside are of a positioning test.
 
-    They are where several name a direction, or hold deviations in a unit of angle, and none is in a unit of length.
+    They are where several name a direction, or hold deviations or runs in a unit of angle, and none is in a unit of length.
     """
-    rows = rows_of(text)
+    rows = with_degrees(rows_of(text))
     for row, below in zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False):
         at = next((i for i, cell in enumerate(row) if _ANGLE_HEAD.match(in_english(cell))), -1)
         others = [in_english(cell) for i, cell in enumerate(row) if i != at]
         small = any(map(_in_angles, (*others, *(cell for i, cell in enumerate(below) if i != at))))
-        read = any(way_of(cell) or is_deviation(cell) for cell in others)
+        runs = (cell for cell in others if CYCLE.match(cell) or SURELY_READ.match(cell))
+        read = any(way_of(cell) or is_deviation(cell) for cell in others) or any(map(_in_angles, runs))
         ways = sum(way_of(cell) is not None for cell in others)
         if at >= 0 and (ways > 1 or (small and read)) and not any(map(is_length, (*row, *below))):
             head = row[at].strip()

@@ -69,12 +69,15 @@ def require_near(table: PositionTable, path: Path) -> None:
             allowed="readings that grow as the targets do",
             hint="change the sign of all readings, or of all targets where those count the other way",
         )
-    if table.by_position and np.median(np.abs(off_mm - np.median(off_mm))) > LITTLE * np.ptp(table.target_mm):
+    apart = np.abs(off_mm - np.median(off_mm))
+    if table.by_position and np.median(apart) > LITTLE * np.ptp(table.target_mm):
+        most = int(np.argmax(apart))
+        read = target_mm[most] + off_mm[most]
         raise InputError(
             "the readings are taken for positions, and do not follow their targets",
             code="position_table.unit",
             where=str(path),
-            got=f"{target_mm[-1] + off_mm[-1]:z.6g} {scale.unit} at a target of {target_mm[-1]:z.6g} {scale.unit}",
+            got=f"{read % scale.turn if scale.turn else read:z.6g} {scale.unit} at a target of {target_mm[most]:z.6g} {scale.unit}",
             allowed="positions; or deviations whose heads say so and state the unit",
             hint=f"write into the heads of deviations that they are, and the unit, such as: deviation forward 1 [{scale.fine}]",
         )

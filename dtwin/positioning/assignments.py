@@ -67,7 +67,8 @@ def number_of(cell: str, where: str) -> float:
             code="position_table.number",
             where=where,
             got=cell[:40] or "nothing",
-            allowed="a finite number; an empty cell, -, nan or n/a where nothing was read",
+            allowed="a finite number; an empty cell, -, nan or n/a where nothing was read; angles such as 12°30'05\"",
+            hint="units of single numbers belong into the heads, such as: forward 1 [″], forward 1 [µm]",
         )
     return value
 

@@ -17,6 +17,7 @@ a unit are millimetres, or degrees, which is said; deviations must state theirs.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,7 +32,7 @@ from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.positioning._angles import angles_as_targets, of_angles
+from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._instruments import instruments_beside
 from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
 from dtwin.positioning._one_place import one_place, trials_of
@@ -62,8 +63,8 @@ from dtwin.positioning.table_heads import (
     axes_beside,
     deviation_of,
     is_deviation,
+    is_length,
     is_row_of_units,
-    is_unit,
     long_of,
     names_no_direction,
     other_targets,
@@ -74,7 +75,7 @@ from dtwin.positioning.table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.schema import Campaign, Finding, Run
+from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
@@ -94,7 +95,7 @@ def axis_turns(path: Path) -> bool | None:
     if is_assigned(text):
         return assigned_unit(text) in ANGLES_DEG
     text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
-    rows = rows_of(text)
+    rows = with_degrees(rows_of(text))
     tables = [table.rows for table in report_tables(text, rows) or instruments_beside(rows)]
     plain = None if tables else table_of(rows)
     if tables or plain is not None:
@@ -114,21 +115,28 @@ def read_position_runs(
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     part = part_of_axis(whole, axis, path)
     text = angles_as_targets(part)
-    every = rows_of(text)
+    every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)
     require_axis(told, axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
-    tells = any(told_unit(cell, "") or is_unit(cell) for row in rows[:MOST_TITLES] for cell in row)
+    first = [cell for row in rows[:MOST_TITLES] for cell in row]
     if scale.turn and MOVES.fullmatch(axis):
         raise of_other_unit(LENGTHS, path, f"axis {axis}, which moves along")
-    if not scale.turn and TURNS.fullmatch(axis) and not tells and not is_assigned(text):
-        raise of_other_unit(scale, path, f"axis {axis}, and no unit")
+    turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
+    lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
+    if not scale.turn and turns and not lengths:
+        raise of_other_unit(scale, path, turns.strip()[:60])
     table = table_in(text, rows, path, str(condition.get("instrument", "")), scale)
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     if others:
         only = f"the file holds other axes, too: what is called {axis} in it was read"
         said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
+
+
+def _names_angles(title: str) -> bool:
+    """Return whether a title tells a unit of angle; ``20.3 °`` is one value of something."""
+    return is_angle(title) and re.search(r"\d\s*°", title) is None
 
 
 def table_in(
@@ -183,20 +191,27 @@ def table_in(
 
 
 def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
-    """Return readings whose head says one thing and whose values are the other: positions in µm, deviations in mm."""
+    """Return readings of an axis that turns within half a turn, and those whose head says one thing and whose values are the other: positions in µm, deviations in mm."""
     target_um = np.array([reading[0] for reading in readings]) * scale.per
     told_um = np.array([reading[3] for reading in readings])
     size = float(np.abs(target_um - target_um.mean()).max()) if len(readings) else 0.0
     # Told as deviations: they grow as the targets do. Told as positions: what is left is the target itself.
     for by_position, sign in ((False, 1.0), (True, -1.0)):
         alike = all(reading[4] is by_position for reading in readings)
-        off = told_um - sign * target_um
+        off = _within_turn(told_um - sign * target_um, scale)
         if alike and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
             return [
                 (target, way, cycle, float(um), not by_position)
                 for (target, way, cycle, _, _), um in zip(readings, off, strict=True)
             ]
-    return list(readings)
+    within = _within_turn(told_um, scale)
+    return [(*reading[:3], float(um), reading[4]) for reading, um in zip(readings, within, strict=True)]
+
+
+def _within_turn(off: Floats, scale: Scale) -> Floats:
+    """Return deviations of an axis that turns within half a turn: 359.9998 at a target of 0 is short of it."""
+    turn = scale.turn * scale.per
+    return off - turn * np.round(off / turn) if turn else off
 
 
 def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -> PositionTable:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import unicodedata
 from collections import Counter
@@ -45,11 +44,11 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(
-    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標)",
+    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
-    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標)", re.I
+    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
     r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
@@ -64,7 +63,7 @@ OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh
 """What reads for the control itself."""
 _ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
 SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
-_CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
+CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
     re.I,
@@ -73,7 +72,7 @@ _SERIES = re.compile(
 _WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
 _WORDS = {
     "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
-    | {"aller", "andata", "ida", "正向", "往路", "正方向"},
+    | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
     "reverse": {
         "bwd",
         "backward",
@@ -89,7 +88,7 @@ _WORDS = {
         "minus",
     }
     | {"rück", "rückwärts", "zurück", "her"}
-    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向"},
+    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
 }
 _SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
@@ -115,7 +114,7 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     targets = _targets(names)
     ways = _ways_of(names)
     told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
-    cycle = next((i for i, name in enumerate(names) if _CYCLE.match(name) and way_of(name) is None), None)
+    cycle = next((i for i, name in enumerate(names) if CYCLE.match(name) and way_of(name) is None), None)
     cells = [(i, way, number) for i, way, number in told if way and not SUMS_UP.search(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
     # Positions and their deviations may stand beside each other.
@@ -251,7 +250,7 @@ def long_of(heads: Sequence[str]) -> Long | None:
     def first(pattern: re.Pattern[str], *taken: int | None) -> int | None:
         return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
 
-    way, cycle = first(_WAY), first(_CYCLE)
+    way, cycle = first(_WAY), first(CYCLE)
     deviation = first(_DEVIATION, way, cycle)
     value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
     indices = [i for i, name in enumerate(names) if is_index(name)]
@@ -284,9 +283,9 @@ def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
         i
         for i in there
         if i not in targets
-        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or _CYCLE.match(told[i]))
+        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]))
         and not SUMS_UP.search(told[i])
-        and not (_CYCLE.match(told[i]) and not told_unit(told[i], ""))
+        and not (CYCLE.match(told[i]) and not told_unit(told[i], ""))
     ]
     return targets, read
 
@@ -321,8 +320,7 @@ def by_way_of(heads: Sequence[str]) -> tuple[int, int, tuple[tuple[int, int], ..
 def deviation_of(head: str, factor: float, value: float, target: float, scale: Scale) -> tuple[float, bool]:
     """Return the deviation, and whether the column holds positions; ``factor``: how many of the unit of targets its own is."""
     by_position = not is_deviation(head) and factor >= _OF_POSITIONS
-    off = value - target if by_position else value
-    return (math.remainder(off, scale.turn) if by_position and scale.turn else off) * scale.per, by_position
+    return (value - target if by_position else value) * scale.per, by_position
 
 
 def way_of(text: str, *, ones: bool = False) -> str | None:
@@ -367,7 +365,7 @@ def told_unit(head: str, unit: str) -> str:
     """Return the unit of a column as ``unit``, the row below, or the head tells it, known here or not; empty without one."""
     told = unit.strip() or unit_of(unicodedata.normalize("NFKC", head))
     inside = (text for text in _IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
-    words = (_TARGET, _ACTUAL, _DEVIATION, _CYCLE)
+    words = (_TARGET, _ACTUAL, _DEVIATION, CYCLE)
     return told or next((text for text in inside if not any(word.search(text) for word in words)), "")
 
 

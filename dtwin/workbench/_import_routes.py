@@ -40,6 +40,7 @@ class _Told(BaseModel):
     feed_mm_min: float | None = None
     direction: str = Field("", max_length=10)
     axis: str = Field("", max_length=10)
+    kind: str = Field("", max_length=20)
     instrument: str = Field("", max_length=100)
 
     def as_dict(self) -> dict[str, Any]:

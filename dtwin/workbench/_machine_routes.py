@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
+from dtwin.local_time import local_day
 from dtwin.machine_record import EVENTS, keep_record, record_with, with_event
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
@@ -234,4 +235,4 @@ def _series(history: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 def _overdue(history: Mapping[str, Any]) -> bool:
     due = history["next_test"]
-    return bool(due) and str(due["on"]) < datetime.now(UTC).date().isoformat()
+    return bool(due) and str(due["on"]) < local_day().isoformat()

@@ -17,7 +17,7 @@ ANGLES = Scale(
     units=ANGLES_DEG,
     largest=3600.0,
     longest=36_000.0,
-    allowed="°, mdeg, arcmin, arcsec, ″, rad, mrad, µrad, gon; grad is a degree in German and 1/400 of a turn elsewhere",
+    allowed="°, mdeg, arcmin, arcsec, ″, rad, mrad, µrad, gon, mgon; grad is a degree in German and 1/400 of a turn elsewhere",
     elsewhere="a table of lengths is one of a linear axis: --kind linear --axis X",
     turn=360.0,
 )

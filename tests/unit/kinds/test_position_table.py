@@ -1185,7 +1185,21 @@ def test_an_axis_that_turns_by_its_name_needs_a_unit(tmp_path: Path) -> None:
     stated = {"condition": {"axis": "C"}}
     with pytest.raises(InputError) as refused:
         read_position_runs(path, Campaign("c", "m", kind="linear"), stated)
-    assert refused.value.got == "axis C, and no unit"
+    assert refused.value.got == "axis C, and no unit of length"
+    # A title that names degrees is no unit of length, for an axis of any name.
+    path.write_text(f"Rotary table (deg)\nTarget{body}", encoding="utf-8")
+    for axis, got in (("C", "axis C, and no unit of length"), ("X", "Rotary table (deg)")):
+        with pytest.raises(InputError, match="in angles") as refused:
+            read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"axis": axis}})
+        assert refused.value.got == got
+    path.write_text(f"Room at 20.3 °\nTarget{body}", encoding="utf-8")
+    assert len(read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"axis": "X"}})[0]) == 2
+    path.write_text(
+        "TGT_DATA[1]=0\nTGT_DATA[2]=90\nREF_DATA_FWD[1,1]=0.001\nREF_DATA_FWD[2,1]=90.001", encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="in angles"):
+        read_position_runs(path, Campaign("c", "m", kind="linear"), stated)
+    path.write_text(f"Target{body}", encoding="utf-8")
     assert len(read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"axis": "X"}})[0]) == 2
     path.write_text(f"Target [mm]{body}", encoding="utf-8")
     assert len(read_position_runs(path, Campaign("c", "m", kind="linear"), stated)[0]) == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,20 @@ def turned(unit: str, degrees: float) -> str:
     return "\n".join([heads, *(f"{float(t) / degrees:.9g};{rest}" for t, _, rest in pairs)])
 
 
+def sexagesimal(degrees: float) -> str:
+    tenths = round(abs(degrees) * 36_000.0)
+    return f"{'-' if degrees < 0.0 else ''}{tenths // 36_000}°{tenths // 600 % 60:02d}'{tenths % 600 / 10.0:04.1f}\""
+
+
+def cells(head: str, target: str, of: Callable[[float, float], str]) -> str:
+    """Return a table of targets in degrees and minutes; ``of`` target and deviation in degrees a cell is made."""
+    rows = [
+        ";".join([sexagesimal(t), *(of(t, x / 3600.0) for c in range(3) for x in (f[c], r[c]))])
+        for t, f, r in zip(TARGETS, FORWARD, REVERSE, strict=True)
+    ]
+    return "\n".join([";".join([target, *(head.format(way=w, c=c) for c in (1, 2, 3) for w in ("fwd", "rev"))]), *rows])
+
+
 FORMS = {
     **{
         f"in {unit}": wide(unit, "deviation {way} {c} [{unit}]" if unit == "deg" else "{way} {c} [{unit}]")
@@ -142,8 +157,24 @@ FORMS = {
     },
     "German": wide('"', "{way} {c} [{unit}]", "Winkel [°]").replace("forward", "vor").replace("reverse", "rück"),
     "Japanese": wide("arcsec", "{way}{c} [角秒]", "角度 [度]").replace("forward", "往路").replace("reverse", "復路"),
+    "Japanese of turns": wide("″", "{way}{c}({unit})", "指令角度(°)")
+    .replace("forward", "正転")
+    .replace("reverse", "逆転"),
     "units below": wide("arcsec", "{way} {c}", "Angle").replace("\n", "\ndeg" + ";arcsec" * 6 + "\n", 1),
     "positions": positions(),
+    "parts of degrees": cells("deviation {way} {c}", "target", lambda t, x: sexagesimal(x)),
+    "positions in these": cells("actual {way} {c} [° ' \"]", "Soll [DMS]", lambda t, x: sexagesimal((t + x) % 360.0)),
+    "these below seconds": cells('{way} {c} ["]', "target [°]", lambda t, x: sexagesimal(x)),
+    "seconds with their mark": cells("{way} {c}", "target", lambda t, x: f'{x * 3600.0:.1f}"'),
+    "deviations near a turn": cells("deviation {way} {c} [°]", "target", lambda t, x: f"{x % 360.0:.7f}"),
+    "degrees that no head calls deviations": wide("deg"),
+    "runs below directions": "\n".join(
+        [
+            f'{way}\nWinkel [°];Lauf 1 ["];Lauf 2 ["];Lauf 3 ["]\n'
+            + "\n".join(f"{t:g};" + ";".join(f"{x:g}" for x in row) for t, row in zip(TARGETS, v, strict=True))
+            for way, v in (("Vorwärts", FORWARD), ("Rückwärts", REVERSE))
+        ]
+    ),
     "targets in gon": turned("gon", 0.9),
     "targets in rad": turned("rad", 180.0 / np.pi),
     "long": long("target [°],direction,cycle,deviation [arcsec]"),
@@ -363,11 +394,12 @@ def test_a_machine_has_a_decision_a_history_and_a_certificate(tmp_path: Path) ->
     said("machine", "add", "m5", "--tolerance", f"rotary:A={figures['A'] + 3:.0f}", "--tolerance", "A=0.1")
     assert "rotary:A ≤" in said("machine", "list") or unit_of_limit("rotary:A") == "arcsec"
     assert unit_of_limit("A") == unit_of_limit("rotation:A") == "um"
-    for name in ("spring", "autumn"):
+    for name, axis in (("spring", "C"), ("autumn", "c")):
         path = written(tmp_path, wide("mdeg"), f"{name}.csv")
-        said("ingest", path, "--kind", "rotary", "--axis", "C", "--machine", "m5")
+        said("ingest", path, "--kind", "rotary", "--axis", axis, "--machine", "m5")
     (first, _) = json.loads(said("machine", "show", "m5", "--json"))["tests"]
     assert (first["kind"], first["figure"], first["decision"]) == ("rotary", "A", "inside")
+    assert "A, axis C, 0 to 360 °, 9 targets" in said("machine", "show", "m5")
     assert first["value_arcsec"] == pytest.approx(figures["A"], abs=2e-3)
     changes = sheet_changes(Home(tmp_path / "home"), "autumn", "spring")
     assert {one["difference_arcsec"] for one in changes["figures"]} == {0.0}

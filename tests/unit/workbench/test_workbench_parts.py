@@ -281,6 +281,16 @@ def test_a_table_in_an_archive_is_asked_about_and_refusals_name_fields_of_the_fo
     found = client.post(f"/api/trays/{tray}/understand", json={"file": name, "told": {"axis": "X"}}).json()
     assert 'instrument in the form: "laser"' in found["refused"]
     assert "--" not in found["refused"]
+    # What the refusal of a table of angles without units proposes is in the form.
+    table = "Target,fwd 1,rev 1\n0,0.001,0.002\n90,90.001,90.002"
+    client.put(f"/api/trays/{tray}", params={"name": "c.csv"}, content=table)
+    asked = [{"axis": "C", "machine": "m", **more} for more in ({}, {"kind": "rotary"})]
+    first, then = (
+        client.post(f"/api/trays/{tray}/understand", json={"file": "c.csv", "told": told}).json() for told in asked
+    )
+    assert "kind in the form: rotary" in first["refused"]
+    assert (then["refused"], then["kind"]) == ("", "rotary")
+    assert 'name="kind"' in client.get("/").text
 
 
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:

@@ -1,0 +1,23 @@
+"""Times and days as the clock of this computer tells them: times without a zone are of it, and those of other zones are told by it."""
+
+from __future__ import annotations
+
+from datetime import date, datetime
+
+
+def local_time(text: str) -> str:
+    """Return an ISO 8601 time with a zone as this computer's clock tells it; one that tells no zone, and what is no time, as it is.
+
+    So texts of times stand in the order of the times, and begin with the day that people here call it.
+    """
+    try:
+        told = datetime.fromisoformat(text)
+        here = told.astimezone()
+    except (ValueError, OverflowError):
+        return text
+    return text if told.tzinfo is None or told.utcoffset() == here.utcoffset() else here.isoformat()
+
+
+def local_day() -> date:
+    """Return today, here: in UTC a crash of this morning would be one of yesterday."""
+    return datetime.now().astimezone().date()
