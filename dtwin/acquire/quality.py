@@ -16,24 +16,12 @@ _MIN_SPREAD_UM = 0.02
 
 
 def judge_run(run: Run) -> list[Finding]:
-    """Return the findings of one run.
-
-    Parameters
-    ----------
-    run : Run
-        A run with its samples.
-    """
+    """Return the findings of one run, which has its samples."""
     return [*_too_small(run), *kind_named(run.meta.kind).judge_run(run)]
 
 
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the runs lack as a whole.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs of one campaign, perhaps as ``without_samples`` leaves them.
-    """
+    """Return what the runs of one campaign lack as a whole; they may be as ``without_samples`` leaves them."""
     return kind_named(runs[0].meta.kind).judge_campaign(runs) if runs else []
 
 

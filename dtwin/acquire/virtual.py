@@ -67,15 +67,7 @@ class VirtualCobotBench:
 
 
 def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: datetime) -> Run:
-    """Return a recording of the virtual cobot as a run.
-
-    Parameters
-    ----------
-    plane : str
-        Standard plane.
-    started : datetime
-        Time to state.
-    """
+    """Return a recording of the virtual cobot as a run that states this standard plane and time."""
     condition = recording.condition
     direction: Direction = "CCW" if condition.direction == "CCW" else "CW"
     arc_deg = 360.0 if plane == "XY" else 180.0

@@ -150,22 +150,7 @@ def promote_proven(
 ) -> Path:
     """Make a version champion by its evidence, computed again from its runs.
 
-    Parameters
-    ----------
-    despite : sequence of str
-        Names of all evidence that speaks against the version.
-    valid_days : float
-        How long the evidence holds; 0 for ever.
-
-    Returns
-    -------
-    Path
-        The served bundle.
-
-    Raises
-    ------
-    GateRefusal
-        When a gate says no, or the evidence is not what its runs say.
+    The rest is as for :func:`dtwin.train.promotion.promote`; evidence that is not what its runs say is refused, too.
     """
     registry = Registry(home)
     return promote(

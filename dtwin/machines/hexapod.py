@@ -69,15 +69,7 @@ class VirtualHexapod:
     def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> HexapodRecording:
         """Return the recording of one run with half a turn before and after.
 
-        Parameters
-        ----------
-        setup : str
-            Mounting of the bar; its runs share eccentricity and length error.
-
-        Raises
-        ------
-        InputError
-            When the condition makes no sense or is out of reach.
+        Set-up and errors as for :meth:`dtwin.machines.cobot.VirtualCobot.measure`.
         """
         condition = condition.standard()
         _require_reach(condition)
