@@ -48,13 +48,7 @@ def _too_small(run: Run) -> list[Finding]:
 
 
 def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
-    """Return a finding for every run that holds the samples of another one.
-
-    Parameters
-    ----------
-    samples_sha256 : mapping of str to str
-        Hash of the samples by run id, in the order in which the runs came.
-    """
+    """Return a finding for every run that holds the samples of an earlier one; hashes are in the order of the runs."""
     first: dict[str, str] = {}
     findings = {}
     for name, digest in samples_sha256.items():

@@ -22,10 +22,7 @@ EPOCH = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
 class VirtualCobotBench:
     """A UR10e that exists only as equations of motion, with ball bar and accelerometers.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the machine, its set-ups and its noise.
+    The seed is of the machine, its set-ups and its noise.
     """
 
     name = "virtual-cobot"

@@ -51,15 +51,7 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
 
 
 def virtual_mill(hidden: str = "backlash", **settings: Any) -> VirtualMill:
-    """Return the mill of the tutorials.
-
-    Parameters
-    ----------
-    hidden : str
-        Its fault, as in ``tutorial_mill``.
-    **settings
-        Further attributes of ``VirtualMill``.
-    """
+    """Return the mill of the tutorials, with a fault of ``tutorial_mill`` and further attributes of ``VirtualMill``."""
     disturbance = _wobble if hidden == "wobble" else None
     return VirtualMill(tutorial_mill(hidden), disturbance=disturbance, **settings)
 

@@ -156,13 +156,7 @@ class Split:
     condition_of: NDArray[np.int64]
 
     def sizes(self, rows: NDArray[np.bool_] | None = None) -> dict[str, _Part]:
-        """Return RMS and noise floor of every part.
-
-        Parameters
-        ----------
-        rows : ndarray of bool, shape (rows,), optional
-            Some rows; all without.
-        """
+        """Return RMS and noise floor of every part, over the chosen rows, shape (rows,), or over all."""
         chosen = np.ones(len(self.known), dtype=bool) if rows is None else rows
         known, conditions = self.known[chosen], self.condition_of[chosen]
         return {

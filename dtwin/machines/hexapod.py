@@ -55,10 +55,7 @@ class HexapodRecording:
 class VirtualHexapod:
     """A hexapod cell with ball bar and accelerometer, whose errors are known.
 
-    Parameters
-    ----------
-    seed : int
-        Which of the machines that share these parameters, its mountings and its noise.
+    The seed says which of the machines that share these parameters it is, and is of its mountings and its noise.
     """
 
     def __init__(self, parameters: HexapodParameters | None = None, seed: int = 0) -> None:

@@ -167,13 +167,7 @@ def _range_of(values: Sequence[float]) -> dict[str, str]:
 
 
 def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
-    """Return how far the periods of a serving session were off.
-
-    Parameters
-    ----------
-    histogram : dict of str to int
-        Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
-    """
+    """Return how far the periods of a serving session were off: ticks by jitter in us, of ``LoopTiming.summary``."""
     top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
     figure = go.Figure(go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
     figure.update_layout(

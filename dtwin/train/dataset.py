@@ -72,13 +72,7 @@ class TickRun:
 def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
-    """Read runs and bring them to the controller's clock, in the order of the rows.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (done, total, run id).
-    """
+    """Read runs and bring them to the controller's clock, in the order of the rows; progress is told by run id."""
     found: list[TickRun] = []
     begun: deque[Future[TickRun]] = deque()
     with side_by_side() as (pool, step):

@@ -50,13 +50,7 @@ class Engine(Protocol):
 
 
 class OperonEngine:
-    """Operon through pyoperon: fixed generations and seed, so that a run repeats.
-
-    Parameters
-    ----------
-    max_length : int
-        Longest formula in nodes.
-    """
+    """Operon through pyoperon: fixed generations and seed, so that a run repeats; ``max_length`` counts nodes."""
 
     name = "operon"
 
