@@ -63,13 +63,7 @@ def compute(
 def measure(
     home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
 ) -> Evidence:
-    """Measure a virtual machine with and without a version, and keep the evidence that the runs give.
-
-    Raises
-    ------
-    InputError
-        As :func:`look`.
-    """
+    """Measure a virtual machine as :func:`look` does, and keep the evidence that the runs give."""
     return keep_looked(home, version, look(home, version, seed=seed, plan=plan, progress=progress))
 
 

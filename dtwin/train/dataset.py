@@ -223,13 +223,7 @@ def input_column(name: str) -> int:
 
 
 def require_uncorrected(campaign: Campaign) -> None:
-    """Refuse a campaign that was measured under a correction: no equation is made of it.
-
-    Raises
-    ------
-    InputError
-        When its geometry says so.
-    """
+    """Refuse a campaign whose geometry says that it was measured under a correction: no equation is made of it."""
     if campaign.machine_geometry.get("corrected", False):
         raise InputError(
             "a correction was in force during this campaign: it shows what that left, not the machine",
