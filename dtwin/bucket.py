@@ -117,13 +117,7 @@ class Objects:
         return self._conditional(name, data, {"e_tag": tag})
 
     def list(self, below: str = "", *, after: str = "") -> list[Stored]:
-        """Return the objects whose names begin with a folder, in order.
-
-        Parameters
-        ----------
-        after : str
-            Only those that come after this name.
-        """
+        """Return the objects whose names begin with a folder, in order; only those that come after a name."""
         import obstore
 
         with told(self.bucket, below):

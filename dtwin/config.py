@@ -85,13 +85,7 @@ class Home:
         return self._closed()
 
     def require_parts(self) -> None:
-        """Refuse a home of which a part is a link that leads nowhere: it would look as if nothing was measured yet.
-
-        Raises
-        ------
-        InputError
-            When there is such a part.
-        """
+        """Refuse a home of which a part is a link that leads nowhere: it would look as if nothing was measured yet."""
         for part in self.root.glob("*"):
             if part.is_symlink() and not part.exists():
                 raise InputError(

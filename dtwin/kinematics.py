@@ -321,13 +321,7 @@ def plane_axes(plane: str) -> tuple[Floats, Floats]:
 
 
 def radial_unit(plane: str, angle_rad: Floats | float) -> Floats:
-    """Return the outward unit vector of a circle at path angles, shape (..., 3).
-
-    Parameters
-    ----------
-    angle_rad : float or ndarray, shape (...,)
-        Path angle, from the plane's first axis towards its second.
-    """
+    """Return outward unit vectors of a circle, (..., 3), at angles (...,) from its plane's first axis to the second."""
     first, second = plane_axes(plane)
     angle = np.asarray(angle_rad, dtype=np.float64)[..., None]
     return np.cos(angle) * first + np.sin(angle) * second

@@ -1,4 +1,7 @@
-"""Size, quantiles, tails and many tests at once; importing ``scipy.stats`` would take a second of every command."""
+"""Size, quantiles, tails and many tests at once; importing ``scipy.stats`` would take a second of every command.
+
+``dof`` are degrees of freedom, of F those of numerator and denominator; probabilities are between 0 and 1.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,7 @@ def usual_size(off: ArrayLike) -> float:
 def gain_tail(before: Floats, after: Floats) -> float:
     """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides.
 
-    Parameters
-    ----------
-    before, after : ndarray, shape (n,)
-        What is left in each block, at least zero.
+    ``before``, ``after``: what is left in each block, at least zero, shape (n,).
     """
     gain = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
     spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
@@ -33,53 +33,24 @@ def gain_tail(before: Floats, after: Floats) -> float:
 
 
 def t_quantile(probability: float, dof: float) -> float:
-    """Return where Student's t has this probability below it.
-
-    Parameters
-    ----------
-    probability : float
-        Between 0 and 1.
-    dof : float
-        Degrees of freedom.
-    """
+    """Return where Student's t has this probability below it."""
     return float(special.stdtrit(dof, probability))
 
 
 def t_tail(t: float, dof: float) -> float:
-    """Return the probability that Student's t lies above a value.
-
-    Parameters
-    ----------
-    dof : float
-        Degrees of freedom.
-    """
+    """Return the probability that Student's t lies above a value."""
     return float(special.stdtr(dof, -t))
 
 
 def f_quantile(tail: float, dof: tuple[float, float]) -> float:
-    """Return the value of F above which this probability lies.
-
-    Parameters
-    ----------
-    tail : float
-        Between 0 and 1.
-    dof : tuple of float
-        Degrees of freedom of numerator and denominator.
-    """
+    """Return the value of F above which this probability lies."""
     return float(special.fdtri(*dof, 1.0 - tail))
 
 
 def f_tail(f: float, dof: tuple[float, float], noncentrality: float = 0.0) -> float:
-    """Return the probability that F lies above a value.
+    """Return the probability that F lies above a value; below zero everything lies above it.
 
-    Parameters
-    ----------
-    f : float
-        The value; below zero everything lies above it.
-    dof : tuple of float
-        Degrees of freedom of numerator and denominator.
-    noncentrality : float
-        Of an effect that is there; 0 under the null hypothesis.
+    ``noncentrality``: of an effect that is there; 0 under the null hypothesis.
     """
     if noncentrality > 0.0:
         return float(1.0 - special.ncfdtr(*dof, noncentrality, max(f, 0.0)))
@@ -87,64 +58,29 @@ def f_tail(f: float, dof: tuple[float, float], noncentrality: float = 0.0) -> fl
 
 
 def chi2_tail(chi2: float, dof: float) -> float:
-    """Return the probability that chi-squared lies above a value.
-
-    Parameters
-    ----------
-    chi2 : float
-        The value, at least 0.
-    dof : float
-        Degrees of freedom.
-    """
+    """Return the probability that chi-squared lies above a value, which is at least 0."""
     return float(special.chdtrc(dof, chi2))
 
 
 def chi2_quantile(probability: float, dof: float) -> float:
-    """Return where chi-squared has this probability below it.
-
-    Parameters
-    ----------
-    probability : float
-        Between 0 and 1.
-    dof : float
-        Degrees of freedom.
-    """
+    """Return where chi-squared has this probability below it."""
     return float(2.0 * special.gammaincinv(dof / 2.0, probability))
 
 
 def deviation_interval(deviation: float, dof: float) -> tuple[float, float]:
-    """Return the 95 % interval of a standard deviation that was estimated from a sample.
+    """Return the 95 % interval of a standard deviation that was estimated from normal values, by chi-squared.
 
-    Parameters
-    ----------
-    deviation : float
-        The estimate, of normal values.
-    dof : float
-        Its degrees of freedom, above 0.
-
-    Returns
-    -------
-    low, high : float
-        From the quantiles of chi-squared.
+    ``dof``: those of the estimate, above 0.
     """
     low, high = (deviation * np.sqrt(dof / special.chdtri(dof, tail)) for tail in (0.025, 0.975))
     return float(low), float(high)
 
 
 def holm(p_values: ArrayLike, tests: float | None = None) -> Floats:
-    """Return p-values after Holm's correction for many tests, in the same order.
+    """Return p-values after Holm's correction for many tests: no smaller than before, none above 1, in the same order.
 
-    Parameters
-    ----------
-    p_values : array_like, shape (n,)
-        Of the single tests.
-    tests : float, optional
-        How many of them are independent; all without.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        No smaller than before, none above 1, and in the same order of size.
+    ``p_values``: of the single tests, shape (n,).
+    ``tests``: how many of them are independent; all without.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")
@@ -160,12 +96,8 @@ def shared_variances(variance: Floats, dof: Floats, usual: float) -> tuple[Float
 
     By how much more than chance the variances differ tells the weight (empirical Bayes): none where they differ by chance.
 
-    Parameters
-    ----------
-    variance, dof : ndarray, shape (n,)
-        Of each group; of no degrees of freedom where it tells nothing.
-    usual : float
-        Variance of all groups.
+    ``variance``, ``dof``: of each group, shape (n,); a group of no degrees of freedom tells nothing.
+    ``usual``: variance of all groups.
     """
     told = dof > 0.0
     ratio = np.where(told, variance / usual, 1.0) if usual > 0.0 else np.ones(len(dof))

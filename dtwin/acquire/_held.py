@@ -53,11 +53,7 @@ class Held:
     ``group``: name of the signals.
     ``columns``: numbers that are kept; names end in their unit.
     ``notes``: where they come from, for the recording.
-
-    Attributes
-    ----------
-    odd : int
-        Observations whose time lies more than an hour beside the clock: they are left out.
+    ``odd``: number of observations whose time lies more than an hour beside the clock: they are left out.
     """
 
     def __init__(self, group: str, rate_hz: float, columns: Sequence[str], notes: dict[str, Any]) -> None:

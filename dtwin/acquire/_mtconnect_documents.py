@@ -126,12 +126,8 @@ def _item(told: Element, name: str, item_id: str, taken: set[str]) -> tuple[Item
 def read_streams(data: bytes, where: str, items: Mapping[str, Item]) -> tuple[Header, list[Observed]]:
     """Return the header and the observations of known items, in the order of their sequence.
 
-    Raises
-    ------
-    OutOfRange
-        When the agent has nothing at that place any more.
-    DeviceError
-        When it answers with another error.
+    Raises ``OutOfRange`` when the agent has nothing at that place any more, ``DeviceError`` when it answers with
+    another error.
     """
     root = _document(data, where, "MTConnectStreams")
     observed: list[tuple[int, Observed]] = []

@@ -16,27 +16,11 @@ _SIGNED = re.compile(r"[+-]\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 
 
 def parse_readings(text: str, where: str) -> Floats:
-    r"""Return the numbers of a readings block.
+    r"""Return the numbers of a readings block, shape (n,), in the block's own unit.
 
     When every number carries a sign, white space carries no meaning and torn numbers
     (``"-\n0.06045"``, ``"+0.1\n2345"``) are joined again; otherwise white space separates.
-
-    Parameters
-    ----------
-    text : str
-        Content of the block.
-    where : str
-        File and block, for error messages.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The readings in the block's own unit.
-
-    Raises
-    ------
-    InputError
-        When something is not a finite number.
+    ``where``: file and block, for error messages. Raises ``InputError`` when something is not a finite number.
     """
     joined = "".join(text.split())
     signed = _SIGNED.findall(joined)

@@ -116,13 +116,7 @@ def leave_out(lake: Lake, campaign: str, runs: Sequence[str], because: str, *, o
 
 
 def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Return in words what was stated anew of a campaign, and which runs are left out, and why.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Rows of the campaign, those left out too.
-    """
+    """Return in words what was stated anew of a campaign by its rows, all of them, and which are left out, and why."""
     by_version: dict[int, list[Mapping[str, Any]]] = {}
     for row in rows:
         for record in row["amendments"]:

@@ -62,11 +62,6 @@ def read_b5r(path: Path) -> BallbarTest:
     Angles are assigned as the file's indices say: START to END is the marked arc, or CW from END to START, evenly
     divided. Whether that is true is for the quality gates to judge, not for the reader.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.b5r`` file.
-
     Raises
     ------
     InputError

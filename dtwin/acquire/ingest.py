@@ -56,12 +56,10 @@ def ingest(
 
     Parameters
     ----------
-    path : Path
-        A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
+    path, told
+        As for :func:`open_source`.
     progress : callable, optional
         Called with (done, total, what) after every source file.
-    told : mapping, optional
-        What is told of a table that lies alone; see :func:`open_table`.
 
     Raises
     ------
@@ -102,7 +100,7 @@ def open_source(
     path : Path
         A campaign folder, its ``campaign.toml``, a ``.b5r`` file, or a table.
     told : mapping, optional
-        What is told of a table that lies alone.
+        What is told of a table that lies alone; see :func:`open_table`.
     """
     suffix = path.suffix.lower()
     if path.is_file() and (

@@ -198,13 +198,7 @@ def write_circles(folder: Path, measured: Sequence[Trace], faults: MillFaults, n
 
 
 def require_free(folder: Path) -> None:
-    """Refuse a folder that holds a campaign, before an hour is spent on another one.
-
-    Raises
-    ------
-    InputError
-        When it does.
-    """
+    """Refuse a folder that holds a campaign, before an hour is spent on another one."""
     if (folder / "campaign.toml").exists():
         raise InputError(
             "the folder holds a campaign already", code="linuxcnc.exists", where=str(folder), hint="give another --out"

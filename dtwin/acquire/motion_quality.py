@@ -53,13 +53,7 @@ class Motion:
 
 
 def motion_of(run: Run) -> Motion:
-    """Find stops and period of a circular run from its deviation alone.
-
-    Parameters
-    ----------
-    run : Run
-        A circular run with more than one revolution.
-    """
+    """Find stops and period of a circular run of more than one revolution, from its deviation alone."""
     deviation, rate = run.samples["deviation_um"], run.meta.sample_rate_hz
     stops = np.array([round(stop.sample) for stop in find_stops(deviation, rate)], dtype=np.int64)
     expected = _programmed_revolution(run)
@@ -93,13 +87,7 @@ def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
 
 
 def judge_motion(run: Run) -> list[Finding]:
-    """Return findings about window, stops, angles and feed of a circular run.
-
-    Parameters
-    ----------
-    run : Run
-        Without a marked window only the feed can be held against the motion.
-    """
+    """Return findings about window, stops, angles and feed of a circular run; without a window only on its feed."""
     if not run.meta.radius_mm or not run.meta.feed_mm_min:
         return []
     if run.window is None:

@@ -16,24 +16,12 @@ _MIN_SPREAD_UM = 0.02
 
 
 def judge_run(run: Run) -> list[Finding]:
-    """Return the findings of one run.
-
-    Parameters
-    ----------
-    run : Run
-        A run with its samples.
-    """
+    """Return the findings of one run, which has its samples."""
     return [*_too_small(run), *kind_named(run.meta.kind).judge_run(run)]
 
 
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the runs lack as a whole.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs of one campaign, perhaps as ``without_samples`` leaves them.
-    """
+    """Return what the runs of one campaign lack as a whole; they may be as ``without_samples`` leaves them."""
     return kind_named(runs[0].meta.kind).judge_campaign(runs) if runs else []
 
 
@@ -60,13 +48,7 @@ def _too_small(run: Run) -> list[Finding]:
 
 
 def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
-    """Return a finding for every run that holds the samples of another one.
-
-    Parameters
-    ----------
-    samples_sha256 : mapping of str to str
-        Hash of the samples by run id, in the order in which the runs came.
-    """
+    """Return a finding for every run that holds the samples of an earlier one; hashes are in the order of the runs."""
     first: dict[str, str] = {}
     findings = {}
     for name, digest in samples_sha256.items():

@@ -29,15 +29,7 @@ _MOST_BYTES = 256 * 1024**2
 
 
 def write_signals(path: Path, group: SignalGroup) -> int:
-    """Write one device's signals and return the size in bytes.
-
-    Parameters
-    ----------
-    path : Path
-        A ``.parquet`` file.
-    group : SignalGroup
-        Signals of one device during one run.
-    """
+    """Write one device's signals during one run as a ``.parquet`` file, and return the size in bytes."""
     floats = [name for name, values in group.columns.items() if values.dtype.kind == "f"]
     require_units(floats, str(path))
     head = {"group": group.name, "rate_hz": group.rate_hz, "start_s": group.start_s}

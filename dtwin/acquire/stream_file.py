@@ -28,10 +28,7 @@ _REQUIRED = {"mtconnect": ("url",), "mqtt": ("broker", "columns")}
 def read_streams_file(path: Path) -> list[Instrument]:
     """Return the closed instruments of a stream file, one for each table.
 
-    Raises
-    ------
-    InputError
-        With the place of the first thing that is wrong.
+    Raises ``InputError`` with the place of the first thing that is wrong.
     """
     from dtwin.acquire.instruments import instrument
 

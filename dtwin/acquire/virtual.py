@@ -22,10 +22,7 @@ EPOCH = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
 class VirtualCobotBench:
     """A UR10e that exists only as equations of motion, with ball bar and accelerometers.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the machine, its set-ups and its noise.
+    The seed is of the machine, its set-ups and its noise.
     """
 
     name = "virtual-cobot"
@@ -67,15 +64,7 @@ class VirtualCobotBench:
 
 
 def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: datetime) -> Run:
-    """Return a recording of the virtual cobot as a run.
-
-    Parameters
-    ----------
-    plane : str
-        Standard plane.
-    started : datetime
-        Time to state.
-    """
+    """Return a recording of the virtual cobot as a run that states this standard plane and time."""
     condition = recording.condition
     direction: Direction = "CCW" if condition.direction == "CCW" else "CW"
     arc_deg = 360.0 if plane == "XY" else 180.0

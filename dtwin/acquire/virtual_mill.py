@@ -12,6 +12,7 @@ import numpy as np
 from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.plan import Plan
@@ -50,15 +51,7 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
 
 
 def virtual_mill(hidden: str = "backlash", **settings: Any) -> VirtualMill:
-    """Return the mill of the tutorials.
-
-    Parameters
-    ----------
-    hidden : str
-        Its fault, as in ``tutorial_mill``.
-    **settings
-        Further attributes of ``VirtualMill``.
-    """
+    """Return the mill of the tutorials, with a fault of ``tutorial_mill`` and further attributes of ``VirtualMill``."""
     disturbance = _wobble if hidden == "wobble" else None
     return VirtualMill(tutorial_mill(hidden), disturbance=disturbance, **settings)
 
@@ -141,11 +134,7 @@ def simulate_mill(
     InputError
         When the folder holds another campaign.
     """
-    file = folder / "campaign.toml"
-    if file.exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     mill = virtual_mill(hidden, seed=seed)
     usual = PLANES[:1] if quick else PLANES
     runs = mill.measure(standard_tests(seed, planes=usual) if plan is None else planned_tests(plan))

@@ -89,25 +89,14 @@ def seen_by_controller_um(meta: RunMeta, samples: Mapping[str, NDArray[Any]], an
 
 
 def slow_part(values: Floats, known: NDArray[np.bool_], cycles_per_rev: float) -> Floats:
-    """Return the part of a circle up to a number of cycles per revolution.
+    """Return the part of a circle up to a number of cycles per revolution, shape (bins,); zero where nothing is known.
 
     A full turn is taken apart into its harmonics. An arc is not periodic: it is continued by its
     mirror image (cosine transform), so that its ends make no jump, and half cycles per arc count.
 
-    Parameters
-    ----------
-    values : ndarray, shape (bins,)
-        Values at equal steps of a turn.
-    known : ndarray of bool, shape (bins,)
-        Where there is a value; the longest gap separates the ends of an arc, shorter ones are
-        bridged by straight lines.
-    cycles_per_rev : float
-        Highest frequency that is kept.
-
-    Returns
-    -------
-    ndarray, shape (bins,)
-        Zero where nothing is known.
+    ``values``: at equal steps of a turn, shape (bins,).
+    ``known``: where there is a value, shape (bins,); the longest gap separates the ends of an arc, shorter ones are
+    bridged by straight lines.
     """
     n = len(values)
     if known.all():
@@ -167,13 +156,7 @@ class Split:
     condition_of: NDArray[np.int64]
 
     def sizes(self, rows: NDArray[np.bool_] | None = None) -> dict[str, _Part]:
-        """Return RMS and noise floor of every part.
-
-        Parameters
-        ----------
-        rows : ndarray of bool, shape (rows,), optional
-            Some rows; all without.
-        """
+        """Return RMS and noise floor of every part, over the chosen rows, shape (rows,), or over all."""
         chosen = np.ones(len(self.known), dtype=bool) if rows is None else rows
         known, conditions = self.known[chosen], self.condition_of[chosen]
         return {

@@ -204,13 +204,7 @@ class PathInputs:
         self.values[:] = 0.0
 
     def update(self, state: Floats) -> Floats:
-        """Return the inputs (34,) of the newest state; the array is reused by the next call.
-
-        Parameters
-        ----------
-        state : ndarray of float64, shape (n_fields,)
-            State of the controller.
-        """
+        """Return the inputs (34,) of the newest state (n_fields,); the array is reused by the next call."""
         path_inputs_kernel(state, self._index, self._dh, self._tcp_mm, self._carry, self.values)
         return self.values
 

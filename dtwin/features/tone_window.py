@@ -32,13 +32,7 @@ COMMAND_PHASE, COMMAND_AMPLITUDE = "command_phase_rad", "command_amplitude_um"
 
 
 def tone_contract(rate_hz: float, channel: str) -> WindowContract:
-    """Return the window of the sent command and one accelerometer channel.
-
-    Parameters
-    ----------
-    channel : str
-        Column of the accelerometer, its unit at the end.
-    """
+    """Return the window of the sent command and one accelerometer channel, a column with its unit at the end."""
     return WindowContract(
         rate_hz=rate_hz,
         n_samples=round(WINDOW_S * rate_hz),

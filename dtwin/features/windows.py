@@ -155,8 +155,6 @@ def batch_features(signals: NDArray[np.floating], contract: WindowContract, star
     ----------
     signals : ndarray, shape (channels, n)
         Samples, channels in the order of the contract.
-    contract : WindowContract
-        Rate, window, hop, features.
     start_s : float
         Time of the first sample.
 
@@ -187,15 +185,7 @@ def batch_features(signals: NDArray[np.floating], contract: WindowContract, star
 
 
 class StreamingWindow:
-    """Windows over blocks of any size, as they arrive.
-
-    Parameters
-    ----------
-    contract : WindowContract
-        Rate, window, hop, features.
-    start_s : float
-        Time of the first sample.
-    """
+    """Windows over blocks of any size, as they arrive; ``start_s`` is the time of the first sample."""
 
     def __init__(self, contract: WindowContract, start_s: float = 0.0) -> None:
         self.contract = contract
@@ -212,13 +202,7 @@ class StreamingWindow:
         self.start_s, self.seen, self._held = start_s, 0, 0
 
     def push(self, block: NDArray[np.floating]) -> WindowFeatures:
-        """Take samples and return the windows that they complete.
-
-        Parameters
-        ----------
-        block : ndarray, shape (channels, k)
-            The next k samples, k may be zero.
-        """
+        """Take the next k samples, shape (channels, k), and return the windows that they complete; k may be zero."""
         _require_channels(block.shape, self.contract)
         ends = self._ends(block.shape[1])
         values = np.zeros((len(ends), len(self.contract.channels), len(self.contract.features)))
@@ -235,10 +219,7 @@ class StreamingWindow:
     def newest(self, values: Floats, codes: Codes) -> bool:
         """Write the features of the newest ``n_samples`` samples, wherever the hop stands.
 
-        Returns
-        -------
-        bool
-            False, and nothing written, until a whole window has been seen.
+        Until a whole window has been seen, write nothing and return False.
         """
         if self._held < self.contract.n_samples:
             return False

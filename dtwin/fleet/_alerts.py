@@ -26,16 +26,10 @@ _MOST_DAYS = 3653
 class Alert:
     """One thing that somebody should look at.
 
-    Attributes
-    ----------
-    sort : str
-        One of ``SORTS``.
-    about : str
-        The machine, campaign or file.
-    text : str
-        What it is, one line.
-    since : str
-        Day on which it began, where it may begin anew before it is over.
+    ``sort``: one of ``SORTS``.
+    ``about``: the machine, campaign or file.
+    ``text``: what it is, one line.
+    ``since``: day on which it began, where it may begin anew before it is over.
     """
 
     sort: str

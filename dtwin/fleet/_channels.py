@@ -136,10 +136,7 @@ def alerts_file(home: Home) -> Path:
 def channels_of(home: Home) -> list[Channel]:
     """Return the channels that a home states; none without the file.
 
-    Raises
-    ------
-    InputError
-        When the file is not usable.
+    Raises ``InputError`` when the file is not usable.
     """
     path = alerts_file(home)
     try:

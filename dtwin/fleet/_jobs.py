@@ -29,12 +29,8 @@ _Units = tuple[list["Unit"], dict[str, str]]
 class Unit:
     """One piece of work.
 
-    Attributes
-    ----------
-    name : str
-        A campaign, or a machine: what is reported and resumed by.
-    stamp : str
-        Of what the result depends on.
+    ``name``: a campaign, or a machine: what is reported and resumed by.
+    ``stamp``: of what the result depends on.
     """
 
     name: str

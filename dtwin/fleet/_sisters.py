@@ -61,14 +61,10 @@ class Sister:
 class SisterSize:
     """A size of an effect, or a figure of a test sheet, over machines of one type.
 
-    Attributes
-    ----------
-    effect, title : str
-        Name and title of the effect; of a figure its symbol and what it is called.
-    name : str
-        Which of its sizes; of a figure the condition.
-    mean, spread : float
-        Mean of the machines that do not differ, and standard deviation between them beyond their uncertainties.
+    ``effect``, ``title``: name and title of the effect; of a figure its symbol and what it is called.
+    ``name``: which of its sizes; of a figure the condition.
+    ``mean``, ``spread``: mean of the machines that do not differ, and standard deviation between them beyond their
+    uncertainties.
     """
 
     effect: str

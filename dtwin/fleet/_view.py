@@ -11,13 +11,7 @@ from dtwin.pipeline.kept import kept_already
 
 
 def fleet_view(home: Home, machines: Collection[str] = ()) -> list[dict[str, Any]]:
-    """Return the newest diagnosis of every machine, JSON-ready, the largest systematic error over its floor first.
-
-    Parameters
-    ----------
-    machines : collection of str
-        All without names.
-    """
+    """Return the newest diagnosis of these machines, or of all, the largest systematic error over its floor first."""
     newest: dict[str, dict[str, Any]] = {}
     folder = home.root / "kept" / DIAGNOSES
     for file in sorted(folder.glob("*.json")):

@@ -61,13 +61,7 @@ def stem_of(name: str) -> str:
 
 
 class DeltaFiles:
-    """A Delta table made of whole files that are added and removed atomically.
-
-    Parameters
-    ----------
-    place : Path or Bucket
-        Folder of the table; created with the first commit.
-    """
+    """A Delta table of whole files that are added and removed atomically; its folder comes with the first commit."""
 
     def __init__(self, place: Place) -> None:
         self.place = place
@@ -85,13 +79,7 @@ class DeltaFiles:
         return self.log.newest()
 
     def files(self, version: int | None = None) -> list[str]:
-        """Return the relative paths of the live data files.
-
-        Parameters
-        ----------
-        version : int, optional
-            Table version to look at; the newest by default.
-        """
+        """Return the relative paths of the live data files of a table version, by default of the newest."""
         if not self.exists() or version == -1:
             return []
         return sorted(self._verified(self._open(version)))

@@ -22,13 +22,7 @@ _CHECKSUMS = {b"dtwin.page_checksums": b"crc32"}
 
 
 def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
-    """Return an Arrow table whose fields carry their units.
-
-    Parameters
-    ----------
-    columns : mapping of str to array, shape (n,)
-        Columns of equal length; strings become text columns.
-    """
+    """Return an Arrow table of columns (n,), whose fields carry their units; strings become text columns."""
     arrays = [_array(values) for values in columns.values()]
     fields = [
         pa.field(name, array.type, metadata=unit_metadata(name)) for name, array in zip(columns, arrays, strict=True)

@@ -55,10 +55,7 @@ class _CommitReport:
 class Lake:
     """Delta tables ``runs``, ``samples``, ``signals``, ``features``, ``rejects``, ``amendments``.
 
-    Parameters
-    ----------
-    root : Path or Bucket
-        Folder of the lake; created with the first commit.
+    The folder is created with the first commit.
     """
 
     def __init__(self, root: Place) -> None:

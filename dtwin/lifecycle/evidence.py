@@ -63,13 +63,7 @@ def compute(
 def measure(
     home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
 ) -> Evidence:
-    """Measure a virtual machine with and without a version, and keep the evidence that the runs give.
-
-    Raises
-    ------
-    InputError
-        As :func:`look`.
-    """
+    """Measure a virtual machine as :func:`look` does, and keep the evidence that the runs give."""
     return keep_looked(home, version, look(home, version, seed=seed, plan=plan, progress=progress))
 
 
@@ -150,22 +144,7 @@ def promote_proven(
 ) -> Path:
     """Make a version champion by its evidence, computed again from its runs.
 
-    Parameters
-    ----------
-    despite : sequence of str
-        Names of all evidence that speaks against the version.
-    valid_days : float
-        How long the evidence holds; 0 for ever.
-
-    Returns
-    -------
-    Path
-        The served bundle.
-
-    Raises
-    ------
-    GateRefusal
-        When a gate says no, or the evidence is not what its runs say.
+    The rest is as for :func:`dtwin.train.promotion.promote`; evidence that is not what its runs say is refused, too.
     """
     registry = Registry(home)
     return promote(

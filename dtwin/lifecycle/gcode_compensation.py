@@ -49,21 +49,10 @@ def compensate(
     Lines and arcs become chords that stay within the tolerance of the compensated path; where an
     axis turns round, the point is taken twice, once for each side of its lost motion.
 
-    Parameters
-    ----------
-    twin : Twin
-        The twin, reduced to what offsets can correct.
-    origin_mm : ndarray, shape (3,)
-        Centre of the measured circles in the coordinates of the program.
-    where : str
-        Name of the program, for messages.
-    tolerance_um : float
-        Largest distance between chords and path.
-
-    Raises
-    ------
-    InputError
-        When the program says something that is not understood, or needs too many points.
+    ``twin``: reduced to what offsets can correct.
+    ``origin_mm``: centre of the measured circles in the coordinates of the program, shape (3,).
+    ``where``: name of the program, for messages.
+    Raises ``InputError`` when the program says something that is not understood, or needs too many points.
     """
     work = _Work(twin, origin_mm, tolerance_um)
     lines = []

@@ -51,12 +51,9 @@ class _CampaignNews:
 class Scheduled:
     """What one turn of the schedule did.
 
-    Attributes
-    ----------
-    outcome : {"trained", "checked", "skipped"}
-        ``checked``: nothing could be trained, but the champion was judged on new runs.
-    comparison : Comparison or None
-        Candidate against champion; None without a champion.
+    ``outcome``: ``trained``, ``skipped``, or ``checked``: nothing could be trained, but the champion was judged on new
+    runs.
+    ``comparison``: candidate against champion; None without a champion.
     """
 
     outcome: Outcome

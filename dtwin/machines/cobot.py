@@ -34,12 +34,8 @@ _PROGRAMS_KEPT = 6
 class VirtualCobot:
     """A UR10e with a ball bar and accelerometers, whose errors are known.
 
-    Everything is a function of seed, set-up, repeat and condition.
-
-    Parameters
-    ----------
-    seed : int
-        Which of the machines that share these parameters.
+    Everything is a function of seed, set-up, repeat and condition; the seed says which of the machines that share
+    these parameters it is.
     """
 
     def __init__(self, parameters: CobotParameters | None = None, seed: int = 0) -> None:

@@ -55,10 +55,7 @@ class HexapodRecording:
 class VirtualHexapod:
     """A hexapod cell with ball bar and accelerometer, whose errors are known.
 
-    Parameters
-    ----------
-    seed : int
-        Which of the machines that share these parameters, its mountings and its noise.
+    The seed says which of the machines that share these parameters it is, and is of its mountings and its noise.
     """
 
     def __init__(self, parameters: HexapodParameters | None = None, seed: int = 0) -> None:
@@ -69,15 +66,7 @@ class VirtualHexapod:
     def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> HexapodRecording:
         """Return the recording of one run with half a turn before and after.
 
-        Parameters
-        ----------
-        setup : str
-            Mounting of the bar; its runs share eccentricity and length error.
-
-        Raises
-        ------
-        InputError
-            When the condition makes no sense or is out of reach.
+        Set-up and errors as for :meth:`dtwin.machines.cobot.VirtualCobot.measure`.
         """
         condition = condition.standard()
         _require_reach(condition)

@@ -144,13 +144,7 @@ class TurningSlide:
         self._state = np.zeros(6)
 
     def run(self, command_um: Floats) -> Motion:
-        """Follow a command, one value for each servo tick.
-
-        Parameters
-        ----------
-        command_um : ndarray, shape (n,)
-            Position command with everything that was added to it.
-        """
+        """Follow a command, shape (n,), with everything that was added to it; one value for each servo tick."""
         s = self.slide
         constants = np.array(
             [
@@ -200,13 +194,7 @@ class AccelerationChannel:
         self._wander = np.array([self._keep * sensor.drift_g * rng.normal()])
 
     def sampled_g(self, motion: Motion, every: int) -> Floats:
-        """Return what is sampled at every ``every``-th tick in g, shape (n // every,).
-
-        Parameters
-        ----------
-        every : int
-            Servo ticks to a sample.
-        """
+        """Return what is sampled at every ``every``-th servo tick in g, shape (n // every,)."""
         from scipy.signal import lfilter
 
         sensor, n = self.sensor, len(motion.tool_um)

@@ -195,13 +195,7 @@ class VolumetricMill:
         return np.asarray(1e3 * (point - position))
 
     def measure(self, cycle: int) -> BallReadings:
-        """Return what the probe finds in a cycle, ball after ball while the mill drifts.
-
-        Parameters
-        ----------
-        cycle : int
-            From 0.
-        """
+        """Return what the probe finds in a cycle, counted from 0, ball after ball while the mill drifts."""
         places = [(_FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]
         places += [place for pose in range(1, len(AZIMUTHS_DEG) + 1) for place in array_balls(pose)]
         places += [(_FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]

@@ -85,10 +85,8 @@ def check_source(
 
     Parameters
     ----------
-    path : Path
-        A ``.b5r`` file, a campaign folder or a table that lies alone.
-    told : mapping, optional
-        What is told of a table that lies alone.
+    path, told
+        As for :func:`open_source`.
     tolerances : callable
         Returns the limits of a machine by symbol.
     surroundings : callable

@@ -15,13 +15,7 @@ _BAND = "rgba(0,114,178,0.15)"
 
 
 def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> go.Figure:
-    """Return a figure over the days of its tests, with its levels between changes.
-
-    Parameters
-    ----------
-    events : sequence of mapping
-        With ``on`` and ``what``.
-    """
+    """Return a figure over the days of its tests, with its levels between changes, and what happened on which day."""
     points, unit = series["points"], series["unit"]
     days = [p["started"] for p in points]
     alarms = set(series["chart"]["alarms"])

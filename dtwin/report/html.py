@@ -77,13 +77,7 @@ class Section:
 
 
 def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
-    """Return one HTML page that holds everything it shows.
-
-    Parameters
-    ----------
-    sections : sequence of Section
-        Content. All text is escaped: names from files cannot become markup.
-    """
+    """Return one HTML page that holds everything it shows; text is escaped: names from files cannot become markup."""
     rendered = [
         {
             "title": s.title,

@@ -1,4 +1,7 @@
-"""Figures of learned models and of their serving."""
+"""Figures of learned models and of their serving.
+
+A noise floor is drawn with its 95 % interval where its degrees of freedom, ``floor_dof``, are known.
+"""
 
 from __future__ import annotations
 
@@ -61,12 +64,7 @@ def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
 def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0) -> go.Figure:
     """Return held-out error against latency, one point per candidate.
 
-    Parameters
-    ----------
-    candidates : sequence of mapping
-        With ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
-    floor_um, floor_dof : float
-        Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
+    ``candidates``: with ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
     """
     figure = _over_latency(candidates, lambda c: c["rms_um"], "%{y:z.1f} µm")
     # What may be promoted is fast, and stands at the left edge.
@@ -96,10 +94,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
 def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     """Return R2 on feeds left out against latency, one point per candidate.
 
-    Parameters
-    ----------
-    candidates : sequence of mapping
-        With ``name``, ``r2``, ``r2_text``, ``p50_us`` (may be None) and ``promotable``.
+    ``candidates``: with ``name``, ``r2``, ``r2_text``, ``p50_us`` (may be None) and ``promotable``.
     """
     figure = _over_latency(candidates, lambda c: max(c["r2"], _LOWEST_R2), "R² %{customdata}", "r2_text")
     figure.add_hline(y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction")
@@ -136,12 +131,7 @@ def _over_latency(
 def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0) -> go.Figure:
     """Return the error that chose the size of the equation, over that size.
 
-    Parameters
-    ----------
-    front : sequence of mapping
-        With ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
-    floor_um, floor_dof : float
-        Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
+    ``front``: with ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
     """
     figure = go.Figure()
     terms = [point["terms"] for point in front]
@@ -177,13 +167,7 @@ def _range_of(values: Sequence[float]) -> dict[str, str]:
 
 
 def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
-    """Return how far the periods of a serving session were off.
-
-    Parameters
-    ----------
-    histogram : dict of str to int
-        Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
-    """
+    """Return how far the periods of a serving session were off: ticks by jitter in us, of ``LoopTiming.summary``."""
     top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
     figure = go.Figure(go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
     figure.update_layout(

@@ -1,4 +1,7 @@
-"""Figures for reports, the registry and the browser; the same functions serve all of them."""
+"""Figures for reports, the registry and the browser; the same functions serve all of them.
+
+``floor_um`` is a noise floor: None draws nothing, NaN says in the figure that it is not known.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +47,6 @@ def polar_figure(
         Curves by name, arrays of shape (n,).
     magnification : float, optional
         Drawn millimetres per millimetre of error; chosen from the largest error when left out.
-    floor_um : float, optional
-        Noise floor, drawn as a ring; NaN says that it is not known.
     plane : str, optional
         Two axes, the first of which lies at 0 degrees.
     """
@@ -139,12 +140,7 @@ def error_figure(
 ) -> go.Figure:
     """Return error, or another length in µm, over the path angle, or over something else.
 
-    Parameters
-    ----------
-    traces : mapping of str to (angle_deg, error_um)
-        Curves by name.
-    floor_um : float, optional
-        Noise floor, drawn as a band; NaN says that it is not known.
+    ``traces``: as for :func:`polar_figure`.
     """
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
@@ -158,15 +154,7 @@ def error_figure(
 
 
 def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
-    """Draw the noise floor as a band about zero, or say that it is not known.
-
-    Parameters
-    ----------
-    figure : plotly Figure
-        With the error in um upwards.
-    floor_um : float
-        Noise floor; NaN when it is not known.
-    """
+    """Draw the noise floor as a band about zero into a figure with the error in um upwards."""
     if not np.isfinite(floor_um):
         say_no_floor(figure)
         return
@@ -212,15 +200,7 @@ def say_no_floor(figure: go.Figure) -> None:
 
 
 def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str) -> go.Figure:
-    """Return the amplitude spectrum of a run.
-
-    Parameters
-    ----------
-    frequency_hz, amplitude_um : ndarray, shape (n,)
-        The spectrum.
-    floor_um : float
-        Level that noise alone rarely exceeds; NaN when it is not known.
-    """
+    """Return the amplitude spectrum of a run; ``floor_um``: what noise alone rarely exceeds, NaN draws nothing."""
     figure = go.Figure(
         go.Scatter(
             x=_short(frequency_hz),
@@ -244,13 +224,7 @@ def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float,
 
 
 def magnification_for(largest_um: float, radius_mm: float) -> float:
-    """Return the round magnification that draws an error as about a third of the radius.
-
-    Parameters
-    ----------
-    largest_um : float
-        Largest error that is to be drawn.
-    """
+    """Return the round magnification that draws the largest error as about a third of the radius."""
     return _round_factor(0.35 * radius_mm * 1000.0 / max(largest_um, 1e-9))
 
 

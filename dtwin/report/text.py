@@ -9,13 +9,7 @@ _NANOMETRES = 0.1
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return an aligned table; numbers to the right.
-
-    Parameters
-    ----------
-    rows : sequence of sequences
-        Cells; floats are shown with up to four significant places.
-    """
+    """Return an aligned table; numbers to the right, floats with up to four significant places."""
     cells = [[_cell(value) for value in row] for row in rows]
     widths = [max(len(title), *(len(row[i]) for row in cells)) if cells else len(title) for i, title in enumerate(head)]
     right = [all(isinstance(row[i], int | float) or row[i] is None for row in rows) for i in range(len(head))]

@@ -1,4 +1,4 @@
-"""Figures of a twin: overlay, residual map, waterfall, ranked effects."""
+"""Figures of a twin: overlay, residual map, waterfall, ranked effects; ``floor_um`` as in :mod:`dtwin.report.plots`."""
 
 from __future__ import annotations
 
@@ -48,8 +48,6 @@ def overlay_figure(
     ----------
     curves : mapping of str to ndarray, shape (360,)
         Error over the angle by name, um, one value for each degree; NaN where not measured.
-    floor_um : float, optional
-        Noise floor, drawn as a ring about the nominal circle; NaN says that it is not known.
     magnification : float, optional
         Where it begins; chosen from the largest error when left out.
     slider : bool
@@ -110,8 +108,6 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
     ----------
     curves : mapping of str to ndarray, shape (n,)
         Error along the path by name, um; NaN where not measured.
-    floor_um : float
-        Noise floor; NaN says that it is not known.
     grid : Grid
         The points along the path; the degrees of a circle without.
     """
@@ -178,16 +174,9 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
 
 
 def harmonic_amplitudes_um(curve: Floats) -> Floats:
-    """Return the amplitudes of the harmonics of an error over a full turn, travel or period.
+    """Return the amplitudes of the harmonics of an error over a full turn, travel or period, shape (..., n // 2 + 1).
 
-    Parameters
-    ----------
-    curve : ndarray, shape (..., n)
-        Error in every bin, um.
-
-    Returns
-    -------
-    ndarray, shape (..., n // 2 + 1)
+    ``curve``: error in every bin, um, shape (..., n).
     """
     return np.asarray(2.0 * np.abs(np.fft.rfft(curve, axis=-1)) / curve.shape[-1])
 
@@ -232,14 +221,9 @@ def residual_map(
 
 
 def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up only") -> go.Figure:
-    """Return how the error fell from version to version, down to the noise floor.
+    """Return how the error fell from version to version (``Twins.history``), down to the noise floor.
 
-    Parameters
-    ----------
-    rungs : sequence of dict
-        ``Twins.history``.
-    begun : str
-        What the error before the first of them is called.
+    ``begun``: what the error before the first of them is called.
     """
     first = rungs[0]
     names = [begun, *(f"v{r['version']} {r['action']}" for r in rungs)]

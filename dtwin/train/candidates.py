@@ -122,15 +122,10 @@ def held_out_groups(rows: Rows) -> list[str]:
 
 
 def score(rows: Rows, predicted: Floats, group: str) -> Scores:
-    """Judge out-of-group predictions.
+    """Judge predictions of every row, shape (n,), by models that did not see its group.
 
     Centre and radius of every set-up are taken out of the remaining error, as they are out of
     the target: no model gains or loses by moving the centre.
-
-    Parameters
-    ----------
-    predicted : ndarray, shape (n,)
-        Prediction of every row by a model that did not see its group.
     """
     rest = rows.without_setups(rows.target_um - predicted)
     keep = rows.scored

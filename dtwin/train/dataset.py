@@ -72,13 +72,7 @@ class TickRun:
 def load_ticks(
     lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
-    """Read runs and bring them to the controller's clock, in the order of the rows.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (done, total, run id).
-    """
+    """Read runs and bring them to the controller's clock, in the order of the rows; progress is told by run id."""
     found: list[TickRun] = []
     begun: deque[Future[TickRun]] = deque()
     with side_by_side() as (pool, step):
@@ -229,13 +223,7 @@ def input_column(name: str) -> int:
 
 
 def require_uncorrected(campaign: Campaign) -> None:
-    """Refuse a campaign that was measured under a correction: no equation is made of it.
-
-    Raises
-    ------
-    InputError
-        When its geometry says so.
-    """
+    """Refuse a campaign whose geometry says that it was measured under a correction: no equation is made of it."""
     if campaign.machine_geometry.get("corrected", False):
         raise InputError(
             "a correction was in force during this campaign: it shows what that left, not the machine",

@@ -87,13 +87,7 @@ def contrary(kept: Sequence[Record]) -> list[Record]:
 
 
 def require_same(record: Record, evidence: Evidence) -> None:
-    """Compare a record with what its runs say now.
-
-    Raises
-    ------
-    GateRefusal
-        When they differ.
-    """
+    """Refuse a record that differs from what its runs say now."""
     now = json.loads(json.dumps(evidence.as_dict()))
     differ = [name for name in _SAME if record.content.get(name) != now[name]]
     if differ == ["runs"]:

@@ -68,13 +68,7 @@ class MeasuredWays:
 
 
 def numbered(runs: Iterable[Run]) -> tuple[Run, ...]:
-    """Return runs with names of their own, repeats of each condition and way counted.
-
-    Parameters
-    ----------
-    runs : iterable of Run
-        In order of time.
-    """
+    """Return runs, given in the order of time, with names of their own, repeats of each condition and way counted."""
     repeats: dict[object, int] = defaultdict(int)
     out = []
     for number, run in enumerate(runs, start=1):
@@ -88,13 +82,7 @@ def numbered(runs: Iterable[Run]) -> tuple[Run, ...]:
 
 
 def guard_shares(counts: Sequence[Mapping[str, int]]) -> dict[str, float]:
-    """Return the share of all ticks in which each guard acted.
-
-    Parameters
-    ----------
-    counts : sequence of dict
-        Ticks by what the guard did, of every run.
-    """
+    """Return the share of all ticks in which each guard acted, from the counts of every run."""
     total = sum(sum(c.values()) for c in counts)
     names = sorted({name for c in counts for name in c})
     return {n: sum(c.get(n, 0) for c in counts) / total for n in names} if total else {}

@@ -129,13 +129,7 @@ def _verdict(checks: Sequence[_ConditionCheck]) -> Recheck:
 
 
 def judge_evidence(evidence: Evidence) -> Recheck:
-    """Say whether a correction still helps, from runs of the lake.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        Computed from runs with and without it.
-    """
+    """Say whether a correction still helps, from evidence of runs of the lake with and without it."""
     rows = [
         _ConditionCheck(
             condition_name(c),

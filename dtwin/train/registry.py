@@ -56,13 +56,7 @@ class RegisteredVersion:
 
 
 class Registry:
-    """Runs and registered models in one MLflow store.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the tracking store and the artifact folder.
-    """
+    """Runs and registered models in one MLflow store: the home gives that and the artifact folder."""
 
     def __init__(self, home: Home) -> None:
         self.home = home

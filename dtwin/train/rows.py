@@ -123,17 +123,12 @@ def thinned(rows: Rows, every: int) -> Rows:
 
 
 def noise_floor_um(rows: Rows) -> tuple[float, int]:
-    """Return what repeats of the same condition disagree by, and its degrees of freedom.
+    """Return what repeats of the same condition disagree by, NaN without any, and its degrees of freedom.
 
     The unit of replication is the run: profiles over the path angle are averaged per run
     first, repeats of a condition in the same set-up are compared, and their pooled standard
     deviation is the floor that no model's held-out error may go below. Its degrees of freedom count
     each run once.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows with at least two repeats of some condition; without any the floor is NaN.
     """
     bins = 120
     place = (np.degrees(rows.angle_rad) % 360.0 * bins / 360.0).astype(int) % bins

@@ -46,17 +46,11 @@ class Engine(Protocol):
     name: str
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
-        """Return a front of formulas, simplest first."""
+        """Return a front of formulas for the target (n,), simplest first; inputs are columns (n,) by name."""
 
 
 class OperonEngine:
-    """Operon through pyoperon: fixed generations and seed, so that a run repeats.
-
-    Parameters
-    ----------
-    max_length : int
-        Longest formula in nodes.
-    """
+    """Operon through pyoperon: fixed generations and seed, so that a run repeats; ``max_length`` counts nodes."""
 
     name = "operon"
 
@@ -67,15 +61,7 @@ class OperonEngine:
         self.symbols = symbols
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
-        """Return the Pareto front over accuracy and length.
-
-        Parameters
-        ----------
-        inputs : mapping of str to ndarray, shape (n,)
-            Columns by name.
-        target : ndarray, shape (n,)
-            What to explain.
-        """
+        """Return the Pareto front over accuracy and length."""
         from pyoperon.sklearn import SymbolicRegressor
 
         names = list(inputs)
@@ -195,15 +181,7 @@ class FittedFormula:
 
 
 def refit(front: Sequence[Found], inputs: Mapping[str, Floats], target: Floats) -> list[FittedFormula]:
-    """Refit the constants of every formula on all rows; drop what is not finite.
-
-    Parameters
-    ----------
-    inputs : mapping of str to ndarray, shape (n,)
-        Columns by name.
-    target : ndarray, shape (n,)
-        What to explain.
-    """
+    """Refit the constants of every formula on all rows; drop what is not finite."""
     fitted = []
     for found in front:
         try:

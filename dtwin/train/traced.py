@@ -46,13 +46,7 @@ class NotTraceable(Exception):
 
 
 class Traced(NDArrayOperatorsMixin):
-    """Columns of expressions that stand for an array of one point.
-
-    Parameters
-    ----------
-    table : bool
-        Whether it stands for shape (1, columns) instead of (1,).
-    """
+    """Columns of expressions that stand for an array of one point, shape (1,), or (1, columns) for a ``table``."""
 
     def __init__(self, columns: Sequence[Expression], *, table: bool = False) -> None:
         self.columns = tuple(columns)
@@ -106,13 +100,7 @@ class Traced(NDArrayOperatorsMixin):
 
 
 class TracedAlong(Traced):
-    """A point of a path whose measured points are known: what is asked of them all is a number.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n,)
-        Where the path was measured.
-    """
+    """A point of a path that was measured at ``points`` (n,): what is asked of them all is a number."""
 
     def __init__(self, point: Expression, points: Floats) -> None:
         super().__init__([point])

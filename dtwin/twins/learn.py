@@ -28,17 +28,11 @@ _CONDITION = "a plane, radius and feed"
 class Learned:
     """What a twin learned.
 
-    Attributes
-    ----------
-    twin : Twin
-        The new version.
-    gain : float
-        Share of what is left that it takes away on conditions that were left out: of the mean square, of a law the mean of
-        every condition's share.
-    left_out : str
-        What was left out at a time, and how often.
-    said : str
-        What else people see of it.
+    ``twin``: the new version.
+    ``gain``: share of what is left that it takes away on conditions that were left out: of the mean square, of a law
+    the mean of every condition's share.
+    ``left_out``: what was left out at a time, and how often.
+    ``said``: what else people see of it.
     """
 
     twin: Twin

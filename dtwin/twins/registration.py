@@ -82,13 +82,7 @@ def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def waiting(home: Home, name: str = "*") -> list[_Waiting]:
-    """Return the versions that wait for MLflow, oldest first; none where it is not installed.
-
-    Parameters
-    ----------
-    name : str
-        One twin; all without.
-    """
+    """Return the versions of a twin, or of all, that wait for MLflow, oldest first; none where it is not installed."""
     return _still_waiting(_oldest_first(home, name))
 
 

@@ -108,13 +108,7 @@ def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:
 
 
 def require_alone(twin: Twin, what: str) -> Twin:
-    """Refuse what needs the runs of a single campaign.
-
-    Raises
-    ------
-    InputError
-        When the twin is of several campaigns.
-    """
+    """Refuse a twin of several campaigns for what needs the runs of a single one."""
     if isinstance(twin, SeveralTwin):
         first = twin.parts[0]
         names = ",".join(label.replace(" ", ":") for label in first.labels)

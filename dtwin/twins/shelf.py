@@ -22,13 +22,7 @@ _CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
 
 
 def require_same_machine(name: str, machine: str, campaign: str, its_machine: str) -> None:
-    """Refuse to compare a twin with measurements of another machine.
-
-    Raises
-    ------
-    InputError
-        When the machines differ.
-    """
+    """Refuse to compare a twin with measurements of another machine."""
     if its_machine != machine:
         raise InputError(
             "the twin is of another machine",

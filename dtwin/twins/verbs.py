@@ -180,13 +180,7 @@ class Twins(TwinShelf):
         return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}")
 
     def remove(self, name: str, effect: str, axis: str = "") -> Twin:
-        """Take an effect out, refit, and store the new version.
-
-        Raises
-        ------
-        InputError
-            When the twin does not have it.
-        """
+        """Take an effect out, refit, and store the new version; it is refused when the twin does not have it."""
         twin = self.newest(name)
         wanted, _, own = effect.partition(":")
         where = own or axis
@@ -196,13 +190,7 @@ class Twins(TwinShelf):
         return self._store(name, self._load(twin.campaigns), kept, f"remove {effect}")
 
     def restore(self, name: str, version: int) -> Twin:
-        """Refit with the effects of an older version, and store that as a new one.
-
-        Parameters
-        ----------
-        version : int
-            The version to go back to.
-        """
+        """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
         return self._store(name, self._load(old.campaigns), old.terms, f"restore v{version}")
 
@@ -237,15 +225,7 @@ class Twins(TwinShelf):
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> Twin:
-        """Return a version of a twin, the newest one without a number.
-
-        Raises
-        ------
-        InputError
-            When there is no such twin or version.
-        StoreError
-            When its file is damaged.
-        """
+        """Return a version of a twin, the newest one without a number; errors as of :meth:`newest_document`."""
         document, path = self.newest_document(name, version)
         return with_record(self.home, twin_from(document, self.library, str(path)))
 

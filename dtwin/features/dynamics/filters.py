@@ -42,13 +42,9 @@ class Filter(Protocol):
         """What the filter is, with its settings."""
 
     def static_um(self, deviation_um: Floats) -> Floats:
-        """Return the static part of one closed turn.
+        """Return the static part of a closed turn, read at equal steps of the angle in the order of travel, (n,).
 
-        Parameters
-        ----------
-        deviation_um : ndarray, shape (n,)
-            Readings at equal steps of the angle, in the order of travel. What runs forwards
-            only has gone round once before: the turn is closed.
+        What runs forwards only has gone round once before: the turn is closed.
         """
 
 

@@ -40,18 +40,10 @@ _LOWEST_SLEW_UM_S = 2000.0
 def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> TwinBundle:
     """Freeze the effects of a twin that offsets of position can correct.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs that it was fitted to: logged channels and their means come from there.
-    horizon_s : float
-        Known delay between a correction and the motion that it causes; the error is predicted
-        as far ahead along the path.
-
-    Raises
-    ------
-    InputError
-        When nothing is left to correct.
+    ``obs``: the runs that it was fitted to: logged channels and their means come from there.
+    ``horizon_s``: known delay between a correction and the motion that it causes; the error is predicted as far ahead
+    along the path.
+    Raises ``InputError`` when nothing is left to correct.
     """
     builder = GraphBuilder()
     logged = _Logged(builder, obs)

@@ -6,19 +6,17 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dtwin.kinds.kind import Drawing, Kind, Planned
+from dtwin.kinds.kind import Drawing, Planned
+from dtwin.kinds.path_kind import PathKind
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import plotly.graph_objects as go
 
-    from dtwin.config import Home
     from dtwin.kinds.kind import FileReader
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
-    from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
@@ -31,10 +29,9 @@ if TYPE_CHECKING:
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
     from dtwin.twins.correct import TwinWay
-    from dtwin.twins.verbs import Twins
 
 
-class _Circular(Kind):
+class _Circular(PathKind):
     name = "circular"
     columns = ("t_s", "angle_deg", "deviation_um")
     stated = ("plane", "radius_mm", "feed_mm_min")
@@ -128,17 +125,6 @@ class _Circular(Kind):
         from dtwin.kinds.circular._drawings import DRAWINGS
 
         return DRAWINGS
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.twins.verbs import Twins
-
-        return Twins(home, library)
-
-    @property
-    def twin_report(self) -> TwinReport:
-        from dtwin.report import twins
-
-        return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.gridding import CIRCLE, rows_of

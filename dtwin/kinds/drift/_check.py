@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.documents import finite
 from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
 from dtwin.kinds.drift._standing import probe_standing
 from dtwin.report.text import decimals, table
@@ -159,7 +160,7 @@ def _figures(run: Run) -> dict[str, Any] | None:
     return {
         "readings": len(series.t_s),
         "hours": float(series.t_s[-1]) / 3600.0,
-        "floor_um": series.floor_um if np.isfinite(series.floor_um) else None,
+        "floor_um": finite(series.floor_um),
         "steady": _model(base),
         "missing": [_step(step) for step in steps],
         "verdict": _verdict(series, last, steps),

@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.kinds.drift._effects import effect_of, finite, written
+from dtwin.documents import finite
+from dtwin.kinds.drift._effects import effect_of, written
 from dtwin.kinds.drift._model import Addition, Series, Term, additions, fitted, held_out_um, idle
 from dtwin.statistics import rms
 

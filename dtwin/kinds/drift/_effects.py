@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from dtwin.errors import InputError
 from dtwin.kinds.drift._model import Series, Term, best_lag
 
@@ -116,8 +114,3 @@ def joined(series: Series, terms: Sequence[Term], more: Sequence[Term]) -> tuple
 def same(one: Term, other: Term) -> bool:
     """Tell whether two terms are one effect of one sensor, whatever the time constant."""
     return (one.kind, one.channel) == (other.kind, other.channel)
-
-
-def finite(value: float) -> float | None:
-    """Return a number as JSON has it."""
-    return float(value) if np.isfinite(value) else None

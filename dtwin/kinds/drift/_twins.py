@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.documents import finite
 from dtwin.errors import InputError
 from dtwin.kinds.drift._data import Loaded, load
 from dtwin.kinds.drift._diagnosis import KIND, REPLICATION, DriftDiagnosis, diagnose, drift_figures_of
-from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, finite, joined, same, written
+from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, joined, same, written
 from dtwin.kinds.drift._model import Series, Term, fitted
 from dtwin.schema import Floats
 from dtwin.statistics import rms
@@ -146,14 +147,14 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
                     "axis": t.name,
                     "name": "per_kelvin",
                     "value": float(value),
-                    "uncertainty": finite(k2),
+                    "uncertainty": finite(float(k2)),
                     "unit": effect_of(t).unit,
                 }
                 for t, value, k2 in zip(terms, model.value[1:], model.k2[1:], strict=True)
             ],
             "per_kelvin": [float(value) for value in model.value[1:]],
             "setup": {"zero_um": float(model.value[0])},
-            "figures": {k: finite(v) for k, v in drift_figures_of(loaded.series, terms).items()},
+            "figures": finite(drift_figures_of(loaded.series, terms)),
             "replication": REPLICATION,
         }
 

@@ -51,10 +51,7 @@ def read_laser_file(path: Path) -> LaserTest:
 
     The header may be broken over two lines and columns parted by tabs or blanks, as exports do.
 
-    Raises
-    ------
-    InputError
-        When it is no laser file, or holds no usable row.
+    Raises ``InputError`` when it is no laser file, or holds no usable row.
     """
     try:
         lines = read_bounded(path, _MAX_BYTES).decode("ascii").splitlines()
@@ -102,17 +99,10 @@ def write_laser_file(path: Path, test: LaserTest) -> Path:
 def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) -> Floats:
     """Return actual minus commanded position, shape (n,), in the unit of the arguments.
 
-    Parameters
-    ----------
-    position : ndarray, shape (n,)
-        Commanded positions.
-    reading : ndarray, shape (n,)
-        What the laser shows; zeroed at ``start``.
-    start : float
-        Commanded position at which the laser was zeroed.
-    sense : {"decrease", "increase"}
-        What the distance between laser and reflector does while the position grows: with
-        ``decrease`` the reading falls.
+    ``position``, ``reading``: commanded positions, and what the laser shows there, shape (n,) each; it was zeroed at
+    the commanded position ``start``.
+    ``sense``: what the distance between laser and reflector does while the position grows: with ``decrease`` the
+    reading falls.
     """
     travelled = -reading if sense == "decrease" else reading
     error: Floats = travelled - (position - start)

@@ -7,17 +7,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
+from dtwin.kinds.path_kind import PathKind
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import plotly.graph_objects as go
 
-    from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
-    from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
@@ -31,10 +29,9 @@ if TYPE_CHECKING:
     from dtwin.train.run_errors import RunError
     from dtwin.train.twin_axes import AxisErrors
     from dtwin.twins.correct import TwinWay
-    from dtwin.twins.verbs import Twins
 
 
-class _Linear(Kind):
+class _Linear(PathKind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
@@ -139,17 +136,6 @@ class _Linear(Kind):
         from dtwin.positioning.drawings import drawings
 
         return drawings()
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.twins.verbs import Twins
-
-        return Twins(home, library)
-
-    @property
-    def twin_report(self) -> TwinReport:
-        from dtwin.report import twins
-
-        return twins
 
     def axis_errors(self, bundle: Bundle) -> AxisErrors:
         from dtwin.kinds.linear._served_axis import axis_errors

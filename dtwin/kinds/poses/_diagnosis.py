@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.documents import finite
 from dtwin.kinds.poses._effects import EFFECTS, Term, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
 from dtwin.schema import Floats
@@ -97,7 +98,6 @@ class PoseDiagnosis:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        floor, p = self.figures["noise_floor_um"], self.lack_of_fit_p
         return {
             "kind": KIND,
             "verdict": self.verdict,
@@ -105,9 +105,9 @@ class PoseDiagnosis:
             "residual_rms_um": self.figures["rms_after_um"],
             "held_out_rms_um": self.figures["held_out_rms_um"],
             "nested_mean_mm": self.figures.get("nested_mean_mm"),
-            "noise_floor_um": floor if np.isfinite(floor) else None,
+            "noise_floor_um": finite(self.figures["noise_floor_um"]),
             "replication": "block of neighbouring poses",
-            "lack_of_fit_p": p if np.isfinite(p) else None,
+            "lack_of_fit_p": finite(self.lack_of_fit_p),
             "candidates": [
                 {
                     "effect": c.effect,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.documents import finite
 from dtwin.errors import InputError
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
@@ -161,14 +162,14 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
                     "effect": p.term.effect,
                     "axis": p.term.axis,
                     "name": p.name,
-                    "value": p.value if np.isfinite(p.value) else None,
-                    "uncertainty": p.k2 if np.isfinite(p.k2) else None,
+                    "value": finite(p.value),
+                    "uncertainty": finite(p.k2),
                     "unit": p.unit,
                 }
                 for p in parameters(loaded.grams, terms)
             ],
             "setup": _setup_dict(loaded, terms),
-            "figures": {k: v if np.isfinite(v) else None for k, v in pose_figures(loaded.grams, terms).items()},
+            "figures": finite(pose_figures(loaded.grams, terms)),
             "replication": "block of neighbouring poses",
         }
 

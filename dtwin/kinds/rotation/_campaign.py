@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.documents import finite
 from dtwin.kinds.rotation._laws import CONSTANT, RESONANCE, SPEED, SQUARE, TIME, Law
 from dtwin.kinds.rotation._orders import Order
 from dtwin.kinds.rotation._runout import run_outs, runout_sentences
@@ -254,7 +255,7 @@ def rotation_figures(runs: Sequence[Run]) -> dict[str, Any]:
                     {"speed_rpm": g.speed_rpm, "mean_um": float(g.runout_um.mean()), "repeats": len(g.runout_um)}
                     for g in told.groups
                 ],
-                "repeat_um": told.repeat_um if math.isfinite(told.repeat_um) else None,
+                "repeat_um": finite(told.repeat_um),
                 "law": _law(told.law),
             }
             for told in run_outs(runs)
@@ -271,7 +272,7 @@ def _law(law: Law | None) -> dict[str, Any] | None:
         "change_um": law.change,
         "held_out_um": dict(law.left),
         "p_value": law.p_value,
-        "critical_rpm": law.critical_rpm if math.isfinite(law.critical_rpm) else None,
+        "critical_rpm": finite(law.critical_rpm),
     }
 
 
@@ -292,20 +293,14 @@ def _figures(point: Point) -> dict[str, Any]:
         "mean_um": f.mean_um,
         "drift_um": point.turns.drift_um,
     }
-    out |= {
-        name: {"value": _finite(v.um), "expanded": _finite(v.k2_um), "blocks": v.blocks} for name, v in named.items()
-    }
+    out |= {name: {"value": finite(v.um), "expanded": finite(v.k2_um), "blocks": v.blocks} for name, v in named.items()}
     out["once_deg"] = math.degrees(math.atan2(f.once.imag, f.once.real)) if point.phased else None
-    out["floor_um"] = _finite(f.floor_um)
+    out["floor_um"] = finite(f.floor_um)
     out["features"] = [
         {"angle_deg": x.angle_deg, "width_deg": x.width_deg, "height_um": x.height_um} for x in point.turns.features
     ]
     out["orders"] = [{"order": o.order, "amplitude_um": o.amplitude_um, "p_value": o.p_value} for o in point.orders]
     return out
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 HEAD = ("run", "rpm", "turns", "once at, °", "noise of S, µm", "asynchronous RMS, µm", "drift, µm")

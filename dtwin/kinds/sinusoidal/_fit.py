@@ -65,13 +65,7 @@ def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, 
 
 
 def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Action, seed: int) -> FittedTones:
-    """Fit one form of equation and judge it.
-
-    Parameters
-    ----------
-    model : str
-        One of ``MODELS``.
-    """
+    """Fit one form of equation, of ``MODELS``, and judge it."""
     groups = heard_groups(everything)
     if model == _SEARCHED:
         candidate = searched_candidate(groups, machine, None, seed, {}, action)

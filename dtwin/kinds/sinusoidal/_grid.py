@@ -79,15 +79,8 @@ class ToneCondition(OneAxis):
 def tone_row(run: Run, time_h: float) -> Row:
     """Reduce a run of a tone to what the tool does beyond the command, over its phase.
 
-    Parameters
-    ----------
-    run : Run
-        With ``t_s``, and command and tool of the axis, ``cmd_z_mm`` and ``tool_z_mm`` for Z.
-
-    Raises
-    ------
-    InputError
-        When columns or the tone are missing, there are too few samples in a period, or no whole one.
+    ``run``: with ``t_s``, and command and tool of the axis, ``cmd_z_mm`` and ``tool_z_mm`` for Z.
+    Raises ``InputError`` when columns or the tone are missing, there are too few samples in a period, or no whole one.
     """
     condition = _condition(run)
     names = [f"{part}_{condition.axis.lower()}_mm" for part in ("cmd", "tool")]

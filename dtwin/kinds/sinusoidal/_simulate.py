@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.machine import require_no_campaign
 from dtwin.kinds.sinusoidal._folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal._plan import BETWEEN_S, TonePlan
 from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, Slide, TurningSlide
@@ -195,10 +196,7 @@ def simulate_turning(
     ``quick``: 24 groups instead of the published 99.
     ``plan``: groups, repeats and order instead of a grid; the slide then follows the room.
     """
-    if (folder / "campaign.toml").exists():
-        raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
-        )
+    require_no_campaign(folder)
     slide, seen_by = virtual_slide(truth), Instruments()
     told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
     if plan is None:

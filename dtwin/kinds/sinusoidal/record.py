@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Drawing, Kind, Planned
+from dtwin.kinds.kind import Drawing, Planned
+from dtwin.kinds.path_kind import PathKind
 
 if TYPE_CHECKING:
-    from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.lake.store import Lake
-    from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
@@ -23,10 +21,9 @@ if TYPE_CHECKING:
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
     from dtwin.twins.correct import TwinWay
-    from dtwin.twins.verbs import Twins
 
 
-class _Sinusoidal(Kind):
+class _Sinusoidal(PathKind):
     name = "sinusoidal"
     columns = ("t_s", "cmd_z_mm", "act_z_mm")
     in_one_table = True
@@ -87,17 +84,6 @@ class _Sinusoidal(Kind):
         from dtwin.kinds.sinusoidal._drawings import DRAWINGS
 
         return DRAWINGS
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.twins.verbs import Twins
-
-        return Twins(home, library)
-
-    @property
-    def twin_report(self) -> TwinReport:
-        from dtwin.report import twins
-
-        return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.kinds.sinusoidal._grid import TONE, tone_row

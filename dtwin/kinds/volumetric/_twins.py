@@ -85,7 +85,10 @@ class HeatComparison:
 
 
 class HeatTwins(TwinShelf):
-    """The twins of a home that are of ball arrays."""
+    """The twins of a home that are of ball arrays.
+
+    Verbs, and what they refuse and return, are those of :class:`dtwin.twins.verbs.Twins`.
+    """
 
     def __init__(self, home: Home) -> None:
         super().__init__(home, KIND)
@@ -93,15 +96,8 @@ class HeatTwins(TwinShelf):
     def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> HeatTwin:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
-        Parameters
-        ----------
-        effects : sequence of str
-            Error motions or families, as :func:`dtwin.kinds.volumetric._motions.heat_terms` takes them.
-
-        Raises
-        ------
-        InputError
-            When something is not known, or a robust fit is asked for.
+        ``effects``: error motions or families, as :func:`dtwin.kinds.volumetric._motions.heat_terms` takes them.
+        Raises ``InputError`` when something is not known, or a robust fit is asked for.
         """
         require_name(name, "the twin")
         if robust:
@@ -118,10 +114,7 @@ class HeatTwins(TwinShelf):
     def compare(self, name: str, campaign: str | None = None) -> HeatComparison:
         """Compare a twin with measurements, those of its fit without a campaign.
 
-        Raises
-        ------
-        InputError
-            When the campaign is of another machine, or lacks a temperature of the twin.
+        Raises ``InputError`` when the campaign is of another machine, or lacks a temperature of the twin.
         """
         twin = self.newest(name)
         loaded = self._loaded(twin, campaign)
@@ -142,16 +135,7 @@ class HeatTwins(TwinShelf):
     def add(self, name: str, effect: str, axis: str = "") -> HeatTwin:
         """Add an error motion or a family, refit, and store the new version.
 
-        Parameters
-        ----------
-        effect, axis : str
-            What to add. A motion that the twin has may be driven by more temperatures than before:
-            ``EX0@foundation_c``.
-
-        Raises
-        ------
-        InputError
-            When the twin has it already.
+        A motion that the twin has may be driven by more temperatures than before: ``EX0@foundation_c``.
         """
         twin = self.newest(name)
         terms = _joined(twin, heat_terms([effect], axis))
@@ -159,13 +143,7 @@ class HeatTwins(TwinShelf):
         return self._store(name, loaded, terms, _added(twin, terms))
 
     def remove(self, name: str, effect: str, axis: str = "") -> HeatTwin:
-        """Take an error motion or a family out, whatever drives it, refit, and store the new version.
-
-        Raises
-        ------
-        InputError
-            When the twin does not have it.
-        """
+        """Take an error motion or a family out, whatever drives it, refit, and store the new version."""
         twin = self.newest(name)
         gone = {term.motion for term in heat_terms([effect], axis)}
         kept = tuple(term for term in twin.terms if term.motion not in gone)
@@ -179,17 +157,7 @@ class HeatTwins(TwinShelf):
         return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
-        """Diagnose and add until nothing is missing, or nothing that was logged would help; nothing here is random.
-
-        Returns
-        -------
-        twins : list of HeatTwin
-            The versions that were made.
-        groups : list of tuple of str
-            For each of them what it was chosen from.
-        diagnosis : HeatDiagnosis
-            The last word.
-        """
+        """Diagnose and add until nothing is missing, or nothing that was logged would help; nothing here is random."""
         twin = self.newest(name)
         loaded = self._loaded(twin)
         made: list[HeatTwin] = []
@@ -204,15 +172,7 @@ class HeatTwins(TwinShelf):
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> HeatTwin:
-        """Return a version of a twin, the newest one without a number.
-
-        Raises
-        ------
-        InputError
-            When there is no such twin or version, or it is of another kind.
-        StoreError
-            When its file is damaged.
-        """
+        """Return a version of a twin, the newest one without a number."""
         document, path = self.newest_document(name, version)
         try:
             if document["format"] != FORMAT:
