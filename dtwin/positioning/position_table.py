@@ -240,9 +240,8 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
         cell = place[target], cycle - 1
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} {scale.unit}"
-            raise wrong_form(
-                "a reading stands there twice: say which cycle each belongs to, and of which axis it is", path, got
-            )
+            said = "a reading stands there twice: say which cycle each belongs to, and of which axis it is"
+            raise wrong_form(said + "; the end of a turn is 360, not 0" * bool(scale.turn), path, got)
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
     return PositionTable(

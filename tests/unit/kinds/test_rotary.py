@@ -195,6 +195,8 @@ def test_a_sheet_of_a_workbook_is_read_by_the_name_of_its_axis(tmp_path: Path) -
             sheet.append(cells if number == 0 else [float(cells[0]), *(scale * float(cell) for cell in cells[1:])])
     book.save(path := tmp_path / "table.xlsx")
     assert axis_turns(path) is True
+    with pytest.raises(InputError, match="end of a turn is 360"):
+        read(written(tmp_path, wide("arcsec").replace("360;", "0;"), "turn.csv"))
     (part,) = ROTARY.sheet(read(path), Circumstances()).parts
     assert {c.symbol: c.value_um for c in part.characteristics} == pytest.approx(iso_230_2(FORWARD, REVERSE))
 
