@@ -213,6 +213,21 @@ def read(path: Path, **condition: str) -> list[Run]:
     return reader(path, Campaign("c", "m", kind="rotary"), {"condition": {"axis": "C", **condition}})[0]
 
 
+def test_a_number_or_nothing_may_stand_above_parts_of_degrees(tmp_path: Path) -> None:
+    text = "target;error fwd 1;error rev 1\n0;-;0°00'01\"\n12°30';0°00'02\";-\n45;-0°00'03\";0"
+    (run,) = read(written(tmp_path, text))
+    told = zip(run.samples["angle_deg"], run.samples["direction"], run.samples["error_arcsec"], strict=True)
+    assert {(t, way): round(x, 6) for t, way, x in told} == {
+        (12.5, "forward"): 2.0,
+        (45.0, "forward"): -3.0,
+        (45.0, "reverse"): 0.0,
+        (0.0, "reverse"): 1.0,
+    }
+    for cell in ("12°60'", "0°0'75\"", "12.5°30'"):
+        with pytest.raises(InputError, match="not a number"):
+            read(written(tmp_path, text.replace("12°30'", cell)))
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_gives_the_figures_of_the_standard(tmp_path: Path, form: str) -> None:
     path = written(tmp_path, FORMS[form])
