@@ -164,6 +164,11 @@ FORMS = {
     "positions": positions(),
     "parts of degrees": cells("deviation {way} {c}", "target", lambda t, x: sexagesimal(x)),
     "positions in these": cells("actual {way} {c} [° ' \"]", "Soll [DMS]", lambda t, x: sexagesimal((t + x) % 360.0)),
+    "these in Markdown": "# Rotary table\n\n"
+    + "\n".join(
+        f"| {' | '.join(row.split(';'))} |" + "\n|---|---|---|---|---|---|---|" * (n == 0)
+        for n, row in enumerate(cells("error {way} {c}", "target", lambda t, x: sexagesimal(x)).splitlines())
+    ),
     "these below seconds": cells('{way} {c} ["]', "target [°]", lambda t, x: sexagesimal(x)),
     "seconds with their mark": cells("{way} {c}", "target", lambda t, x: f'{x * 3600.0:.1f}"'),
     "deviations near a turn": cells("deviation {way} {c} [°]", "target", lambda t, x: f"{x % 360.0:.7f}"),
