@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from dtwin.acquire.foreign_columns import in_english
+from dtwin.acquire.foreign_columns import in_english, is_number
 from dtwin.acquire.table_dialect import rows_of
 from dtwin.positioning.table_heads import (
     ANGLE,
     CYCLE,
+    MISSING,
     MOST_TITLES,
     NAMED,
     SURELY_READ,
@@ -42,12 +43,18 @@ def with_degrees(rows: Sequence[Sequence[str]]) -> list[list[str]]:
             if degrees is None:
                 continue
             if i not in seen:
-                head = out[n - 1][i] if n and i < len(out[n - 1]) else ""
+                above = (line for line in reversed(out[:n]) if i < len(line))
+                row_of_head = next((line for line in above if _is_head(line[i])), None)
+                head = "" if row_of_head is None else row_of_head[i]
                 seen[i] = ANGLES_DEG.get(plain_unit(told_unit(head, "")), 0.0)
-                if head and not seen[i]:
-                    out[n - 1][i] = f"{head.partition('[')[0].strip()} [°]"
+                if row_of_head is not None and not seen[i]:
+                    row_of_head[i] = f"{head.partition('[')[0].strip()} [°]"
             out[n][i] = repr(degrees / (seen[i] or 1.0))
     return out
+
+
+def _is_head(cell: str) -> bool:
+    return cell.strip().lower() not in MISSING and not is_number(cell)
 
 
 def _degrees(cell: str) -> float | None:
@@ -56,7 +63,9 @@ def _degrees(cell: str) -> float | None:
     if match is None or not any(match.groups()[1:]):
         return None
     degrees, minutes, seconds = (float(part or 0) for part in match.groups()[1:])
-    if (match[2] and minutes >= 60.0) or ((match[2] or match[3]) and seconds >= 60.0):
+    if (match[2] and (minutes >= 60.0 or ((match[3] or match[4]) and degrees % 1.0))) or (
+        (match[2] or match[3]) and seconds >= 60.0
+    ):
         return None
     return (1.0 if match[1] in ("", "+") else -1.0) * (degrees + minutes / 60.0 + seconds / 3600.0)
 

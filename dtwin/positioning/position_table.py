@@ -96,7 +96,9 @@ def axis_turns(path: Path) -> bool | None:
         return assigned_unit(text) in ANGLES_DEG
     text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
     rows = with_degrees(rows_of(text))
-    tables = [table.rows for table in report_tables(text, rows) or instruments_beside(rows)]
+    tables: list[Sequence[Sequence[str]]] = [
+        with_degrees(table.rows) for table in report_tables(text, rows) or instruments_beside(rows)
+    ]
     plain = None if tables else table_of(rows)
     if tables or plain is not None:
         return all(of_angles(table[:2]) for table in tables or [plain or ()])
@@ -153,7 +155,7 @@ def table_in(
     if trials := trials_of(rows, scale):
         raise one_place(path, trials, scale.fine)
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
-    tables = [table.rows for table in report]
+    tables: list[Sequence[Sequence[str]]] = [with_degrees(table.rows) for table in report]
     if not tables:
         require_positioning(rows, path)
         plain = table_of(rows)
@@ -240,9 +242,8 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
         cell = place[target], cycle - 1
         if np.isfinite(found[way][cell]):
             got = f"{way}, cycle {cycle}, {target:g} {scale.unit}"
-            raise wrong_form(
-                "a reading stands there twice: say which cycle each belongs to, and of which axis it is", path, got
-            )
+            said = "a reading stands there twice: say which cycle each belongs to, and of which axis it is"
+            raise wrong_form(said + "; the end of a turn is 360, not 0" * bool(scale.turn), path, got)
         found[way][cell] = deviation
     by_position = all(reading[4] for reading in readings)
     return PositionTable(

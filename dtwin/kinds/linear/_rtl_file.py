@@ -17,12 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.positioning.assignments import Reading
 from dtwin.positioning.position_runs import runs_of
 from dtwin.positioning.position_table import matrix_of
+from dtwin.positioning.table_heads import TURNS
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.units import UM_PER_MM
 
@@ -70,9 +72,21 @@ def read_rtl_runs(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> 
 
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
 
-    Raises ``InputError`` when a line is not of the form, or targets and deviations do not belong together.
+    Raises ``InputError`` when a line is not of the form, the axis turns or is another one than the file says, or targets and deviations do not belong together.
     """
     content = _content(path)
+    axis = str(stated.get("condition", {}).get("axis", ""))
+    told = [axis_of(said.partition(" ")[2], bare=True) for said in content.said if said.startswith(("axis", "achse"))]
+    require_axis([one for one in told if one], axis, path)
+    if TURNS.fullmatch(axis):
+        raise InputError(
+            "such files are read as lengths, and by its name the axis turns: nobody knows what the units of its file are",
+            code="rtl.axis",
+            where=str(path),
+            got=f"axis {axis}",
+            allowed="an axis that moves along, such as X",
+            hint="a table with units, such as target [°], forward 1 [″], is read as one of a rotary axis",
+        )
     findings = [
         Finding("rtl.untried", "info", "this form was never tried with a file of a real instrument: compare a figure")
     ]

@@ -164,6 +164,11 @@ FORMS = {
     "positions": positions(),
     "parts of degrees": cells("deviation {way} {c}", "target", lambda t, x: sexagesimal(x)),
     "positions in these": cells("actual {way} {c} [° ' \"]", "Soll [DMS]", lambda t, x: sexagesimal((t + x) % 360.0)),
+    "these in Markdown": "# Rotary table\n\n"
+    + "\n".join(
+        f"| {' | '.join(row.split(';'))} |" + "\n|---|---|---|---|---|---|---|" * (n == 0)
+        for n, row in enumerate(cells("error {way} {c}", "target", lambda t, x: sexagesimal(x)).splitlines())
+    ),
     "these below seconds": cells('{way} {c} ["]', "target [°]", lambda t, x: sexagesimal(x)),
     "seconds with their mark": cells("{way} {c}", "target", lambda t, x: f'{x * 3600.0:.1f}"'),
     "deviations near a turn": cells("deviation {way} {c} [°]", "target", lambda t, x: f"{x % 360.0:.7f}"),
@@ -195,6 +200,8 @@ def test_a_sheet_of_a_workbook_is_read_by_the_name_of_its_axis(tmp_path: Path) -
             sheet.append(cells if number == 0 else [float(cells[0]), *(scale * float(cell) for cell in cells[1:])])
     book.save(path := tmp_path / "table.xlsx")
     assert axis_turns(path) is True
+    with pytest.raises(InputError, match="end of a turn is 360"):
+        read(written(tmp_path, wide("arcsec").replace("360;", "0;"), "turn.csv"))
     (part,) = ROTARY.sheet(read(path), Circumstances()).parts
     assert {c.symbol: c.value_um for c in part.characteristics} == pytest.approx(iso_230_2(FORWARD, REVERSE))
 
@@ -209,6 +216,21 @@ def read(path: Path, **condition: str) -> list[Run]:
     reader = ROTARY.reader_of(path)
     assert reader is not None
     return reader(path, Campaign("c", "m", kind="rotary"), {"condition": {"axis": "C", **condition}})[0]
+
+
+def test_a_number_or_nothing_may_stand_above_parts_of_degrees(tmp_path: Path) -> None:
+    text = "target;error fwd 1;error rev 1\n0;-;0°00'01\"\n12°30';0°00'02\";-\n45;-0°00'03\";0"
+    (run,) = read(written(tmp_path, text))
+    told = zip(run.samples["angle_deg"], run.samples["direction"], run.samples["error_arcsec"], strict=True)
+    assert {(t, way): round(x, 6) for t, way, x in told} == {
+        (12.5, "forward"): 2.0,
+        (45.0, "forward"): -3.0,
+        (45.0, "reverse"): 0.0,
+        (0.0, "reverse"): 1.0,
+    }
+    for cell in ("12°60'", "0°0'75\"", "12.5°30'"):
+        with pytest.raises(InputError, match="not a number"):
+            read(written(tmp_path, text.replace("12°30'", cell)))
 
 
 @pytest.mark.parametrize("form", FORMS)

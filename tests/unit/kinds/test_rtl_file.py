@@ -160,3 +160,13 @@ def test_hostile_files_are_refused_as_mistakes(tmp_path: Path, data: st.DataObje
     path.write_bytes(data.draw(st.sampled_from([junk, whole[:at] + junk, whole[:at] + junk + whole[at:]])))
     with suppress(InputError):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("axis", "told", "why"), [("C", "C", "turns"), ("Y", "X", "another axis"), ("C", "X", "another")]
+)
+def test_an_axis_that_turns_or_is_another_one_is_refused(tmp_path: Path, axis: str, told: str, why: str) -> None:
+    path = tmp_path / "axis.rtl"
+    path.write_text(SHIPPED.read_text(encoding="cp1252").replace("Axis: X", f"Axis: {told}"), encoding="cp1252")
+    with pytest.raises(InputError, match=why):
+        list(open_source(path, {"axis": axis, "machine": "m"})[1])
