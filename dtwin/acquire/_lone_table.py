@@ -15,7 +15,7 @@ from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_fro
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 
-_EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X", "rotary axis": "C"}
+_EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X"}
 
 
 def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None) -> CampaignFolder:
@@ -30,6 +30,7 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
     needed = kind_named(kind).stated
     missing = [name for name in needed or () if told.get(name) is None]
     if needed is None or missing:
+        examples = {**_EXAMPLE, **kind_named(kind).examples}
         raise InputError(
             f"a table of a {kind} test does not say under which conditions it was measured",
             code="ingest.condition",
@@ -42,7 +43,7 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
                 f"dtwin import {quote(str(made_of))} --out FOLDER " if made_of else f"dtwin ingest {quote(str(path))} "
             )
             + (f"--kind {kind} " if told.get("kind") else "")
-            + " ".join(f"--{name.split('_')[0]} {_EXAMPLE.get(f'{kind} {name}', _EXAMPLE[name])}" for name in needed)
+            + " ".join(f"--{name.split('_')[0]} {examples[name]}" for name in needed)
             + " --machine NAME",
         )
     stray = [] if kind_named(kind).goes_round else [n for n in ("plane", "radius_mm") if told.get(n) is not None]

@@ -7,6 +7,8 @@ from html.parser import HTMLParser
 
 _NOT_SHOWN = ("script", "style", "title")
 _MOST_SPANNED = 32
+# Characters: what is longer is no cell of a table of readings.
+_LONGEST = 1000
 
 
 class _Page(HTMLParser):
@@ -40,7 +42,7 @@ class _Page(HTMLParser):
         text = " ".join(data.split())
         if self.inside in ("td", "th") and self.lines and self.lines[-1]:
             at = -min(self.spanned, _MOST_SPANNED)
-            self.lines[-1][at] = f"{self.lines[-1][at]} {text}".strip()
+            self.lines[-1][at] = f"{self.lines[-1][at]} {text}".strip()[:_LONGEST]
         elif text and self.inside not in _NOT_SHOWN:
             self.lines.append([text])
 

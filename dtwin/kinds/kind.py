@@ -153,6 +153,8 @@ class Kind:
         What a table of samples must have.
     stated : tuple of str or None
         What must be told of a table that lies alone; None when it takes a ``campaign.toml``.
+    examples : mapping of str to str
+        Of these, what a hint proposes where it is not what it is for other kinds.
     goes_round : bool
         Whether a run has a plane and a direction, CCW or CW, that must be told.
     in_one_table : bool
@@ -184,6 +186,7 @@ class Kind:
     name: ClassVar[str]
     columns: ClassVar[tuple[str, ...]]
     stated: ClassVar[tuple[str, ...] | None] = None
+    examples: ClassVar[Mapping[str, str]] = {}
     goes_round: ClassVar[bool] = False
     in_one_table: ClassVar[bool] = False
     laws: ClassVar[bool] = False

@@ -23,6 +23,8 @@ from dtwin.positioning.table_heads import (
 )
 from dtwin.units import ANGLES_DEG
 
+# Lines: heads are among the first rows, and a comment may stand above them.
+_FIRST = 200
 _ANGLE_HEAD = re.compile(r"(\w+[ _-]?)?(angle|winkel|angular position|rotary position)\b", re.I)
 
 _NUMBER = r"(\d+(?:\.\d+)?)\s*"
@@ -75,7 +77,7 @@ def angles_as_targets(text: str) -> str:
 
     They are where several name a direction, or hold deviations or runs in a unit of angle, and none is in a unit of length.
     """
-    rows = with_degrees(rows_of(text))
+    rows = with_degrees(rows_of("\n".join(text.splitlines()[:_FIRST])))
     for row, below in zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False):
         at = next((i for i, cell in enumerate(row) if _ANGLE_HEAD.match(in_english(cell))), -1)
         others = [in_english(cell) for i, cell in enumerate(row) if i != at]
@@ -85,7 +87,8 @@ def angles_as_targets(text: str) -> str:
         ways = sum(way_of(cell) is not None for cell in others)
         if at >= 0 and (ways > 1 or (small and read)) and not any(map(is_length, (*row, *below))):
             head = row[at].strip()
-            return re.sub(rf"(?<!\w){re.escape(head)}(?!\w)", f"{NAMED}{in_english(head)}", text)
+            named = f"{NAMED}{in_english(head)}".replace("\\", r"\\")
+            return re.sub(rf"(?<!\w){re.escape(head)}(?!\w)", named, text)
     return text
 
 

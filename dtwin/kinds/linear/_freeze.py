@@ -10,13 +10,13 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import POSITION, ROOM_MM, SAFETY, held, remembering_bundle
+from dtwin.kinds.linear._grid import WAYS, Stroke
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.screw import PITCH
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, predict_um
 from dtwin.positioning.check import FEWEST_PHASES, phases_of
-from dtwin.positioning.grid import WAYS, Stroke
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.interface import SafetyLimits

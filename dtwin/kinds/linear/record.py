@@ -143,7 +143,7 @@ class _Linear(PathKind):
         return axis_errors(bundle)
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.positioning.grid import stroke_rows
+        from dtwin.kinds.linear._grid import stroke_rows
 
         return stroke_rows(runs, times_h)
 

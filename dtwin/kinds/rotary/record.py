@@ -22,6 +22,7 @@ class _Rotary(Kind):
     name = "rotary"
     columns = ("t_s", "angle_deg", "direction", "error_arcsec")
     stated = ("axis",)
+    examples: ClassVar[Mapping[str, str]] = {"axis": "C"}
     campaign_columns = columns
     sheet_columns = columns
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from dtwin.acquire.html_table import table_of_page
 from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
@@ -201,6 +202,13 @@ def page_of(text: str) -> str:
     rows = ("".join(f"<td><b>{cell}</b>\n</td>" for cell in line.split("\t")) for line in text.splitlines())
     table = "".join(f"<tr>{row}</tr>" for row in rows).replace("µ", "&micro;")
     return f"<html><head><title>Export</title><style>td {{}}</style></head><body><h1>X axis</h1><table>{table}</table></body></html>"
+
+
+def test_a_cell_of_a_page_is_cut_where_it_is_no_reading_any_more() -> None:
+    # Uncut, each part would copy all those before it.
+    ((cell,),) = table_of_page("<table><tr><td>" + "<b>part " * 5000)
+    assert cell.startswith("part part ")
+    assert len(cell) < 2000
 
 
 def packed(path: Path, members: dict[str, bytes]) -> bytes:

@@ -25,9 +25,9 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.positioning.grid import stroke_rows
 from dtwin.positioning.position_runs import PositionTable
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
 from dtwin.report.checking import check_source

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from openpyxl import Workbook
 from typer.testing import CliRunner
@@ -302,11 +302,18 @@ def test_degrees_are_taken_only_where_the_kind_is_stated_and_that_is_said(tmp_pa
     assert [f.severity for f in read(path)[0].findings if f.code == "rotary.unit_assumed"] == ["warning"]
 
 
+@pytest.mark.parametrize(
+    "around", ['Winkel [°],forward 1 ["],reverse 1 ["]\n{}', 'Winkel {} [°],vor 1 ["],rück 1 ["]\n0,1,2\n9,1,2\n']
+)
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=200))
-def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+@example(b"\\x")
+def test_no_file_ends_in_anything_but_a_refusal(
+    tmp_path_factory: pytest.TempPathFactory, around: str, content: bytes
+) -> None:
     path = tmp_path_factory.mktemp("any") / "a.csv"
-    path.write_bytes('Winkel [°],forward 1 ["],reverse 1 ["]\n'.encode() + content)
+    begin, end = (part.encode() for part in around.split("{}"))
+    path.write_bytes(begin + content + end)
     if axis_turns(path) is not None:
         with suppress(InputError):
             read(path)
