@@ -105,3 +105,8 @@ def shared_variances(variance: Floats, dof: Floats, usual: float) -> tuple[Float
     differ = max(0.0, float(np.mean(((ratio - 1.0) ** 2 - chance)[told]))) if told.any() else 0.0
     weight = np.where(told, differ / (differ + (1.0 + differ) * chance), 0.0)
     return np.asarray(usual * (1.0 + weight * (ratio - 1.0))), weight
+
+
+def times_simulated(numbers: int) -> int:
+    """Return how often a test of so many numbers is simulated: a thousand times, a long one less often."""
+    return max(200, min(1000, 5_000_000 // max(numbers, 1)))

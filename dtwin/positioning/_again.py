@@ -6,11 +6,11 @@ import numpy as np
 
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
-from dtwin.statistics import shared_variances
+from dtwin.statistics import shared_variances, times_simulated
 
 
-def made_again(test: LinearTest, count: int, *, one_way: bool = False) -> tuple[Floats, Floats, float]:
-    """Return readings of tests like this one, forward and reverse, (count, targets, runs) each, and the share of runs as wholes.
+def made_again(test: LinearTest, *, one_way: bool = False) -> tuple[Floats, Floats, float]:
+    """Return readings of tests like this one, forward and reverse, (tests, targets, runs) each, and the degrees of freedom.
 
     A run differs from the others by a shift and a stretch of all its readings, as by warming, and by the scatter of each
     reading. A shift that all targets of a run share makes R no less certain than that of one target, and moves no range of
@@ -26,12 +26,33 @@ def made_again(test: LinearTest, count: int, *, one_way: bool = False) -> tuple[
     along = _along(test.position_mm, len(ways))
     size, rest = _wholes(moved, along)
     runs = every.shape[1]
-    scatter = _scatter(rest, along.shape[1])
+    scatter, own = _scatter(rest, along.shape[1])
+    if not one_way:
+        mean = _calm(mean, 2.0 * float(scatter.mean()) / runs)
+    count = times_simulated(every.size)
     drawn = mean + np.sqrt(scatter)[:, None] * rng.standard_normal((count, *every.shape))
     drawn = drawn + along @ (size[:, None] * rng.standard_normal((count, along.shape[1], runs)))
     parts = np.split(drawn, len(ways), axis=1)
     whole = float((along**2 @ size**2).mean())
-    return parts[0], parts[-1], whole / max(whole + float(scatter.mean()), 1e-12)
+    share = whole / max(whole + float(scatter.mean()), 1e-12)
+    of_all = len(every) - along.shape[1]
+    of_scatter = (1.0 - own) / of_all + own / min(len(ways), of_all)
+    return parts[0], parts[-1], (runs - 1.0) / (share**2 + (1.0 - share) ** 2 * of_scatter)
+
+
+def _calm(mean: Floats, chance: float) -> Floats:
+    """Return means (readings, 1), forward before reverse, whose reversals differ as much as those of the axis surely do.
+
+    About means as they are, the largest reversal would stand out twice: by its own scatter, and by what is drawn.
+
+    ``chance``: variance of a reversal by the scatter of readings.
+    """
+    forward, reverse = np.split(mean, 2)
+    reversal = reverse - forward
+    differ = float(reversal.var(ddof=1)) if len(reversal) > 1 else 0.0
+    kept = np.sqrt(max(0.0, 1.0 - chance / differ)) if differ > 0.0 else 1.0
+    less = (1.0 - kept) * (reversal - reversal.mean()) / 2.0
+    return np.concatenate([forward + less, reverse - less])
 
 
 def _along(position_mm: Floats, ways: int) -> Floats:
@@ -55,9 +76,10 @@ def _wholes(moved: Floats, along: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(np.maximum(variance, 0.0)), rest
 
 
-def _scatter(rest: Floats, columns: int) -> Floats:
-    """Return the variance of each target and direction, as far as they surely differ."""
+def _scatter(rest: Floats, columns: int) -> tuple[Floats, float]:
+    """Return the variance of each target and direction, as far as they surely differ, and the weight of a target's own."""
     readings, runs = rest.shape
     lost = readings / (readings - columns)
     own = lost * (rest**2).sum(axis=1) / (runs - 1)
-    return shared_variances(own, np.full(readings, runs - 1.0), float(own.mean()))[0]
+    shared, weight = shared_variances(own, np.full(readings, runs - 1.0), float(own.mean()))
+    return shared, float(weight.mean())

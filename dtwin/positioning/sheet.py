@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 Asked = Callable[[LinearTest], list[str]]
 Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
-_AGAIN = 400
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
     ("A↑", "accuracy, forward", "accuracy_forward_um"),
@@ -107,15 +106,12 @@ def _figures(test: LinearTest, ways: Ways, uncertain: Uncertain) -> tuple[Charac
         # Of single readings means are known, and what runs differ by is not.
         twice = (np.repeat(errors, 2, axis=1) for errors in (test.forward_um, test.reverse_um))
         told = asdict(linear_figures(*twice))
-        scatter, whole = dict.fromkeys(told, math.nan), 0.0
+        scatter, dof = dict.fromkeys(told, math.nan), 0.0
     else:
         told = asdict(linear_figures(test.forward_um, test.reverse_um))
-        forward, reverse, whole = made_again(test, _AGAIN, one_way=ways != BOTH)
+        forward, reverse, dof = made_again(test, one_way=ways != BOTH)
         drawn = stacked_figures(forward, reverse)
         scatter = {key: float(np.std(drawn[key], ddof=1)) for key in told}
-    # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction; of runs that move
-    # as wholes on those of the runs.
-    dof = (2.0 - whole if ways == BOTH else 1.0) * (n - 1)
     return tuple(
         Characteristic(symbol, name, told[key], 1, scatter[key], dof, contributions=uncertain(symbol, test))
         for symbol, name, key in named

@@ -140,7 +140,7 @@ GERMAN = {
     "U is not known, for no sound run was repeated: no limit can be decided.": "U ist nicht bekannt, da kein brauchbarer Lauf wiederholt wurde: über keine Grenze kann entschieden werden.",
     "what runs of one condition differ by (unit of replication: the run, pooled over conditions)": "Streuung der Läufe einer Bedingung (Wiederholeinheit: der Lauf, über die Bedingungen zusammengefasst)",
     "what readings of one sample differ by (unit of replication: the reading)": "Streuung der Ablesungen eines Messzeitpunkts (Wiederholeinheit: die Ablesung)",
-    "what blocks of neighbouring turns differ by (unit of replication: the block, of ten or fewer turns the turn)": "Streuung von Blöcken benachbarter Umdrehungen (Wiederholeinheit: der Block, bei zehn oder weniger die Umdrehung)",
+    "what blocks of neighbouring turns differ by (unit of replication: the block, of six or fewer turns the turn)": "Streuung von Blöcken benachbarter Umdrehungen (Wiederholeinheit: der Block, bei sechs oder weniger die Umdrehung)",
     "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)": "Streuung der Werte einer Drehzahl (Wiederholeinheit: die Zeile, über die Drehzahlen zusammengefasst)",
     "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)": "Kenngrößen von Tests, die aus den Unterschieden der Läufe im Ganzen und an jeder Zielposition neu gezogen sind (Wiederholeinheit: der Lauf)",
     "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)": "Kenngrößen von Tests, die aus der Streuung der Wiederholungen einer Pose neu gezogen sind (Wiederholeinheit: die Ablesung)",

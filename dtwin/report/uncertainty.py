@@ -182,6 +182,12 @@ class Circumstances:
             "instrument", told.value / 2, told.basis(f"{shown_unit(unit)} (k = 2)"), assumed=told.assumed
         )
 
+    def probe(self, otherwise: float, figure_um: float) -> tuple[Contribution, ...]:
+        """Return what a probe contributes to a range: to any difference of two readings, and ``uncertainty_percent`` (k = 2) of it."""
+        told = self.stated("uncertainty_percent", 0.0)
+        share = Contribution("probe's sensitivity", told.value / 200.0 * figure_um, told.basis("% (k = 2)"))
+        return (self.reading(otherwise), *([share] if told.value else []))
+
     def length(self, metres: float) -> list[Contribution]:
         """Return what temperature and expansion contribute to a length that is to hold at 20 °C."""
         expansion = self.stated("expansion_um_per_m_k", _EXPANSION)

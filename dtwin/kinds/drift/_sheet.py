@@ -14,12 +14,14 @@ from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Floats, Run
+from dtwin.statistics import rms, times_simulated
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _READING_UM = 0.5
 _HOUR_S = 3600.0
+_NO_EXTREME = 10.0
 AT_REST = "environment"
 """What a run states as its ``test`` when nothing heated the machine but its surroundings."""
 
@@ -35,15 +37,22 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         sound = not any(f.severity == "error" for f in run.findings)
         series = series_of(run, as_read=True)
         t_s, moved = _means(series)
-        spans = _ranges_um(t_s, moved)
-        each = len(series.t_s) / len(t_s)
-        # A range is a difference of two means.
-        scatter = series.floor_um * math.sqrt(2.0 / each)
-        dof = float(len(series.t_s) - len(t_s)) if math.isfinite(scatter) else 0.0
-        found = (("d", "range of the drift", float(np.ptp(moved))), ("d(1 h)", "range in one hour", float(spans.max())))
+        hours = _hours(t_s)
+        worst = max(hours, key=lambda hour: np.ptp(moved[hour]))
+        of_mean = series.floor_um / math.sqrt(len(series.t_s) / len(t_s))
+        dof = float(len(series.t_s) - len(t_s)) if math.isfinite(of_mean) else 0.0
+        found = (("d", "range of the drift", moved), ("d(1 h)", "range in one hour", moved[worst]))
         figures = tuple(
-            Characteristic(symbol, name, value, 1, scatter, dof, contributions=(under.reading(_READING_UM),))
-            for symbol, name, value in found
+            Characteristic(
+                symbol,
+                name,
+                float(np.ptp(of)),
+                1,
+                _scatter_um(of, of_mean),
+                dof,
+                contributions=under.probe(_READING_UM, float(np.ptp(of))),
+            )
+            for symbol, name, of in found
         )
         title = f"{run.meta.run_id}, {(t_s[-1] - t_s[0]) / _HOUR_S:z.1f} h"
         parts.append(Part(title, (run.meta.run_id,), figures, sound))
@@ -59,7 +68,8 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
         if sound and run.meta.condition.get("test") == AT_REST and len(run.samples["t_s"]) > 1:
             t_s, moved = _means(series_of(run, as_read=True))
             hours = min(1.0, float(t_s[-1] - t_s[0]) / _HOUR_S)
-            found.append(Variation(float(_ranges_um(t_s, moved).mean()), round(hours, 2), campaign))
+            mean = float(np.mean([np.ptp(moved[hour]) for hour in _hours(t_s)]))
+            found.append(Variation(mean, round(hours, 2), campaign))
     return max(found, key=lambda one: one.range_um, default=None)
 
 
@@ -80,10 +90,32 @@ def _means(series: Series) -> tuple[Floats, Floats]:
     return t_s[order], moved[order]
 
 
-def _ranges_um(t_s: Floats, moved: Floats) -> Floats:
-    """Return the range within one hour from every reading on that has a whole hour after it; of a short log, its own."""
+def _scatter_um(moved: Floats, of_mean: float) -> float:
+    """Return the standard deviation of the range of means (samples,) that scatter by ``of_mean``; NaN where that is not known."""
+    if not math.isfinite(of_mean):
+        return math.nan
+    # About readings as they are, the highest would stand out twice: by its own scatter, and by what is drawn.
+    calm = _smooth(moved, of_mean)
+    far = _NO_EXTREME * of_mean
+    near = calm[(calm > calm.max() - far) | (calm < calm.min() + far)]
+    drawn = np.random.default_rng(0).standard_normal((times_simulated(near.size), near.size))
+    return float(np.std(np.ptp(near + of_mean * drawn, axis=1), ddof=1))
+
+
+def _smooth(moved: Floats, of_mean: float) -> Floats:
+    """Return the widest moving average that is as near to the readings as they scatter; themselves where none is."""
+    calm, half = moved, 1
+    while 2 * half < moved.size:
+        around = np.pad(moved, half, mode="reflect", reflect_type="odd")
+        wider = np.convolve(around, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+        if rms(moved - wider) > of_mean:
+            break
+        calm, half = wider, 2 * half
+    return calm
+
+
+def _hours(t_s: Floats) -> list[slice]:
+    """Return the hour from every reading on that has a whole hour after it; of a short log, all of it."""
     last = np.searchsorted(t_s, t_s + _HOUR_S, side="right")
-    whole = np.flatnonzero(t_s + _HOUR_S <= t_s[-1])
-    if not whole.size:
-        return np.array([np.ptp(moved)])
-    return np.array([np.ptp(moved[n : last[n]]) for n in whole])
+    whole = np.flatnonzero(t_s + _HOUR_S <= t_s[-1]).tolist()
+    return [slice(n, int(last[n])) for n in whole] or [slice(None)]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.schema import Floats
-from dtwin.statistics import shared_variances
+from dtwin.statistics import shared_variances, times_simulated
 
 # Readings of a pose of which one accuracy and one repeatability are computed, to see them change.
 _CYCLES = 10
-_AGAIN = 400
 
 
 def changes_of(error_um: Floats, place: Floats) -> tuple[float, float] | None:
@@ -32,18 +31,22 @@ def uncertainty_of_changes(error_um: Floats, place: Floats) -> tuple[tuple[float
     means = [blocks.mean(axis=1) for blocks in poses]
     square = np.concatenate([blocks.var(axis=1, ddof=1).mean(axis=-1) for blocks in poses])
     dof = np.full(square.size, 3.0 * (_CYCLES - 1))
-    own, _ = shared_variances(square, dof, float(square.mean()))
+    # All poses may scatter more at first, while the robot warms: a pose is compared with the others of that time.
+    ten, own = np.concatenate([np.arange(len(m)) for m in means]), np.empty_like(square)
+    for now in (ten == n for n in range(int(ten.max()) + 1)):
+        own[now], _ = shared_variances(square[now], dof[now], float(square[now].mean()))
     # What means of ten differ by without any drift, and what they do: the rest is drift.
     away = [m - m.mean(axis=0) for m in means]
     chance = float(square.mean()) / _CYCLES * sum(3.0 * (len(m) - 1) for m in means)
     apart = sum(float((a**2).sum()) for a in away)
     weight = 1.0 - chance / apart if apart > chance else 0.0
     rng = np.random.default_rng(0)
+    times = times_simulated(sum(blocks.size for blocks in poses))
     scatter_um = np.split(np.sqrt(own), np.cumsum([len(m) for m in means])[:-1])
     true, again = [], []
     for mean, off, one_um in zip(means, away, scatter_um, strict=True):
         steady = mean - (1.0 - weight) * off
-        noise = one_um[:, None, None] * rng.standard_normal((_AGAIN, len(mean), _CYCLES, 3))
+        noise = one_um[:, None, None] * rng.standard_normal((times, len(mean), _CYCLES, 3))
         accuracy, repeatability = _figures(steady[:, None] + noise)
         again.append(_largest(accuracy, repeatability))
         true.append(_largest(np.linalg.norm(steady, axis=-1), repeatability.mean(axis=0)))

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.special import gammaincinv
 
 from dtwin.kinds.poses._chain import Frames, frames
 from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
@@ -144,9 +145,10 @@ def _floor(error: Floats, place: Floats, t_s: Floats | None) -> tuple[float, int
         told, left = float(rate @ rate) * power, float((without**2).sum())
         if dof > 0.0 and left > 0.0 and f_tail(told / 3.0 / (left / dof), (3.0, dof)) < _SURELY:
             off, moved = without, float(np.linalg.norm(rate) * np.ptp(t_s))
-    squares = np.bincount(place, (off**2).sum(axis=1))[again] / (count[again] - 1.0)
-    # Of three directions: the mean square is 3, and the median of chi-squared 2.366.
-    return max(float(np.sqrt(np.median(squares) * 3.0 / 2.366)), _FINEST_MM), int(again.sum()), moved
+    squares = np.bincount(place, (off**2).sum(axis=1))[again]
+    # By what the median of chi-squared is of three directions of that many repeats.
+    variances = squares / (2.0 * gammaincinv(1.5 * (count[again] - 1.0), 0.5))
+    return max(float(np.sqrt(3.0 * np.median(variances))), _FINEST_MM), int(again.sum()), moved
 
 
 def _about_mean(values: Floats, place: Floats) -> Floats:

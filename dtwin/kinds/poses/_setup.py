@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from dtwin.schema import Floats
 
 _ROUNDS = 30
 _SETTLED_MM = 1e-9
+_SAME = 1e-10
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def fitted(at: Frames, measured_mm: Floats) -> Setup:
     for _ in range(_ROUNDS):
         rotation, shift = rigid(at.tool_mm(tool), measured_mm)
         left = (measured_mm - shift) @ rotation - at.tool_mm(tool)
-        step = np.linalg.lstsq(columns(at, tool).reshape(-1, 9), left.ravel(), rcond=1e-10)[0][6:]
+        step = np.linalg.lstsq(columns(at, tool).reshape(-1, 9), left.ravel(), rcond=_SAME)[0][6:]
         tool = tool + step
         if np.abs(step).max() < _SETTLED_MM:
             break
@@ -58,6 +60,21 @@ def columns(at: Frames, tool_mm: Floats) -> Floats:
     shift = np.broadcast_to(np.eye(3), (len(point), 3, 3))
     turn = np.stack([np.cross(axis, point) for axis in np.eye(3)], axis=2)
     return np.concatenate([shift, turn, at.rotation[-1]], axis=2)
+
+
+def left_by_setup(design: Floats) -> Callable[[Floats], Floats]:
+    """Return what takes from small errors (n, 3) that are added to a test what frame and tool, fitted again, take.
+
+    ``design`` (n, 3, 9): as :func:`columns` gives it.
+    """
+    flat = design.reshape(-1, design.shape[2])
+    basis, size, _ = np.linalg.svd(flat / np.linalg.norm(flat, axis=0), full_matrices=False)
+    taken = basis[:, size > _SAME * size[0]]
+
+    def left(added: Floats) -> Floats:
+        return np.asarray(added - (taken @ (added.ravel() @ taken)).reshape(added.shape))
+
+    return left
 
 
 def rigid(points_mm: Floats, measured_mm: Floats) -> tuple[Floats, Floats]:

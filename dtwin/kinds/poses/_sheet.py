@@ -13,16 +13,16 @@ from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of, measured_of
 from dtwin.kinds.poses._scatter import scatter_of
 from dtwin.kinds.poses._series import Series
+from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Floats, Run
-from dtwin.statistics import rms
+from dtwin.statistics import rms, times_simulated
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_AGAIN = 200
 _FEWEST_REPEATS, _ASKED_REPEATS = 3, 30
 _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
 _READING_UM = 15.0
@@ -68,8 +68,10 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     taken = _taken(series)
     for name in (*taken, "dAP") if taken else ():
         told.pop(name, None)
+    left = left_by_setup(series.design[:, :, :9])
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
-    stretched = [error_um + s * _RULER * (point_um - point_um.mean(axis=0)) for s in (1, -1)]
+    away = left(point_um - point_um.mean(axis=0))
+    stretched = [error_um + s * _RULER * away for s in (1, -1)]
     longer = [_evaluated(one, place, point_um) | _drift(one, place) for one in stretched]
     metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
     dof, spread = dict.fromkeys(told, 0.0), dict.fromkeys(told, math.nan)
@@ -80,9 +82,8 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         dof = {name: found.dof_of_one if name in _LARGEST else found.dof for name in told}
         one_um = found.of_reading[:, None]
         mean = means_of(error_um, place)[place]
-        again = [
-            _evaluated(mean + one_um * rng.standard_normal(error_um.shape), place, point_um) for _ in range(_AGAIN)
-        ]
+        drawn = (one_um * rng.standard_normal(error_um.shape) for _ in range(times_simulated(error_um.size)))
+        again = [_evaluated(mean + left(one), place, point_um) for one in drawn]
         spread = {name: float(np.std([a[name] for a in again], ddof=1)) for name in again[0]}
     if "dRP" in told:
         of_changes, dof_of_tens = uncertainty_of_changes(error_um, place)

@@ -16,7 +16,7 @@ from dtwin.kinds.rotation._runout import groups_in, is_over_speed
 from dtwin.kinds.rotation._turns import Turns, Value, figures_of, filtered, once_of, synchronous_um, turns_of
 from dtwin.report.plots import error_figure, lacks_columns, polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
-from dtwin.report.uncertainty import Circumstances
+from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Floats, Run
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _READING_UM = 0.5
 _MOST_DRAWN = 40
 _RADIUS_MM = 100.0
 _BASIS = {
-    "turns": "what blocks of neighbouring turns differ by (unit of replication: the block, of ten or fewer turns the turn)",
+    "turns": "what blocks of neighbouring turns differ by (unit of replication: the block, of six or fewer turns the turn)",
     "table": "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)",
     "rest": "what turns by hand differ by (unit of replication: the turn)",
 }
@@ -81,15 +81,23 @@ def _still(run: Run, under: Circumstances) -> tuple[Characteristic, ...]:
         repeated("TIR", f"run-out at rest, of {len(told.angle_deg)} places", told.total_um.tolist()),
         repeated("e", "once per turn, of the target", np.abs(told.once).tolist()),
     )
-    return tuple(replace(figure, contributions=(under.reading(_READING_UM),)) for figure in figures)
+    return tuple(
+        replace(figure, contributions=_contributions(figure.symbol, figure.value_um, under)) for figure in figures
+    )
 
 
 def _characteristic(symbol: str, name: str, value: Value, under: Circumstances) -> Characteristic:
     known = value.blocks > 1 and math.isfinite(value.block_um)
     dof = float(value.blocks - 1) if known else 0.0
     return Characteristic(
-        symbol, name, value.um, value.blocks, value.block_um, dof, contributions=(under.reading(_READING_UM),)
+        symbol, name, value.um, value.blocks, value.block_um, dof, contributions=_contributions(symbol, value.um, under)
     )
+
+
+def _contributions(symbol: str, value_um: float, under: Circumstances) -> tuple[Contribution, ...]:
+    reading, *share = under.probe(_READING_UM, value_um)
+    # An amplitude is half a difference of two readings.
+    return (replace(reading, standard_um=reading.standard_um / 2) if symbol == "e" else reading, *share)
 
 
 def _over_speed(run: Run, under: Circumstances, sound: bool) -> list[Part]:
@@ -97,7 +105,7 @@ def _over_speed(run: Run, under: Circumstances, sound: bool) -> list[Part]:
     symbol, name = figure_of(str(run.meta.condition.get("probe", "")))
     for group in groups_in(run):
         told = repeated(symbol, name, [float(v) for v in group.runout_um])
-        told = replace(told, contributions=(under.reading(_READING_UM),))
+        told = replace(told, contributions=_contributions(symbol, told.value_um, under))
         out.append(Part(f"{run.meta.run_id}, {group.speed_rpm:z.5g} rpm", (run.meta.run_id,), (told,), sound))
     return out
 

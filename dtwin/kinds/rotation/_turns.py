@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from dtwin.kinds.rotation._features import Feature, features_of
 from dtwin.kinds.rotation._heads import AXIAL
 from dtwin.schema import Floats, Run
+from dtwin.statistics import t_quantile
 
 _TURN = 360.0
 _BINS = (360, 180, 120, 90, 72, 60, 36, 24, 16)
@@ -20,9 +21,10 @@ _HIGHEST_ORDER = 50
 _GAP_DEG = 6.0
 _GAP_BINS = 3
 _BACK_DEG = 20.0
-_MOST_BLOCKS = 10
-_FEWEST_HALVED, _HALVES = 4, 60
+_MOST_BLOCKS = 6
+_FEWEST_PARTED, _FEW_TURNS, _PARTS = 4, 6, 60
 _AT_ONCE = 500_000
+_COVERED = 0.97725
 KEEP = "keep"
 """What the condition of a run states as ``features`` when local features are not to be left out."""
 
@@ -66,9 +68,11 @@ class Value:
     blocks: int
 
     @property
-    def k2_um(self) -> float:
-        """Half width (k = 2) by what differs from block to block; NaN of one block."""
-        return 2.0 * self.block_um / float(np.sqrt(self.blocks)) if self.blocks > 1 else float("nan")
+    def expanded_um(self) -> float:
+        """Half width that covers 95 %, by what differs from block to block; NaN of one block."""
+        if self.blocks < 2:
+            return float("nan")
+        return t_quantile(_COVERED, self.blocks - 1.0) * self.block_um / float(np.sqrt(self.blocks))
 
 
 @dataclass(frozen=True)
@@ -267,9 +271,9 @@ def figures_of(turns: Turns) -> Figures:
     unbiased = np.array([_unbiased(round(n)) for n in used])
     rms = figure(np.sqrt(np.maximum(left, 0.0) * unbiased))
     wide = float(np.ptp(apart, axis=0).max()) if turns.n > 1 else float("nan")
-    # A range draws on few turns: its scatter relative to its size is that of the RMS, and more where halves of the turns say so.
+    # A range draws on few turns: its scatter relative to its size is that of the RMS, and more where parts of the turns say so.
     share = rms.block_um / rms.um if rms.um else 0.0
-    scatter = max(wide * share, _range_of_halves(apart) * blocks**0.5)
+    scatter = max(wide * share, _range_of_parts(apart) * blocks**0.5)
     floor = float("nan")
     if turns.n > 1:
         halves = smooth[::2].mean(axis=0) - smooth[1::2].mean(axis=0)
@@ -292,20 +296,21 @@ def figures_of(turns: Turns) -> Figures:
     )
 
 
-def _range_of_halves(apart_um: Floats) -> float:
-    """Return the standard deviation of the largest range over turns (turns, bins), of halves of the turns; 0 of few.
+def _range_of_parts(apart_um: Floats) -> float:
+    """Return the standard deviation of the largest range over turns (turns, bins), of a part of the turns; 0 of few.
 
-    Leaving out one block moves a range only where it holds an extreme; halves without replacement scatter nearly as much as
-    tests made again.
+    Leaving out one block moves a range only where it holds an extreme; the range of a third of the turns, drawn without
+    replacement (of half of few), scatters about as much as that of tests made again.
     """
     turns = len(apart_um)
-    if turns < _FEWEST_HALVED:
+    if turns < _FEWEST_PARTED:
         return 0.0
+    many = max(turns // 3, min(turns // 2, _FEW_TURNS))
     rng = np.random.default_rng(0)
-    chosen = np.array([rng.permutation(turns)[: turns // 2] for _ in range(_HALVES)])
-    # Few turns at once, many in halves of their own: their readings shall not take much memory.
-    together = max(1, _AT_ONCE // (chosen.shape[1] * apart_um.shape[1]))
-    ranges = [np.ptp(apart_um[chosen[k : k + together]], axis=1).max(axis=1) for k in range(0, _HALVES, together)]
+    chosen = np.array([rng.permutation(turns)[:many] for _ in range(_PARTS)])
+    # Few turns at once, many in parts of their own: their readings shall not take much memory.
+    together = max(1, _AT_ONCE // (many * apart_um.shape[1]))
+    ranges = [np.ptp(apart_um[chosen[k : k + together]], axis=1).max(axis=1) for k in range(0, _PARTS, together)]
     return float(np.std(np.concatenate(ranges), ddof=1))
 
 

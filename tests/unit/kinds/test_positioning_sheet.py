@@ -70,7 +70,8 @@ def test_one_direction_has_its_own_figures(way: str, arrow: str) -> None:
         f"R{arrow}": pytest.approx(4 * deviation.max()),
         f"E{arrow}": pytest.approx(np.ptp(mean)),
     }
-    assert all(c.expanded_um > 0.0 and c.dof == 4.0 for c in part.characteristics)
+    # As all targets scatter alike, the scatter is that of 11 targets; of runs as wholes it is that of five runs.
+    assert all(c.expanded_um > 0.0 and 4.0 < c.dof <= 44.0 for c in part.characteristics)
     assert len(positioning_figure(runs).data) == 1
 
 

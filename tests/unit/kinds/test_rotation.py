@@ -60,7 +60,7 @@ def test_the_figures_are_those_of_the_target(sense: str, once: bool) -> None:
         assert abs(found.once) == pytest.approx(8.0, abs=0.02)
         assert np.degrees(np.angle(found.once)) == pytest.approx(30.0, abs=0.2)
         assert found.residual.um == pytest.approx(target.synchronous_um(), abs=0.1)
-        inside += abs(found.synchronous.um - target.synchronous_um(once)) < found.synchronous.k2_um + 0.03
+        inside += abs(found.synchronous.um - target.synchronous_um(once)) < found.synchronous.expanded_um + 0.03
     assert inside >= 18
 
 
@@ -77,7 +77,7 @@ def test_the_uncertainty_of_asynchronous_motion_is_that_of_a_largest_range() -> 
         assert turns is not None
         told.append(figures_of(turns).asynchronous)
     value = np.array([one.um for one in told])
-    assert np.mean([one.k2_um for one in told]) > 1.7 * value.std(ddof=1)
+    assert np.mean([one.expanded_um for one in told]) > 1.7 * value.std(ddof=1)
 
 
 def test_the_uncertainty_of_what_comes_once_per_turn_is_that_of_turns() -> None:
@@ -92,8 +92,8 @@ def test_the_uncertainty_of_what_comes_once_per_turn_is_that_of_turns() -> None:
         turns = turns_of(run_of(angle, um))
         assert turns is not None
         value = figures_of(turns).once_amplitude
-        inside += abs(value.um - 8.0) < value.k2_um
-    # Blocks of six turns still are a little alike.
+        inside += abs(value.um - 8.0) < value.expanded_um
+    # Blocks of ten turns still are a little alike.
     assert 0.84 <= inside / 100 <= 0.99
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -13,6 +15,8 @@ from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.kinds.poses._scatter import scatter_of
+from dtwin.kinds.poses._series import series_of_targets
+from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import variation_of
@@ -26,10 +30,10 @@ from dtwin.workbench._server import application
 ROOT = Path(__file__).parents[3]
 
 
-def log(hours: float, per_hour_um: float, *, noise_um: float = 0.0, test: str = "") -> Run:
+def log(hours: float, per_hour_um: float, *, noise_um: float = 0.0, test: str = "", seed: int = 0) -> Run:
     """Return a log that rises steadily, two readings each minute, with a sensor that does nothing."""
     minute = np.repeat(np.arange(round(60 * hours) + 1.0), 2)
-    noise = np.random.default_rng(0).normal(0.0, noise_um, minute.size) if noise_um else 0.0
+    noise = np.random.default_rng(seed).normal(0.0, noise_um, minute.size) if noise_um else 0.0
     samples = {
         "t_s": 60.0 * minute + np.tile([0.0, 1.0], minute.size // 2),
         "displacement_um": per_hour_um * minute / 60.0 + noise,
@@ -48,13 +52,25 @@ def test_the_ranges_of_a_steady_drift_are_its_rate_times_the_time() -> None:
     assert sheet["verdict"] == "outside"
 
 
-def test_the_uncertainty_of_a_drift_is_that_of_two_readings() -> None:
-    told = {"uncertainty_um": 0.0}
-    sheet = sheet_of(
-        kind_named("drift"), Campaign("c", "m", "drift", instrument=told), [log(6.0, 5.0, noise_um=1.0)], {}
-    )
-    # Two means of two readings each.
-    assert sheet["parts"][0]["characteristics"][0]["expanded_um"] == pytest.approx(2.0, rel=0.15)
+def of_drift(instrument: dict[str, float], run: Run) -> list[dict[str, Any]]:
+    sheet = sheet_of(kind_named("drift"), Campaign("c", "m", "drift", instrument=instrument), [run], {})
+    return list(sheet["parts"][0]["characteristics"])
+
+
+def test_the_uncertainty_of_a_drift_is_that_of_its_range() -> None:
+    told = of_drift({"uncertainty_um": 0.0}, log(6.0, 5.0, noise_um=1.0))[0]
+    # Of two means of two readings each at most: a level stretch has several that may be the highest.
+    scatter = np.std([of_drift({}, log(6.0, 5.0, noise_um=1.0, seed=n))[0]["value_um"] for n in range(40)], ddof=1)
+    assert told["expanded_um"] == pytest.approx(2.0 * scatter, rel=0.3)
+    assert told["expanded_um"] < 2.2
+
+
+def test_a_probe_reads_a_share_of_the_figure_wrongly() -> None:
+    run = log(6.0, 5.0, noise_um=0.01)
+    d, in_an_hour = of_drift({"uncertainty_um": 0.0, "uncertainty_percent": 4.0}, run)
+    assert d["expanded_um"] == pytest.approx(0.04 * d["value_um"], rel=0.1)
+    assert in_an_hour["expanded_um"] == pytest.approx(0.04 * in_an_hour["value_um"], rel=0.1)
+    assert [c["source"] for c in d["budget"]["contributions"]] == ["repeatability", "instrument", "probe's sensitivity"]
 
 
 def test_only_a_machine_at_rest_tells_its_surroundings() -> None:
@@ -300,3 +316,24 @@ def test_one_pose_tells_its_repeatability_and_no_accuracy() -> None:
     # A frame takes the error of a single pose, and with it how AP changes.
     assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["RP", "dRP"]
     assert {f.code for f in kind_named("poses").judge_run(run)} == {"poses.repeats"}
+
+
+@pytest.mark.parametrize("repeats", [2, 5, 30])
+def test_the_floor_is_the_scatter_of_a_reading_whatever_the_number_of_repeats(repeats: int) -> None:
+    rng = np.random.default_rng(0)
+    target = np.repeat(rng.uniform(-500.0, 500.0, (1500, 3)), repeats, axis=0)
+    measured = target + rng.normal(0.0, 0.02, target.shape)
+    series = series_of_targets(target, np.tile(np.eye(3), (len(target), 1, 1)), measured)
+    assert series.floor_mm == pytest.approx(0.02 * 3.0**0.5, rel=0.06)
+
+
+def test_frame_and_tool_take_from_what_is_added_what_they_take_when_fitted_again() -> None:
+    rng = np.random.default_rng(3)
+    target, turned = rng.uniform(-500.0, 500.0, (12, 3)), Rotation.random(12, random_state=3).as_matrix()
+    measured = target + turned @ [10.0, 20.0, 30.0] + rng.normal(0.0, 0.1, (12, 3))
+    added = rng.normal(0.0, 1e-4, (12, 3))
+    before, after = (series_of_targets(target, turned, seen) for seen in (measured, measured + added))
+    left = left_by_setup(before.design)(added @ before.setup.rotation)
+    assert after.error_mm - before.error_mm == pytest.approx(left, abs=2e-7)
+    # Nine numbers of 36: of pure scatter a quarter is taken.
+    assert (left**2).sum() / (added**2).sum() == pytest.approx(0.75, abs=0.15)
