@@ -5,7 +5,7 @@ positions by formulas of their own (``tests/laser_axis.py``: five runs, noise 0.
 circles at one feed cannot tell: a scale of X, or an X that gives way in a mode; X and Y scaled alike, or a longer bar; lost
 motion of X, friction of its drive, or both; or nothing at all. Further: a long wave of the screw of X, which a laser reads, against three lobes
 of the bar, which a second radius tells; growth of X and Y with temperature against drift of the bar's length, which lasers tell that are
-repeated from 19 to 21 degrees. Sizes and signs are drawn anew in each case.
+repeated from 19 to 21 degrees; the same two with circles of three radii as well. Sizes and signs are drawn anew in each case.
 
 Each test is diagnosed by itself, and all of them in one twin, from nothing until nothing more is found. A name is false that
 stands alone and is not what was drawn; the unit is the machine.
@@ -19,6 +19,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -134,14 +135,17 @@ def _long_wave(rng: np.random.Generator, case: int, k: float) -> Tests:
     return tests[:1], tests, [{"cyclic_error X", "pitch_error X"}]
 
 
-def _lobes(rng: np.random.Generator, case: int, k: float) -> Tests:
+FEW_RADII_MM, ALL_RADII_MM = (50.0, 100.0), (50.0, 100.0, 150.0)
+
+
+def _lobes(rng: np.random.Generator, case: int, k: float, radii_mm: Sequence[float] = FEW_RADII_MM) -> Tests:
     um, phase_rad = rng.uniform(0.5, 2.0), rng.uniform(0.0, 6.28)
 
     def mill(size: float) -> MillParameters:
         return MillParameters(cup_lobe_um=size, cup_phase_rad=phase_rad)
 
     made = mill(_sized(k, um, mill))
-    return [circles(made, case)], [circles(made, case, radii_mm=(50.0, 100.0))], [{"instrument_artefact"}]
+    return [circles(made, case)], [circles(made, case, radii_mm=radii_mm)], [{"instrument_artefact"}]
 
 
 def _growth(rng: np.random.Generator, case: int, k: float) -> Tests:
@@ -153,14 +157,14 @@ def _growth(rng: np.random.Generator, case: int, k: float) -> Tests:
     return tests[:1], tests, [{"thermal_growth", "thermal_growth X", "thermal_growth Y"}]
 
 
-def _drift(rng: np.random.Generator, case: int, k: float) -> Tests:
+def _drift(rng: np.random.Generator, case: int, k: float, radii_mm: Sequence[float] = (100.0,)) -> Tests:
     def mill(size: float) -> MillParameters:
         return MillParameters(bar_growth_um_h=size)
 
     um_h = _signed(rng, 5.0, 20.0)
     um_h = float(np.sign(um_h)) * _sized(k, abs(um_h), mill)
-    tests = [circles(mill(um_h), case), *(warmed(axis, case) for axis in "XY")]
-    return tests[:1], tests, [{"thermal_drift", "thermal_shift"}]
+    tests = [circles(mill(um_h), case, radii_mm=radii_mm), *(warmed(axis, case) for axis in "XY")]
+    return [circles(mill(um_h), case)], tests, [{"thermal_drift", "thermal_shift"}]
 
 
 FURTHER: dict[str, Callable[[np.random.Generator, int, float], Tests]] = {
@@ -168,6 +172,8 @@ FURTHER: dict[str, Callable[[np.random.Generator, int, float], Tests]] = {
     "three lobes of the bar": _lobes,
     "growth with temperature": _growth,
     "drift of the bar": _drift,
+    "three lobes of the bar, three radii": partial(_lobes, radii_mm=ALL_RADII_MM),
+    "drift of the bar, three radii": partial(_drift, radii_mm=ALL_RADII_MM),
 }
 STORIES: dict[str, Callable[[np.random.Generator], Drawn]] = {
     "a scale of X": _scale,
@@ -227,7 +233,7 @@ def _false(groups: Groups, right: list[set[str]]) -> bool:
 
 def further(story: str, case: int, k: float) -> dict[str, Any]:
     """Return the same of a story whose tests are its own, ``k`` times the noise where that is not 0."""
-    rng = np.random.default_rng([case, len(STORIES) + list(FURTHER).index(story)])
+    rng = np.random.default_rng([case, len(STORIES) + list(FURTHER).index(story.partition(",")[0])])
     few, every, right = FURTHER[story](rng, case, k)
     alone = [_alone(obs) for obs in [*few, *every]]
     groups = discovered(every)[1] if len(every) > 1 else alone[-1]

@@ -14,7 +14,7 @@ from causes import Cause
 from dtwin.errors import GateRefusal
 from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.diagnosis import LEAST_SHARE, Diagnosis, Suspect
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
@@ -120,14 +120,42 @@ def _is_growth(case: Case, found: Diagnosis) -> bool:
     return bool(found.found) and all(names & {s.label for s in group} for group in found.found)
 
 
+def discovered(obs: Observations, found: Diagnosis, number: int) -> tuple[list[list[str]], list[Term], Diagnosis]:
+    """Return all groups that ``dtwin twin discover`` names from nothing, their terms, and the last word.
+
+    ``found``: the first diagnosis. What a later one finds must be ``LEAST_SHARE`` of what repeats agreed on at first.
+    """
+    least_um, large = LEAST_SHARE * found.systematic_rms_um, found.found
+    groups: list[list[str]] = []
+    terms: list[Term] = []
+    while large and len(groups) < RUNGS:
+        groups += [[s.label for s in group] for group in large]
+        terms = _with_added(obs, terms, large)
+        found = diagnose(obs, terms, LIBRARY, seed=number)
+        large = found.not_below(least_um)
+    return groups, terms, found
+
+
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     """Return what was named of many, how many names are false, and how well sizes and a held-out feed fit."""
+    out = marked(case, obs, *discovered(obs, found, case.number))
+    if case.row.kind == "circular" and case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
+        out["held_out_um"], out["held_out_map_um"] = _untold_held_out(obs, case)
+    return out
+
+
+def marked(
+    case: Case, obs: Observations, groups: list[list[str]], terms: Sequence[Term], found: Diagnosis
+) -> dict[str, Any]:
+    """Return what of many causes was named, how many names are false, and how well sizes fit.
+
+    ``groups``, ``terms``, ``found``: as :func:`discovered` gives them.
+    """
     truths = {
         cause.label: names
         for cause, names in zip(case.hidden, accepted(case), strict=True)
         if not names & set(case.row.unknown)
     }
-    groups = [[s.label for s in group] for group in found.found]
     small = [group for group in groups if _small(group, case.row.everyday)]
     missed = [name for name, n in truths.items() if not any(n & set(g) for g in small)]
     right_names = [*accepted(case), set(case.also)]
@@ -144,10 +172,8 @@ def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     if case.row.kind != "circular":
         return out | {"covered": []}
     right = tuple(c for c in case.hidden if any(c.label == group[0] for group in groups))
-    terms = _but(_terms(obs, found), right)
-    out["covered"] = _coverage(replace(case, hidden=right), obs, terms) if case.truths else []
-    if case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
-        out["held_out_um"], out["held_out_map_um"] = _untold_held_out(obs, case)
+    others = _but(terms, right)
+    out["covered"] = _coverage(replace(case, hidden=right), obs, others) if case.truths else []
     return out
 
 
@@ -159,7 +185,7 @@ def _small(group: Sequence[str], everyday: bool) -> bool:
 
 
 def _terms(obs: Observations, found: Diagnosis) -> list[Term]:
-    return _with_added(obs, [], found) if found.found else []
+    return _with_added(obs, [], found.found) if found.found else []
 
 
 def _but(terms: Sequence[Term], right: Sequence[Cause]) -> list[Term]:
@@ -196,13 +222,13 @@ def _discovered(obs: Observations, known: Sequence[Term], found: Diagnosis, case
     terms = list(known)
     while found.verdict in NAMING and found.found and len(named) < RUNGS:
         named += [[s.label for s in group] for group in found.found]
-        terms = _with_added(obs, terms, found)
+        terms = _with_added(obs, terms, found.found)
         found = diagnose(obs, terms, LIBRARY, seed=case.number)
     return named
 
 
-def _with_added(obs: Observations, terms: Sequence[Term], found: Diagnosis) -> list[Term]:
-    names = [f"{b.effect}:{b.axis}" if b.axis else b.effect for b, *_ in found.found]
+def _with_added(obs: Observations, terms: Sequence[Term], groups: Sequence[tuple[Suspect, ...]]) -> list[Term]:
+    names = [f"{b.effect}:{b.axis}" if b.axis else b.effect for b, *_ in groups]
     return list(fit(obs, [*terms, *chosen_terms(names, LIBRARY, obs)]).terms)
 
 

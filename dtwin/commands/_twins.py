@@ -170,9 +170,9 @@ def restore_version(
 @app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
+    from dtwin.physics.diagnosis import LEAST_SHARE
     from dtwin.pipeline.findings import moving_findings
     from dtwin.report.twin_of_kind import discovery_text, said_by_runs
-    from dtwin.twins.verbs import LEAST_SHARE
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)

@@ -59,6 +59,8 @@ def material(
         return [], {}
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
     found = dictionary.add(terms)
+    if not found:
+        return [], {}
     floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
     whole = dictionary.explained(found)
     # That laws are exact is shown to within the noise only.

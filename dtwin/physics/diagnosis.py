@@ -120,6 +120,13 @@ class Spread:
         return {"depends_on": list(self.depends_on), "p_value": self.p_value}
 
 
+LEAST_SHARE = 0.02
+"""What a second diagnosis finds may be how far the laws of what the first one found are off.
+
+It must be this share of what repeats agreed on at first, as RMS.
+"""
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """What is missing in a twin, how sure that is, and what it could be instead.
@@ -188,6 +195,10 @@ class Diagnosis:
     def group(self) -> tuple[Suspect, ...]:
         """Members of the reported group, best first."""
         return tuple(suspect for suspect in self.suspects if suspect.in_group)
+
+    def not_below(self, least_um: float) -> tuple[tuple[Suspect, ...], ...]:
+        """Return the groups found that are at least so large, and those whose size is not known."""
+        return tuple(group for group in self.found if group[0].size_um is None or group[0].size_um >= least_um)
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

@@ -26,6 +26,8 @@ from dtwin.physics.twin import chosen_terms
 # A difference counts from this many of its standard uncertainties on; sizes are stated with k = 2.
 _APART = 3.0
 _COVERAGE_FACTOR = 2.0
+# Of a size that another test bounds below half of it, fewer are enough.
+_APART_OF_BOUNDED = 2.0
 
 Said = Literal["agrees", "is a part", "refuted"]
 Cause = tuple[str, str]
@@ -187,13 +189,13 @@ class _Measured:
         self._unclear = {label for group in self.groups if len(group) > 1 for label in group}
         self._fitted: dict[tuple[str, ...], dict[str, list[Estimate]]] = {}
 
-    def size(self, label: str, group: Sequence[str] = ()) -> Size | None:
+    def size(self, label: str, group: Sequence[str] = (), mates: Sequence[str] = ()) -> Size | None:
         """Return the size of an effect beside what was found; None where it cannot be told.
 
-        ``group``: what it stands in place of.
+        ``group``: what it stands in place of, together with its ``mates``.
         """
         tops = [g[0] for g in self.groups if label not in g and g[0] not in group]
-        estimates = self._estimates((*tops, label)).get(label)
+        estimates = self._estimates((*tops, *mates, label)).get(label)
         if not estimates or not all(e.identifiable and np.isfinite(e.uncertainty) for e in estimates):
             return None
         value, uncertainty = _length(estimates)
@@ -277,9 +279,9 @@ def _difference(first: Size, second: Size) -> Size:
     )
 
 
-def _differs(first: Size, second: Size) -> bool:
+def _differs(first: Size, second: Size, apart: float = _APART) -> bool:
     standard = np.hypot(first.uncertainty, second.uncertainty) / _COVERAGE_FACTOR
-    return bool(abs(first.value - second.value) > _APART * standard)
+    return bool(abs(first.value - second.value) > apart * standard)
 
 
 def _is_there(size: Size) -> bool:
@@ -293,6 +295,9 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     for label in group:
         cause = one.cause_of(label)
         here, there = one.size(label, group), None if cause is None else _elsewhere(cause, others)
+        mates = _mates(label, group)
+        if here is not None and mates and not _is_there(here):
+            here = one.size(label, group, mates)
         if here is None or there is None:
             continue
         said = _said(here, there)
@@ -306,10 +311,19 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     return Settled(one.test.campaign, group, tuple(judged), left)
 
 
+def _mates(label: str, group: tuple[str, ...]) -> list[str]:
+    """Return the same effect on the other axes of a group: what is too small on one alone may be the cause on both."""
+    name, _, axis = label.partition(" ")
+    return [other for other in group if axis and other != label and other.startswith(f"{name} ")]
+
+
 def _said(here: Size, there: Size) -> Said | None:
     """Return what the size of a cause in other tests says of it; None when it is neither seen there nor ruled out."""
     if not _differs(here, there):
-        return "agrees" if _is_there(there) else None
+        if _is_there(there):
+            return "agrees"
+        bounded = abs(there.value) + there.uncertainty < abs(here.value) / 2.0
+        return "refuted" if bounded and _differs(here, there, _APART_OF_BOUNDED) else None
     part = _is_there(there) and 0.0 < there.value / here.value < 1.0
     return "is a part" if part else "refuted"
 

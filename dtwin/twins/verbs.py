@@ -13,7 +13,7 @@ from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.diagnosis import LEAST_SHARE, Diagnosis
 from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
@@ -32,7 +32,6 @@ from dtwin.twins.several import SeveralComparison, fitted_together, require_toge
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
-LEAST_SHARE = 0.02
 """Share of what repeats agreed on, as RMS, below which what is found beside it may be how far laws are off."""
 
 
@@ -197,8 +196,8 @@ class Twins(TwinShelf):
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found that is large enough.
 
-        What a later round finds may be how far the laws of the first are off: it must be ``LEAST_SHARE`` of what repeats
-        agreed on at the start, as RMS. What is smaller stays in the last word.
+        What a later round finds must be ``LEAST_SHARE`` of what repeats agreed on at the start. What is smaller stays in
+        the last word.
 
         Returns
         -------
@@ -212,16 +211,13 @@ class Twins(TwinShelf):
         made: list[Twin] = []
         groups: list[tuple[str, ...]] = []
         _, said = self.diagnose(name, seed=seed)
-        least_um = LEAST_SHARE * said.systematic_rms_um
-        while len(made) < _MOST_RUNGS:
-            sizes = [group[0].size_um for group in said.found]
-            large = [g for g, um in zip(said.found, sizes, strict=True) if not made or um is None or um >= least_um]
-            if not large:
-                break
+        least_um, large = LEAST_SHARE * said.systematic_rms_um, said.found
+        while large and len(made) < _MOST_RUNGS:
             for group in large:
                 made.append(self.add(name, group[0].effect, group[0].axis))
                 groups.append(tuple(suspect.label for suspect in group))
             _, said = self.diagnose(name, seed=seed)
+            large = said.not_below(least_um)
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> Twin:

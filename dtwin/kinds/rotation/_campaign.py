@@ -293,7 +293,10 @@ def _figures(point: Point) -> dict[str, Any]:
         "mean_um": f.mean_um,
         "drift_um": point.turns.drift_um,
     }
-    out |= {name: {"value": finite(v.um), "expanded": finite(v.expanded_um), "blocks": v.blocks} for name, v in named.items()}
+    out |= {
+        name: {"value": finite(v.um), "expanded": finite(v.expanded_um), "blocks": v.blocks}
+        for name, v in named.items()
+    }
     out["once_deg"] = math.degrees(math.atan2(f.once.imag, f.once.real)) if point.phased else None
     out["floor_um"] = finite(f.floor_um)
     out["features"] = [
