@@ -10,6 +10,7 @@ from test_five_runs import LIBRARY, campaign
 
 from dtwin.physics._condensed import condensed
 from dtwin.physics._dictionary import dictionary_for
+from dtwin.physics._material import material
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up
@@ -70,3 +71,11 @@ def test_a_dictionary_of_terms_fits_what_differs_between_repeats() -> None:
         fitted, columns @ np.linalg.lstsq(columns, left, rcond=None)[0], atol=1e-6 * np.abs(left).max()
     )
     assert np.linalg.norm(fitted) > 0.05 * np.linalg.norm(left)
+
+
+def test_of_effects_that_what_is_known_explains_none_is_material() -> None:
+    obs = campaign(0.5 * np.ones((1, 1, 1)), np.random.default_rng(4))
+    instances, _ = applicable(LIBRARY, obs, [])
+    known = next(Term(i, i.effect.start_shape) for i in instances if i.effect.name == "backlash")
+    problem = set_up(obs, [known], [])
+    assert material([known], obs, [known], Candidates(obs, instances), problem, exact=False) == ([], {})

@@ -8,7 +8,7 @@ import pytest
 
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.joint import Joint, MachineTest, Settled, joint
+from dtwin.physics.joint import Joint, MachineTest, Settled, Size, _said, joint
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations
 
@@ -83,3 +83,31 @@ def test_a_lead_that_the_ball_bar_does_not_see_contradicts_it() -> None:
     found = joint([bar, laser("X", 25.0, 4.0), laser("Y", 0.0, 0.0)], LIBRARY)
     scale = next(s for s in found.shared if (s.cause, s.axis) == ("scale", "XY"))
     assert len(scale.apart) == 1
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "said"),
+    [
+        ((1.36, 0.82), (1.30, 0.21), "agrees"),
+        # Less than three standard uncertainties apart, and bounded below half of what it must be.
+        ((1.36, 0.82), (0.14, 0.21), "refuted"),
+        ((1.36, 0.82), (0.14, 0.60), None),
+        ((0.70, 0.82), (0.05, 0.21), None),
+        ((3.00, 0.30), (1.00, 0.21), "is a part"),
+        ((3.00, 0.30), (-1.00, 0.21), "refuted"),
+    ],
+)
+def test_what_another_test_bounds_is_no_cause(
+    here: tuple[float, float], there: tuple[float, float], said: str | None
+) -> None:
+    assert _said(Size("bar", "", "thermal_growth", *here), Size("laser", "", "thermal_growth", *there)) == said
+
+
+def test_growth_of_two_axes_together_is_judged_together() -> None:
+    # A bar that drifts by little: each axis alone would grow by less than can be seen, both would explain it.
+    mill = MillParameters(bar_growth_um_h=-1.337)
+    bar = judged("bar", mill_and_laser.circles(mill, 1, radii_mm=(50.0, 100.0, 150.0)))
+    lasers = [judged(f"laser-{axis}", mill_and_laser.warmed(axis, 1)) for axis in "XY"]
+    settled = settled_with(joint([bar, *lasers], LIBRARY), "thermal_growth X")
+    assert settled.left == ("thermal_drift",)
+    assert {"thermal_growth X", "thermal_growth Y"} <= {j.label for j in settled.judged if j.said == "refuted"}
