@@ -137,8 +137,9 @@ def discovered(obs: Observations, found: Diagnosis, number: int) -> tuple[list[l
 
 
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
-    """Return what was named of many, how many names are false, and how well sizes and a held-out feed fit."""
-    out = marked(case, obs, *discovered(obs, found, case.number))
+    """Return what the first diagnosis named of many, how well a held-out feed fits, and what ``discover`` named in all."""
+    out = marked(case, obs, [[s.label for s in group] for group in found.found], _terms(obs, found), found)
+    out["discover"] = marked(case, obs, *discovered(obs, found, case.number))
     if case.row.kind == "circular" and case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
         out["held_out_um"], out["held_out_map_um"] = _untold_held_out(obs, case)
     return out
@@ -149,7 +150,7 @@ def marked(
 ) -> dict[str, Any]:
     """Return what of many causes was named, how many names are false, and how well sizes fit.
 
-    ``groups``, ``terms``, ``found``: as :func:`discovered` gives them.
+    ``groups``, ``terms``, ``found``: what was named, as terms, and the last diagnosis.
     """
     truths = {
         cause.label: names

@@ -185,7 +185,7 @@ def _again(records: list[dict[str, Any]], given: argparse.Namespace) -> int:
         changed = {
             k: (old.get(k), v)
             for k, v in record.items()
-            if k not in ("code", "seconds") and not _same(json.loads(json.dumps(v)), old.get(k))
+            if k in old and k not in ("code", "seconds") and not _same(json.loads(json.dumps(v)), old.get(k))
         }
         others += bool(changed)
         seconds.append((old["seconds"], record.get("seconds", float("nan"))))

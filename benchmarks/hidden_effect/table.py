@@ -68,20 +68,28 @@ def _untold(by_row: Mapping[str, list[Record]]) -> str:
         if not records:
             lines.append(f"| {name} | not run | | | | | | | | | | 0 ({row.cases}) |")
             continue
-        named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
-        limits = _limits(row)
-        false = sum(r["false"] for r in records) / len(records)
-        alone, grouped = _covered(records)
-        held, mapped = (_over_floor(records, key) for key in ("held_out_um", "held_out_map_um"))
-        lines.append(
-            f"| {name} | {named}/{of} = {named / of:.3f} "
-            f"| {f'{limits[0]:.2f} {_said(named / of >= limits[0])}' if limits else '-'} | {false:.2f} "
-            f"| {f'{limits[1]:.2f} {_said(false <= limits[1])}' if limits else '-'} "
-            f"| {sum(r['unresolved'] for r in records)}/{len(records)} "
-            f"| {sum(alone)}/{len(alone)} | {sum(grouped)}/{len(grouped)} | {held} | {mapped} "
-            f"| {np.median([r['seconds'] for r in records]):.1f} | {len(records)} ({row.cases}) |"
-        )
+        lines.append(_of_many(name, row, records))
+        if all("discover" in r for r in records):
+            # What is held out is told by the first diagnosis; what is left, by the last one.
+            rounds = [{"seconds": r["seconds"], "floor_um": r["floor_um"], **r["discover"]} for r in records]
+            lines.append(_of_many(f"{name}, all rounds of `discover`", row, rounds))
     return "\n".join(lines)
+
+
+def _of_many(name: str, row: Row, records: Sequence[Record]) -> str:
+    named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
+    limits = _limits(row)
+    false = sum(r["false"] for r in records) / len(records)
+    alone, grouped = _covered(records)
+    held, mapped = (_over_floor(records, key) for key in ("held_out_um", "held_out_map_um"))
+    return (
+        f"| {name} | {named}/{of} = {named / of:.3f} "
+        f"| {f'{limits[0]:.2f} {_said(named / of >= limits[0])}' if limits else '-'} | {false:.2f} "
+        f"| {f'{limits[1]:.2f} {_said(false <= limits[1])}' if limits else '-'} "
+        f"| {sum(r['unresolved'] for r in records)}/{len(records)} "
+        f"| {sum(alone)}/{len(alone)} | {sum(grouped)}/{len(grouped)} | {held} | {mapped} "
+        f"| {np.median([r['seconds'] for r in records]):.1f} | {len(records)} ({row.cases}) |"
+    )
 
 
 def _over_floor(records: Sequence[Record], key: str) -> str:
