@@ -28,6 +28,7 @@ _TABLES = {
 }
 _OF_CAMPAIGN = ("machine", "instrument", "machine_geometry")
 _OF_RUN = ("plane", "direction", "radius_mm", "feed_mm_min", "repeat", "setup", "started")
+_OF_CIRCLES = ("plane", "direction", "radius_mm")
 _ALLOWED = ", ".join(["machine", *_OF_RUN, *(f"{name}.KEY" for name in _TABLES)])
 _LONGEST = 500
 AMENDED, _LEFT_OUT = "campaign.amended", "campaign.left_out"
@@ -172,7 +173,17 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
             check = {"condition": stated.condition, "covariates": stated.covariates}.get(table)
             one = {key: value}
             there |= stated.table(one, table, where) if check is None else check(one, where)
+        if table == "condition":
+            kind_named(row["kind"]).require_condition(there, where)
         return {field: json.dumps(there, default=str)}
+    if name in _OF_CIRCLES and not kind_named(row["kind"]).goes_round:
+        raise InputError(
+            f"a {row['kind']} test goes round no circle: it has no {name}",
+            code="amend.kind",
+            where=where,
+            got=f"{name}={value}"[:120],
+            allowed=", ".join(word for word in _ALLOWED.split(", ") if word not in _OF_CIRCLES),
+        )
     if name == "machine":
         return {name: require_name(value, "the machine name")}
     if name == "setup":

@@ -48,14 +48,13 @@ from dtwin.positioning._refusals import (
 )
 from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
-from dtwin.positioning.order import no_direction, ways_in_order
+from dtwin.positioning.order import names_sense, no_direction, ways_in_order
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,
-    MOVES,
     NAMED,
     TURNS,
     Long,
@@ -102,7 +101,9 @@ def axis_turns(path: Path) -> bool | None:
     plain = None if tables else table_of(rows)
     if tables or plain is not None:
         return all(of_angles(table[:2]) for table in tables or [plain or ()])
-    return False if names_no_direction(rows) or trials_of(rows, LENGTHS) else None
+    if names_no_direction(rows):
+        return _is_of_angles(rows[:MOST_TITLES])
+    return False if trials_of(rows, LENGTHS) else None
 
 
 def read_position_runs(
@@ -122,8 +123,6 @@ def read_position_runs(
     require_axis(told, axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
-    if scale.turn and MOVES.fullmatch(axis):
-        raise of_other_unit(LENGTHS, path, f"axis {axis}, which moves along")
     turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
     lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
     if not scale.turn and turns and not lengths:
@@ -134,6 +133,12 @@ def read_position_runs(
         only = f"the file holds other axes, too: what is called {axis} in it was read"
         said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
+
+
+def _is_of_angles(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether cells tell a unit of angle, and none a unit of length."""
+    cells = [cell for row in rows for cell in row]
+    return any(map(_names_angles, cells)) and not any(map(is_length, cells))
 
 
 def _names_angles(title: str) -> bool:
@@ -303,6 +308,8 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         lost = told in MISSING
         value = float("nan") if lost else _cell(row, long.value, where) * factors[1]
         way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
+        if way is None and long.way is not None and names_sense("".join(row[long.way :][:1])):
+            raise no_direction(Path(where), row[long.way], "+ or -, forward or reverse")
         if way is None:
             raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
         seen[one[target], way] += 1

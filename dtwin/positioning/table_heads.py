@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
+from dtwin.positioning.order import names_sense
 from dtwin.positioning.scale import Scale
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
@@ -294,6 +295,9 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
     """Return the head of a column of readings in a table of one row a target that does not tell their directions; else nothing."""
     for row in rows[:MOST_TITLES]:
         targets, read = _without_direction(row)
+        senses = [cell.strip() for cell in row if names_sense(cell)]
+        if len(targets) == 1 < len(senses):
+            return senses[0]
         if len(targets) == 1 and len({re.sub(r"\d+", "", row[i]) for i in read}) == 1 < len(read):
             return row[read[0]].strip()
     return ""
