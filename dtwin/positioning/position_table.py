@@ -336,12 +336,12 @@ def _parted(
     body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
-        _require_one_axis(axes, f"{path} {heads[i].strip()}")
+        _require_one_axis(axes, f"{path} {heads[i].strip()}", in_column=True)
     return heads, units, body
 
 
-def _require_one_axis(axes: Sequence[str], where: str) -> None:
-    """Refuse readings of several axes: they would be taken for cycles of one."""
+def _require_one_axis(axes: Sequence[str], where: str, *, in_column: bool = False) -> None:
+    """Refuse readings of several axes, or machines, told by a column or otherwise: they would be taken for cycles of one."""
     if len(axes) > 1:
         raise InputError(
             "the table holds several axes, or several machines",
@@ -349,7 +349,9 @@ def _require_one_axis(axes: Sequence[str], where: str) -> None:
             where=where,
             got=", ".join(axes)[:60],
             allowed="one",
-            hint="rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
+            hint=f'--axis "{axes[0]}" reads the rows of that one; else a file for each'
+            if in_column
+            else "rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
         )
 
 

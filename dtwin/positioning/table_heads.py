@@ -30,7 +30,7 @@ _UNITS = "|".join(sorted((*LENGTHS_MM, *ANGLES_DEG), key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
-    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
+    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|unit|device|module|actuator|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
     re.I,
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
@@ -167,17 +167,26 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
 def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
     """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
     for begin, row in enumerate(rows[:MOST_TITLES]):
-        column = next((i for i, head in enumerate(row) if AXIS.match(head.strip())), None)
-        if column is not None:
+        columns = [i for i, head in enumerate(row) if AXIS.match(head.strip())]
+        if columns:
+            body, asked = rows[begin + 1 :], axis.upper()
+            told_in = {i: {line[i].strip().upper() for line in body if i < len(line)} - {""} for i in columns}
+            # Several that are alike have names, or numbers, of any kind.
+            called = [
+                i for i in columns if len(told_in[i]) > 1 and asked in told_in[i] and not axis_of(axis, bare=True)
+            ]
+            letters = [i for i in columns if any(axis_of(cell, bare=True) for cell in told_in[i])]
+            column = [*called, *letters, *columns][0]
             kept, mine = list(rows[: begin + 1]), True
             told: dict[str, None] = {}
-            for line in rows[begin + 1 :]:
+            for line in body:
                 # Of merged cells the first alone is filled.
-                named = axis_of(line[column], bare=True) if column < len(line) else ""
-                mine = named == axis.upper() if named else mine
+                cell = line[column].strip() if column < len(line) else ""
+                named = cell.upper() if called else axis_of(cell, bare=True)
+                mine = named == asked if named else mine
                 told |= {named: None} if named else {}
                 kept += [line] if mine else []
-            return (kept if axis.upper() in told else list(rows)), list(told)
+            return (kept if asked in told else list(rows)), list(told)
     return list(rows), []
 
 

@@ -1059,6 +1059,32 @@ def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_
     assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
 
 
+@pytest.mark.parametrize(("head", "names"), [("slit", ("11358/1", "11358/2")), ("Axis", ("1", "2"))])
+def test_of_several_axes_alike_the_one_is_read_by_its_name_or_number(
+    tmp_path: Path, head: str, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "axes.csv"
+    rows = [f"{name},{t},{t + n},{t + n + 0.5}" for n, name in enumerate(names) for t in (0, 100) for _ in (1, 2)]
+    path.write_text("\n".join([f"{head},target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.hint == f'--axis "{names[0]}" reads the rows of that one; else a file for each'
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": names[1]}})
+    assert [run.samples["error_um"].tolist() for run in runs] == [[1000.0, 1000.0, 1500.0, 1500.0]] * 2
+
+
+def test_beside_the_own_sensor_of_an_axis_stands_its_instrument_whatever_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "slit.csv"
+    rows = [f"{t},{way},{t},{t - 0.2}" for way in ("+", "-") for t in (10, 20, 30)]
+    path.write_text("\n".join(["target [mm],direction,resolver [mm],ild2300_mm", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == "ild2300, resolver"
+    told = {"condition": {"axis": "X", "instrument": "ild2300"}}
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), told)
+    assert runs[0].samples["error_um"].tolist() == pytest.approx([-200.0] * 6)
+
+
 def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Position [mm],Error + run1 [µm],Error - run1 [µm],Error + run2 [µm],Error - run2 [µm]"
