@@ -19,8 +19,8 @@ from dtwin.positioning.table_heads import (
     names_target,
     plain_unit,
     told_unit,
-    way_of,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.units import ANGLES_DEG
 
 # Lines: heads are among the first rows, and a comment may stand above them.

@@ -20,9 +20,9 @@ from dtwin.positioning.table_heads import (
     long_of,
     names_target,
     told_unit,
-    way_of,
     wide_of,
 )
+from dtwin.positioning.way_words import way_of
 
 _INSTRUMENT = re.compile(
     rf"laser|interferom|\b(xl|xm)-?\d|tracker|taster|\bprobe|messuhr|dial|indicator|lvdt|grid|gauge|(glas|linear|ma(ß|ss)).?s(cale|tab)|{OWN_SENSOR.pattern}",

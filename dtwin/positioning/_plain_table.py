@@ -18,9 +18,9 @@ from dtwin.positioning.table_heads import (
     long_of,
     names_target,
     told_unit,
-    way_of,
     wide_of,
 )
+from dtwin.positioning.way_words import way_of
 
 _MOST_ON_ITS_SIDE = 2000
 _MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")

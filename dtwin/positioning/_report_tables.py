@@ -24,10 +24,10 @@ from dtwin.positioning.table_heads import (
     long_of,
     names_target,
     unit_of,
-    way_of,
     wide_of,
     without_remarks,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.schema import Finding, Floats
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 

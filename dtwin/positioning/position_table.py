@@ -70,10 +70,10 @@ from dtwin.positioning.table_heads import (
     plain_unit,
     rows_of_axis,
     told_unit,
-    way_of,
     wide_of,
     without_remarks,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 

@@ -13,6 +13,7 @@ from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.positioning.order import names_sense
 from dtwin.positioning.scale import Scale
+from dtwin.positioning.way_words import IN_BRACKETS, SIGNS, way_of
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
 MOST_TITLES = 20
@@ -41,7 +42,6 @@ _OF_AXIS = re.compile(
 """In a head or a title: of which axis, or of which of several alike, a column is."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
-_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _TARGET = re.compile(
@@ -71,27 +71,6 @@ _SERIES = re.compile(
 )
 """Title of a block of a test, one a cycle."""
 _WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
-_WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
-    | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
-    "reverse": {
-        "bwd",
-        "backward",
-        "backwards",
-        "b",
-        "rev",
-        "reverse",
-        "r",
-        "down",
-        "neg",
-        "negative",
-        "negativ",
-        "minus",
-    }
-    | {"rück", "rückwärts", "zurück", "her"}
-    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
-}
-_SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
 """A sign between the words of a head: ``Error + run 1``."""
@@ -138,12 +117,12 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
 def _ways_of(names: Sequence[str]) -> list[str | None]:
     """Return the direction that each head names; a sign within it is one where each head stands there with either sign."""
     ways = [way_of(name) for name in names]
-    signs = [_SIGN_INSIDE.search(_IN_BRACKETS.sub("", name)) for name in names]
-    marked = [(name.replace(sign[1], "", 1), _SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
+    signs = [_SIGN_INSIDE.search(IN_BRACKETS.sub("", name)) for name in names]
+    marked = [(name.replace(sign[1], "", 1), SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
     if any(ways) or not marked:
         return ways
     both = [sorted(name for name, way in marked if way == wanted) for wanted in ("forward", "reverse")]
-    return [_SIGNS[sign[1]] if sign else None for sign in signs] if both[0] == both[1] else ways
+    return [SIGNS[sign[1]] if sign else None for sign in signs] if both[0] == both[1] else ways
 
 
 def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bool:
@@ -336,21 +315,6 @@ def deviation_of(head: str, factor: float, value: float, target: float, scale: S
     return (value - target if by_position else value) * scale.per, by_position
 
 
-def way_of(text: str, *, ones: bool = False) -> str | None:
-    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both.
-
-    ``ones``: a bare 1 is forward, as beside -1.
-    """
-    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
-    words = set(re.findall(r"[^\W\d_]+", told))
-    named = {way for way, known in _WORDS.items() if words & known}
-    # A unit may stand behind the sign.
-    told = _IN_BRACKETS.sub(lambda inside: inside[1] if inside[1] in _SIGNS else "", told).strip()
-    if not named and told:
-        named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
-    return named.pop() if len(named) == 1 else None
-
-
 def is_deviation(head: str) -> bool:
     """Return whether a head says that its column holds deviations."""
     return _DEVIATION.search(head) is not None
@@ -377,7 +341,7 @@ def is_row_of_units(row: Sequence[str], target: int) -> bool:
 def told_unit(head: str, unit: str) -> str:
     """Return the unit of a column as ``unit``, the row below, or the head tells it, known here or not; empty without one."""
     told = unit.strip() or unit_of(unicodedata.normalize("NFKC", head))
-    inside = (text for text in _IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
+    inside = (text for text in IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
     words = (_TARGET, _ACTUAL, _DEVIATION, CYCLE)
     return told or next((text for text in inside if not any(word.search(text) for word in words)), "")
 

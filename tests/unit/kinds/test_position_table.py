@@ -30,6 +30,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.positioning.position_runs import PositionTable
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
+from dtwin.positioning.way_words import way_of
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -1237,3 +1238,19 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
     heads = "Nr;Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]"
     path.write_text("\n".join(["Messung;;;;;;", "Roboter;KR 16;;;;;", heads, *rows]), encoding="utf-8")
     assert not is_position_table(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "way"),
+    [
+        ("from below 1 [mm]", "forward"),
+        ("from_above_1_mm", "reverse"),
+        ("above", "reverse"),
+        ("von unten [mm]", "forward"),
+        ("von oben", "reverse"),
+        ("nach unten", None),
+        ("sensor above [mm]", None),
+    ],
+)
+def test_the_side_from_which_a_target_was_approached_is_its_direction(head: str, way: str | None) -> None:
+    assert way_of(head) == way
