@@ -75,7 +75,7 @@ def amend(
         for name, value in told:
             _require_not_read_with(name, row, where)
             now |= _changed(now, name, value, where)
-        different = {name: value for name, value in now.items() if row[name] != value}
+        different = {name: value for name, value in now.items() if not _alike(row[name], value)}
         if different:
             changes[row["run_id"]] = different | _judged_again(lake, row, now)
     if not changes:
@@ -159,6 +159,11 @@ def _setting(text: str) -> tuple[str, Any]:
     except (tomllib.TOMLDecodeError, RecursionError):
         value = written
     return name.strip(), value
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Return whether values of a row are the same; NaN, a rate that is not known, is the same as NaN."""
+    return bool(one == other or (one != one and other != other))
 
 
 def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[str, Any]:
