@@ -44,12 +44,14 @@ UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
+_ONE = r"(?![a-z])(?![\s_]*[xyz](?![a-z]))"
+"""Behind a word that is cut short, which with a letter of an axis is a part of a place: ``cmd_z_mm``."""
 _TARGET = re.compile(
-    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
+    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
-    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
+    rf"^([px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
     r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
@@ -62,8 +64,8 @@ OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|re
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
-_ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
+_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas){_ONE}", re.I)
+SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas){_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",

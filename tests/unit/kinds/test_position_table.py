@@ -1254,3 +1254,12 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
 )
 def test_the_side_from_which_a_target_was_approached_is_its_direction(head: str, way: str | None) -> None:
     assert way_of(head) == way
+
+
+def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},{t + 0.001},{way}" for _ in (1, 2) for way, ts in (("+", (0, 50)), ("-", (50, 0))) for t in ts]
+    path.write_text("\n".join(["cmd_mm,meas_mm,dir", *rows]), encoding="utf-8")
+    assert read_position_table(path).forward_um == pytest.approx(np.ones((2, 2)))
+    path.write_text("t_s,cmd_z_mm,act_z_mm\n0,0,0\n1,1,1\n", encoding="utf-8")
+    assert not is_position_table(path)
