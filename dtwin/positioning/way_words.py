@@ -38,9 +38,11 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
     told = "+1" if ones and text.strip() == "1" else text.strip().lower()
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
-    named |= {"forward" if side in ("below", "unten") else "reverse" for side in map("".join, _FROM.findall(told))}
+    sides = {"forward" if side in ("below", "unten") else "reverse" for side in map("".join, _FROM.findall(told))}
+    sure = bool(sides) or any(len(word) > 1 and word in known for word in words for known in _WORDS.values())
     # A unit may stand behind the sign.
     told = IN_BRACKETS.sub(lambda inside: inside[1] if inside[1] in SIGNS else "", told).strip()
-    if not named and told:
-        named = {SIGNS[mark] for mark in (told[0], told[-1]) if mark in SIGNS}
+    signs = {SIGNS[mark] for mark in (told[:1], told[-1:]) if mark in SIGNS}
+    # R of ``R1+`` is a run or a repeat.
+    named = named | sides if sure else signs or named
     return named.pop() if len(named) == 1 else None

@@ -1249,6 +1249,9 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
         ("von unten [mm]", "forward"),
         ("von oben", "reverse"),
         ("nach unten", None),
+        ("R1+ [µm]", "forward"),
+        ("R1- [µm]", "reverse"),
+        ("F1", "forward"),
         ("sensor above [mm]", None),
     ],
 )
