@@ -90,7 +90,7 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
         )
     tests = tests_by_axis(runs, scale)
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum = [finding for test in tests if test.ways == BOTH and (finding := shifted_zero(test)) is not None]
+    datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
     zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
     return findings + (told or _drift(runs, scale)) + datum + zeroed
 

@@ -423,6 +423,14 @@ def test_a_zero_that_is_off_is_a_datum_and_changes_no_figure(tmp_path: Path, shi
     assert figures == pytest.approx(plain["positioning"]["iso_230_2"], abs=1e-3)
 
 
+def test_a_datum_is_told_of_a_test_in_one_direction_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("target [mm],actual [mm]\n" + "\n".join(f"{t},{t - 0.2 + t / 1e6}" for t in range(0, 100, 10)))
+    found = check_source(path, told={"axis": "X", "machine": "m"})["findings"]
+    (datum,) = (f for f in found if f["code"] == "linear.datum")
+    assert datum["numbers"]["shift_um"] == pytest.approx(-199.955)
+
+
 def test_a_report_of_two_instruments_is_refused_with_a_way_out(tmp_path: Path) -> None:
     path = tmp_path / "report.md"
     path.write_text(report_by_target(("Laser", "Encoder")), encoding="utf-8")
