@@ -188,14 +188,20 @@ def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path:
     require_one_of(_OF_WHICH, told, rows, path)
 
 
-def require_one_of(which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells."""
+def require_one_of(
+    which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, repeated: bool = False
+) -> None:
+    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells.
+
+    ``repeated``: numbers are places, too, where each stands there more than once on average.
+    """
     for n in (n for n, head in enumerate(heads) if which.fullmatch(head.strip())):
         names = list(dict.fromkeys(row[n].strip() for row in body if n < len(row) and row[n].strip()))
         # Decimals, and many numbers, are readings.
         read = any("." in name and is_number(name) for name in names) or (
             len(names) > 20 and all(map(is_number, names))
         )
+        read = 2 * len(names) > len(body) if repeated else read
         if len(names) > 1 and not read:
             raise InputError(
                 "the rows are of several machines, tools or places",

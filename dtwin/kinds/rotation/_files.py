@@ -24,6 +24,7 @@ from dtwin.kinds.rotation._at_rest import is_at_rest
 from dtwin.kinds.rotation._blocks import SPEED_ABOVE, below_speeds, cell_of, repeats_below
 from dtwin.kinds.rotation._heads import (
     ANGLE,
+    DISTANCES,
     PATH,
     PLACES,
     PROBE,
@@ -103,9 +104,16 @@ def _upright(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return a table with its heads in a row, joined where they stand in two; one over speed may lie on its side, or in blocks."""
     rows = below_speeds(rows)
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE and _headed(rows, {}) is None:
+    if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE:
         told = [SPEED_ABOVE.fullmatch(cell.strip()) for cell in wide[0][1:]]
-        if all(told) and len({cell[2] for cell in told if cell}) == 1:
+        speeds = all(told) and len({cell[2] for cell in told if cell}) == 1
+        if speeds and (corner := column_of(wide[0][0])).role == RUNOUT and corner.factor:
+            # The first cell tells what stands below the speeds, and each row is another reading of it.
+            names = (f"run {n}" if number_or_none(row[0]) else row[0] for n, row in enumerate(wide[1:], start=1))
+            wide[1:] = [[f"{name} {wide[0][0]}", *row[1:]] for name, row in zip(names, wide[1:], strict=True)]
+        elif _headed(rows, {}) is not None:
+            return joined_heads(rows, path)
+        if speeds:
             wide[0] = [f"speed {next(cell[2] for cell in told if cell)}", *(cell[1] for cell in told if cell)]
         numbers = all(number_or_none(cell) is not None for cell in wide[0][1:] if column_of(cell).role != SPEED)
         standing = list(zip_longest(*wide, fillvalue=""))
@@ -166,6 +174,8 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     require_one_table(heads, rows[first:], path)
     require_one_of(PLACES, heads, rows[first:], path)
     roles = {c.role for c in columns}
+    if {SPEED, RUNOUT} <= roles:
+        require_one_of(DISTANCES, heads, rows[first:], path, repeated=True)
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
     probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]

@@ -94,6 +94,11 @@ _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direc
 """What a test of a path or a position tells, and one of a turning axis does not."""
 PLACES = re.compile(r"position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense", re.I)
 """Head of a column that says where, or with what, the run-out of a row was read."""
+DISTANCES = re.compile(
+    r".*(distance|abstand|height|h[öo]he|depth|tiefe|stick.?out|overhang|auskrag|projection|from.(the.)?(nose|face)|(tool|bar|gauge|werkzeug).?(length|l[äa]nge)).*",
+    re.I,
+)
+"""Head of a column of numbers that say where along the axis, or at which length of the tool, the run-out of a row was read."""
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")
