@@ -42,6 +42,8 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }
+_TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
+"""Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
 _GRAD = "grad"
 _VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
@@ -235,6 +237,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     match = _WITH_UNIT.match(said) or _SAID.match(said)
     if match and match.re is _SAID and _plain(match[2]) not in _UNITS:
         match = None
+    if answer is None and not unit_below and said.strip().lower() in _TIME_ALONE:
+        return Column(head, said, "t_s", TIMES_S[said.strip().lower()])
     base, unit = (match[1], match[2]) if match else (said, unit_below.strip("[]() "))
     plain = _plain(unit)
     if plain == _GRAD and "winkel" not in base.lower():

@@ -63,7 +63,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
 _USUAL = {TIME: "s", ANGLE: "deg", SPEED: "rpm", PULSE: "1"}
 _WORDS = {
     TIME: re.compile(
-        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
+        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|hours|minutes|seconds|stunden|minuten|sekunden|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
     ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
     SPEED: re.compile(
