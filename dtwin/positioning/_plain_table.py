@@ -112,7 +112,7 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
     for begin, row in enumerate(rows[:MOST_TITLES]):
         below = list(rows[begin + 1 :])
-        if below and {"x", "y", "z"} <= {cell.strip().lower() for cell in below[0]}:
+        if below and {"x", "y", "z"} <= {re.split(r"[\s\[(_]", cell.strip().lower())[0] for cell in below[0]}:
             # Under merged heads these are coordinates of places.
             continue
         by_way = by_way_of(row)

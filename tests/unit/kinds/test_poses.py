@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from dtwin.acquire._tabular import kind_of_table
 from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
@@ -748,3 +749,13 @@ def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
     numbered = [f"P{i % 30},{row}" for i, row in enumerate(rows)]
     (folder / "poses.csv").write_text("\n".join([f"pose,{heads}", *numbered, f"mean,{rows[3]}"]), encoding="utf-8")
     assert first_run(folder).n_samples == 900
+
+
+def test_coordinates_with_units_below_merged_heads_are_poses_and_no_positions_of_an_axis(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{100 * n},{n * n},{7 * n},{100 * n + 0.1},{n * n},{7 * n}" for n in range(12)]
+    heads = ["Target,,,Actual,,", "X [mm],Y [mm],Z [mm],X [mm],Y [mm],Z [mm]"]
+    path.write_text("\n".join([*heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+    (run,), _ = read_poses(path, Campaign("a", "m", "poses"), {})
+    assert run.samples["measured_x_mm"] - run.samples["target_x_mm"] == pytest.approx([0.1] * 12)
