@@ -133,6 +133,17 @@ def _missed(run: Run, scale: Scale) -> list[Finding]:
                 f"the targets were approached {ways[0]} only: play cannot be seen",
             )
         ]
+    forward, reverse = (np.round(_targets_of(position[direction == way]), 6) for way in BOTH)
+    if not np.intersect1d(forward, reverse).size:
+        told = [", ".join(f"{t:z.6g}" for t in targets[:2]) for targets in (forward, reverse)]
+        return [
+            Finding(
+                f"{scale.kind}.other_targets",
+                "error",
+                f"the directions share no target (forward {told[0]} … {scale.unit}, reverse {told[1]} … {scale.unit}): no reversal follows, nor any figure of both; "
+                "measure the same targets from both sides; a file for each direction tells the figures of that one",
+            )
+        ]
     absent: list[float] = []
     twice = 0
     for way in ways:

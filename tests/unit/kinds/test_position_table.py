@@ -431,6 +431,16 @@ def test_a_datum_is_told_of_a_test_in_one_direction_too(tmp_path: Path) -> None:
     assert datum["numbers"]["shift_um"] == pytest.approx(-199.955)
 
 
+def test_directions_that_share_no_target_are_told_as_that_and_not_as_readings_that_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t + 0.2 * (way == '-')},{way},1.0" for _ in range(3) for way in "+-" for t in (15, 25, 35)]
+    path.write_text("\n".join(["target [mm],direction,deviation [µm]", *rows]), encoding="utf-8")
+    (run, *_) = check_source(path, told={"axis": "X", "machine": "m"})["runs"]
+    (told,) = (f for f in run["findings"] if f["severity"] == "error")
+    assert told["code"] == "linear.other_targets"
+    assert "forward 15, 25 … mm, reverse 15.2, 25.2 … mm" in told["message"]
+
+
 def test_a_report_of_two_instruments_is_refused_with_a_way_out(tmp_path: Path) -> None:
     path = tmp_path / "report.md"
     path.write_text(report_by_target(("Laser", "Encoder")), encoding="utf-8")
