@@ -164,7 +164,7 @@ def _malformed(path: Path, error: Exception) -> InputError:
     uneven = _UNEVEN.search(str(error))
     if uneven:
         row, heads, cells, text = uneven.groups()
-        got = f"row {row} has {cells} cells where the first row has {heads}: {text.strip()}"
+        got = f"row {row} has {cells} cell{'s' * (cells != '1')}, the first row {heads}: {text.strip()}"
     return InputError(
         "the rows of the table are not alike, and it has no form that is known otherwise"
         if uneven

@@ -86,4 +86,4 @@ def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_th
     path.write_text("foo;bar\nmessung 1\n1;2\n")
     with pytest.raises(InputError) as refused:
         read_columns(path, "rotary")
-    assert refused.value.got == "row 2 has 1 cells where the first row has 2: messung 1"
+    assert refused.value.got == "row 2 has 1 cell, the first row 2: messung 1"
