@@ -1104,6 +1104,14 @@ def test_beside_the_own_sensor_of_an_axis_stands_its_instrument_whatever_its_nam
     assert runs[0].samples["error_um"].tolist() == pytest.approx([-200.0] * 6)
 
 
+def test_the_unit_in_round_brackets_is_no_part_of_an_instrument_s_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Target (mm),Laser (mm),Encoder (mm)\n0,0,0\n50,50.01,50\n100,100.02,100\n", encoding="utf-8")
+    told = {"condition": {"axis": "X", "instrument": "laser"}}
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), told)
+    assert runs[0].samples["error_um"].tolist() == pytest.approx([0.0, 10.0, 20.0])
+
+
 def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Position [mm],Error + run1 [µm],Error - run1 [µm],Error + run2 [µm],Error - run2 [µm]"
