@@ -1292,3 +1292,16 @@ def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> Non
     assert read_position_table(path).forward_um == pytest.approx(np.ones((2, 2)))
     path.write_text("t_s,cmd_z_mm,act_z_mm\n0,0,0\n1,1,1\n", encoding="utf-8")
     assert not is_position_table(path)
+
+
+def test_a_place_that_moves_steadily_is_told_as_that_and_not_as_scatter(tmp_path: Path) -> None:
+    path = tmp_path / "home.csv"
+    off = (0.0, 1.0, -1.0, 0.5, -0.5, 0.0)
+    path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{-0.01 * n + x / 1000}" for n, x in enumerate(off)))
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert "they move by -10.1 µm from one reading to the next, and scatter by 0.77 µm" in str(refused.value.got)
+    path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{x / 1000}" for n, x in enumerate(off)))
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert "they move" not in str(refused.value.got)
