@@ -1305,3 +1305,19 @@ def test_a_place_that_moves_steadily_is_told_as_that_and_not_as_scatter(tmp_path
     with pytest.raises(InputError) as refused:
         read_position_table(path)
     assert "they move" not in str(refused.value.got)
+
+
+def test_a_sheet_of_several_alike_is_read_by_its_name_whatever_it_is(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    for n, title in enumerate(("11358-1", "11358-2")):
+        sheet = book.active if n == 0 else book.create_sheet()
+        sheet.title = title
+        for row in (("target [mm]", "forward 1 [µm]", "reverse 1 [µm]"), (0, n, n), (50, n + 5, n + 5)):
+            sheet.append(row)
+    book.save(path := tmp_path / "slits.xlsx")
+    assert kind_of_table(path) == "linear"
+    with pytest.raises(InputError, match="several sheets") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert str(refused.value.hint).startswith('--axis "11358-1" takes the sheet')
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "11358-2"}})
+    assert runs[0].samples["error_um"].tolist() == [1.0, 6.0, 6.0, 1.0]
