@@ -41,6 +41,7 @@ from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
     require_near,
+    require_one_block,
     require_positioning,
     require_sign,
     require_unit_of,
@@ -117,6 +118,7 @@ def read_position_runs(
     axis = str(condition.get("axis", ""))
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     part = part_of_axis(whole, axis, path)
+    require_one_block(part, path)
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)

@@ -1321,3 +1321,21 @@ def test_a_sheet_of_several_alike_is_read_by_its_name_whatever_it_is(tmp_path: P
     assert str(refused.value.hint).startswith('--axis "11358-1" takes the sheet')
     runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "11358-2"}})
     assert runs[0].samples["error_um"].tolist() == [1.0, 6.0, 6.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("titles", "read"),
+    [(("# 11358-1", "# 11358-2"), False), (("# run 1", "# run 2"), True), (("# 9:00", "# 9:30"), True)],
+)
+def test_the_same_heads_below_titles_of_several_axes_are_no_cycles_of_one(
+    tmp_path: Path, titles: tuple[str, ...], read: bool
+) -> None:
+    path = tmp_path / "a.csv"
+    table = "target [mm];forward [mm];reverse [mm]\n0;0;0.001\n50;50.002;50.003\n"
+    path.write_text("\n".join(f"{title}\n{table}" for title in titles), encoding="utf-8")
+    if read:
+        assert len(read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})[0]) == 2
+        return
+    with pytest.raises(InputError, match="the same heads stand there again") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == "11358-1, 11358-2"
