@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import REVERSED, is_number, unit_of_titles
+from dtwin.acquire.foreign_columns import REVERSED, unit_of_titles
 from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning.position_runs import PositionTable
 from dtwin.positioning.scale import Scale
 from dtwin.positioning.table_heads import (
     ANGLE,
-    CYCLE,
     MOST_TITLES,
     NAMED,
     OTHER_TEST,
-    SERIES,
     is_opposite,
     is_unit,
-    names_target,
     plain_unit,
     told_unit,
 )
-from dtwin.positioning.way_words import way_of
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
-_CELLS = re.compile(r"[;,\t|]")
-_TIME = re.compile(r"\d{1,2}:\d{2}|\d{4}-\d\d-\d\d|\d{1,2}[./]\d{1,2}[./]\d{2,4}")
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
@@ -48,26 +40,6 @@ def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
             got=other[:60],
             allowed="a positioning test",
             hint="deviations across the axis, and tilts of what moves along it, are not read",
-        )
-
-
-def require_one_block(text: str, path: Path) -> None:
-    """Refuse a text whose heads stand there again below other titles, in comments as well: cycles of one axis are called runs, by a direction, a number or a time."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    again = {line for line, often in Counter(lines).items() if often > 1}
-    heads = next((line for line in lines if line in again and any(map(names_target, _CELLS.split(line)))), None)
-    above = [before.strip("#*|=;,\t ") for before, line in zip(["", *lines], lines, strict=False) if line == heads]
-    # The last row of a table is no title of the next one.
-    told = [t for t in dict.fromkeys(above) if t and not (is_number(_CELLS.split(t)[0]) and len(_CELLS.split(t)) > 1)]
-    counted = all(SERIES.fullmatch(t) or CYCLE.match(t) or way_of(t) or is_number(t) or _TIME.search(t) for t in told)
-    if len(told) > 1 and not counted:
-        raise InputError(
-            "the same heads stand there again below other titles: of several axes, or machines, these would be taken for cycles of one",
-            code="position_table.axes",
-            where=str(path),
-            got=", ".join(told)[:80],
-            allowed="one axis; or titles such as run 1, run 2",
-            hint="a file for each, or one table with a column Axis, of which --axis reads one",
         )
 
 

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis, require_axis
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
@@ -41,7 +42,6 @@ from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
     require_near,
-    require_one_block,
     require_positioning,
     require_sign,
     require_unit_of,
@@ -118,7 +118,7 @@ def read_position_runs(
     axis = str(condition.get("axis", ""))
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     part = part_of_axis(whole, axis, path)
-    require_one_block(part, path)
+    require_one_block(part, path, way_of)
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)

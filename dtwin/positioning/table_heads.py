@@ -67,7 +67,7 @@ OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh
 _ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas){_ONE}", re.I)
 SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas){_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
-SERIES = re.compile(
+_SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
     re.I,
 )
@@ -206,7 +206,7 @@ def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target:
     told = [cell.strip() for cell in heads]
     filled = [row for row in body if any(cell.strip() for cell in row)]
     again = [[cell.strip() for cell in row] == told for row in [*filled, ()]]
-    title = [bool(SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
+    title = [bool(_SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
     rows = [row for row, head, above in zip(filled, again, title, strict=False) if not head and not above]
     whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
     while rows and _is_remark(rows[-1], target, whole):

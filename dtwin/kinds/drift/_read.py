@@ -27,6 +27,7 @@ from dtwin.acquire.foreign_columns import (
     joined_heads,
     require_one_table,
 )
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -70,6 +71,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
+    require_one_block(text, path)
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)

@@ -15,6 +15,7 @@ import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.foreign_columns import REVERSED, below_heads, joined_heads, require_one_table, unit_of_titles
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
@@ -108,7 +109,9 @@ def is_pose_table(path: Path) -> bool:
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     recipe = campaign.instrument.get("columns", {})
-    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    text = decoded(table_bytes(path, _MOST_BYTES))
+    require_one_block(text, path)
+    rows = rows_of(text)
     named, heads, below, unit = _headed(rows, recipe, path)
     title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
     if title and not any(name.startswith("measured_") for name in named):

@@ -14,6 +14,7 @@ import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
 from dtwin.acquire.foreign_columns import joined_heads, require_one_of, require_one_table
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -97,6 +98,7 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
     text = decoded(table_bytes(path, _MOST_BYTES))
     if is_channel_log(text):
         return _from_log(text, recipe, path, needed)
+    require_one_block(text, path, SPEED_ABOVE.search)
     return _from_table(_upright(rows_of(text), path), recipe, path, needed)
 
 
