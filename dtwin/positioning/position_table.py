@@ -70,6 +70,7 @@ from dtwin.positioning.table_heads import (
     other_targets,
     plain_unit,
     rows_of_axis,
+    told_apart,
     told_unit,
     wide_of,
     without_remarks,
@@ -196,7 +197,8 @@ def table_in(
     require_near(table, path)
     name = report[0].read_with if report else ""
     stated = all(_tells_units(lines) for lines in tables)
-    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out))
+    apart = next(filter(None, map(told_apart, tables)), "")
+    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out), apart=apart)
 
 
 def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:

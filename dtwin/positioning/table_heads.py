@@ -221,6 +221,25 @@ def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
     return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))
 
 
+def told_apart(table: Sequence[Sequence[str]]) -> str:
+    """Return head and words of a column that is not known here, and of which each word has all targets, where cycles are counted; else nothing."""
+    wide, long = wide_of(table[0]), long_of(table[0])
+    columns = wide or long
+    if columns is None or columns.cycle is not None:
+        return ""
+    cells = [i for i, _, _ in wide.cells] if wide else [long.way, long.value] if long else []
+    read = {columns.target, *cells}
+    for i, head in enumerate(table[0]):
+        targets: dict[str, set[str]] = {}
+        for row in table[1:] if i not in read and not AXIS.match(head.strip()) else ():
+            if max(i, columns.target) < len(row) and is_number(row[columns.target]) and row[i].strip():
+                targets.setdefault(row[i].strip(), set()).add(row[columns.target].strip())
+        words = all(name[0].isalpha() for name in targets)
+        if words and len(targets) > 1 and all(one == set().union(*targets.values()) for one in targets.values()):
+            return f"{head.strip()} ({', '.join(targets)})"
+    return ""
+
+
 @dataclass(frozen=True)
 class Long:
     """Columns of a table with one reading a row; without ``cycle`` they are counted, without ``way`` their order tells it."""

@@ -1339,3 +1339,15 @@ def test_the_same_heads_below_titles_of_several_axes_are_no_cycles_of_one(
     with pytest.raises(InputError, match="the same heads stand there again") as refused:
         read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
     assert refused.value.got == "11358-1, 11358-2"
+
+
+def test_a_column_that_is_not_known_and_parts_the_rows_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{name},{t},{t},{t}" for name in ("left", "right") for t in (0, 50)]
+    path.write_text("\n".join(["carriage,target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    (told,) = (f.message for f in runs[0].findings if f.code == "linear.told_apart")
+    assert "carriage (left, right)" in told
+    path.write_text(path.read_text("utf-8").replace("left", "2026-01-01").replace("right", "2026-01-02"))
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert not [f for f in runs[0].findings if f.code == "linear.told_apart"]
