@@ -75,6 +75,8 @@ def amend(
         for name, value in told:
             _require_not_read_with(name, row, where)
             now |= _changed(now, name, value, where)
+        if now["geometry_json"] != row["geometry_json"]:
+            now["condition_json"] = _taken_over(lake, row, now)
         different = {name: value for name, value in now.items() if not _alike(row[name], value)}
         if different:
             changes[row["run_id"]] = different | _judged_again(lake, row, now)
@@ -159,6 +161,16 @@ def _setting(text: str) -> tuple[str, Any]:
     except (tomllib.TOMLDecodeError, RecursionError):
         value = written
     return name.strip(), value
+
+
+def _taken_over(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return the conditions of a run with what its kind takes over from the machine's geometry, as that is stated now."""
+    was, geometry = (json.loads(told["geometry_json"]) for told in (row, now))
+    run = lake.load(now, signals=False)
+    own = {name: value for name, value in run.meta.condition.items() if name not in was or was[name] != value}
+    campaign = replace(lake.campaign(row["campaign"]), machine_geometry=geometry)
+    done = kind_named(row["kind"]).completed(replace(run, meta=replace(run.meta, condition=own)), campaign)
+    return json.dumps(dict(done.meta.condition))
 
 
 def _alike(one: Any, other: Any) -> bool:

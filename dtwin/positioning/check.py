@@ -13,6 +13,7 @@ from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, li
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.ways import BOTH, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
+from dtwin.units import is_number
 
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
@@ -68,7 +69,7 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
             )
         )
     pitch = run.meta.condition.get("screw_pitch_mm")
-    if isinstance(pitch, float):
+    if is_number(pitch):
         findings += _aliased(_targets_of(position), pitch)
     return findings
 

@@ -28,6 +28,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.positioning.matrix import linear_test
 from dtwin.positioning.position_runs import PositionTable
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
 from dtwin.positioning.way_words import way_of
@@ -1351,3 +1352,21 @@ def test_a_column_that_is_not_known_and_parts_the_rows_is_told(tmp_path: Path) -
     path.write_text(path.read_text("utf-8").replace("left", "2026-01-01").replace("right", "2026-01-02"))
     runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
     assert not [f for f in runs[0].findings if f.code == "linear.told_apart"]
+
+
+def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
+    path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
+    path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
+    ingest(path, lake, told={"axis": "X", "machine": "m"})
+    for setting, pitch in (
+        ("machine_geometry.screw_pitch_mm=5", 5.0),
+        ("machine_geometry.screw_pitch_mm=10", 10.0),
+        ("condition.screw_pitch_mm=20", 20.0),
+    ):
+        amend(lake, "a", [setting], "typo")
+        (run,) = lake.iterate("a")
+        assert linear_test([run]).pitch_mm == pitch
+        assert "linear.step_divides_pitch" in {f.code for f in run.findings}
+    for setting in ("machine_geometry.screw_pitch_mm=abc", "condition.screw_pitch_mm=-5"):
+        with pytest.raises(InputError, match="pitch is no length"):
+            amend(lake, "a", [setting], "typo")
