@@ -81,6 +81,7 @@ def test_a_single_run_is_amended_and_judged_again(lake: Lake) -> None:
         ("plane=QQ", "run.plane"),
         ("direction=up", "amend.setting"),
         ("covariates.load=3.0", "units.unknown"),
+        ("covariates.temperature_air_c=-400", "campaign.value"),
         ("instrument.a=[[[[[[[[1]]]]]]]]", "campaign.value"),
         ("radius_mm", "amend.setting"),
         ("radius_mm=100", "amend.same"),
