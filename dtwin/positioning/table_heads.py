@@ -67,6 +67,7 @@ OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh
 _ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas){_ONE}", re.I)
 SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas){_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
+_RUN = re.compile(r"r\d+(?!\w)", re.I)
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
     re.I,
@@ -119,6 +120,13 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
 def _ways_of(names: Sequence[str]) -> list[str | None]:
     """Return the direction that each head names; a sign within it is one where each head stands there with either sign."""
     ways = [way_of(name) for name in names]
+    bare = [re.sub(r"[\W\d_]", "", IN_BRACKETS.sub("", name)).lower() for name in names]
+    if len({name for name, way in zip(bare, ways, strict=True) if len(name) == 1 and way is None}) > 1:
+        # Of columns A to F the letters B and F are no directions.
+        ways = [None if len(name) == 1 else way for name, way in zip(bare, ways, strict=True)]
+    if {name for name, way in zip(bare, ways, strict=True) if way} == {"r"}:
+        # Alone, R1 may be a run or a reading.
+        ways = [None] * len(names)
     signs = [_SIGN_INSIDE.search(IN_BRACKETS.sub("", name)) for name in names]
     marked = [(name.replace(sign[1], "", 1), SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
     if any(ways) or not marked:
@@ -287,13 +295,14 @@ def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
 def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the columns of targets and of readings, in units of length or angle, by heads that name no direction."""
     told = [name.strip() for name in names]
-    there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and way_of(name) is None]
+    ways = _ways_of(told)
+    there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and ways[i] is None]
     targets = [i for i in there if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
     read = [
         i
         for i in there
         if i not in targets
-        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]))
+        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]) or _RUN.match(told[i]))
         and not SUMS_UP.search(told[i])
         and not (CYCLE.match(told[i]) and not told_unit(told[i], ""))
     ]

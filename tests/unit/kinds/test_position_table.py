@@ -1370,3 +1370,20 @@ def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) ->
     for setting in ("machine_geometry.screw_pitch_mm=abc", "condition.screw_pitch_mm=-5"):
         with pytest.raises(InputError, match="pitch is no length"):
             amend(lake, "a", [setting], "typo")
+
+
+@pytest.mark.parametrize(
+    ("heads", "read"),
+    [
+        ("A [µm],B [µm],C [µm],D [µm],E [µm],F [µm]", False),
+        ("A1 [µm],B1 [µm],C1 [µm],A2 [µm],B2 [µm],C2 [µm]", False),
+        ("R1 [µm],R2 [µm],R3 [µm]", False),
+        ("F1 [µm],R1 [µm],F2 [µm],R2 [µm]", True),
+        ("F [µm],B [µm]", True),
+    ],
+)
+def test_letters_of_columns_and_runs_are_no_directions(tmp_path: Path, heads: str, read: bool) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t}," + ",".join("1" for _ in heads.split(",")) for t in (0, 50, 100)]
+    path.write_text("\n".join([f"Position [mm],{heads}", *rows]), encoding="utf-8")
+    assert is_position_table(path) is read
