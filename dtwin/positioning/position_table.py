@@ -41,7 +41,9 @@ from dtwin.positioning._plain_table import table_of
 from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
+    require_counted,
     require_near,
+    require_one_axis,
     require_positioning,
     require_sign,
     require_unit_of,
@@ -167,7 +169,7 @@ def table_in(
     if not tables:
         require_positioning(rows, path)
         plain = table_of(rows)
-        _require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
+        require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
         if plain is None and (head := names_no_direction(rows)):
             raise no_direction(
                 path,
@@ -263,6 +265,7 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, wide.target, path)
     wide = replace(wide, cycle=_not_counting(wide.cycle, wide.target, body))
+    require_counted(heads, wide, path)
     read = {wide.target, *(i for i, _, _ in wide.cells)}
     factor = {i: _factor(heads[i], units[i] if units is not None and i < len(units) else "", path, scale) for i in read}
     again = other_targets(heads, wide.target)
@@ -340,23 +343,8 @@ def _parted(
     body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
-        _require_one_axis(axes, f"{path} {heads[i].strip()}", in_column=True)
+        require_one_axis(axes, f"{path} {heads[i].strip()}", in_column=True)
     return heads, units, body
-
-
-def _require_one_axis(axes: Sequence[str], where: str, *, in_column: bool = False) -> None:
-    """Refuse readings of several axes, or machines, told by a column or otherwise: they would be taken for cycles of one."""
-    if len(axes) > 1:
-        raise InputError(
-            "the table holds several axes, or several machines",
-            code="position_table.axes",
-            where=where,
-            got=", ".join(axes)[:60],
-            allowed="one",
-            hint=f'--axis "{axes[0]}" reads the rows of that one; else a file for each'
-            if in_column
-            else "rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
-        )
 
 
 def _tells_units(table: Sequence[Sequence[str]]) -> bool:

@@ -36,7 +36,7 @@ AXIS = re.compile(
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
 _OF_AXIS = re.compile(
-    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
@@ -114,7 +114,10 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     if whole and not numbered and cycle is None and _alike(names, cells):
         seen: Counter[str] = Counter()
         return Wide(targets[0], tuple((i, way, seen.update([way]) or seen[way]) for i, way, _ in cells))
-    return Wide(targets[0], tuple(numbered)) if len(numbered) >= 2 else None
+    # Cycles may be counted from 0.
+    shift = 1 if any(number == 0 for _, _, number in numbered) else 0
+    counted = tuple((i, way, number + shift) for i, way, number in numbered)
+    return Wide(targets[0], counted) if len(counted) >= 2 else None
 
 
 def _ways_of(names: Sequence[str]) -> list[str | None]:

@@ -29,7 +29,7 @@ from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.positioning.matrix import linear_test
-from dtwin.positioning.position_runs import PositionTable
+from dtwin.positioning.position_runs import PositionTable, runs_of
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
 from dtwin.positioning.way_words import way_of
 from dtwin.report.checking import check_source
@@ -273,7 +273,7 @@ def test_whole_numbers_in_groups_are_told_from_decimals(
         ("target,forward 1,reverse 1\n0,1,2\n", "1 targets"),
         ("target,direction,actual\n0,sideways,2\n", "sideways"),
         ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
-        ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+        ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "reverse 999999"),
         ("axis,target,direction,actual\nX,0,+,0\nX,1,+,1\nY,0,+,0\nY,1,+,1\n", "X, Y"),
         # What is a unit, and not one that is known, is not millimetres; deviations may be in any.
         ("target [mm],error forward 1 [1/10 µm],error reverse 1 [1/10 µm]\n0,1,2\n10,3,4\n", "[1/10 µm]"),
@@ -1387,3 +1387,24 @@ def test_letters_of_columns_and_runs_are_no_directions(tmp_path: Path, heads: st
     rows = [f"{t}," + ",".join("1" for _ in heads.split(",")) for t in (0, 50, 100)]
     path.write_text("\n".join([f"Position [mm],{heads}", *rows]), encoding="utf-8")
     assert is_position_table(path) is read
+
+
+@pytest.mark.parametrize(
+    ("heads", "code"),
+    [
+        ("fwd 20C [µm],rev 20C [µm],fwd 30C [µm],rev 30C [µm]", "position_table.cycles"),
+        ("fwd 0 kg [µm],rev 0 kg [µm],fwd 50 kg [µm],rev 50 kg [µm]", "position_table.cycles"),
+        ("Lathe 1 fwd [µm],Lathe 1 rev [µm],Lathe 2 fwd [µm],Lathe 2 rev [µm]", "position_table.axes"),
+        ("fwd 0 [µm],rev 0 [µm],fwd 1 [µm],rev 1 [µm]", ""),
+        ("fwd 1 [µm],rev 1 [µm],fwd 5 [µm],rev 5 [µm]", ""),
+    ],
+)
+def test_numbers_of_conditions_and_machines_count_no_cycles(tmp_path: Path, heads: str, code: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Target [mm],{heads}", "0,1,2,3,4", "50,1,2,3,4"]), encoding="utf-8")
+    if code:
+        with pytest.raises(InputError) as refused:
+            read_position_table(path)
+        assert refused.value.code == code
+        return
+    assert [run.samples["error_um"][0] for run in runs_of(read_position_table(path), path, {})] == [1.0, 3.0]
