@@ -20,14 +20,20 @@ _COUNTED = re.compile(
 """What a title says of which there are several on one machine."""
 
 
-def require_one_block(text: str, path: Path, counted: Callable[[str], object] = lambda title: None) -> None:
+def require_one_block(
+    text: str,
+    path: Path,
+    counted: Callable[[str], object] = lambda title: None,
+    needed: Callable[[str], bool] = lambda cell: True,
+) -> None:
     """Refuse a text whose heads stand there again below other titles, in comments as well: repeats are called runs, or by a number or a time.
 
     ``counted``: tells of a title whether it is one of such, too.
+    ``needed``: tells of a cell whether it belongs to the heads that are meant: a report has other tables beside.
     """
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     again = {line for line, often in Counter(lines).items() if often > 1}
-    heads = next((line for line in lines if line in again and _is_head(line)), None)
+    heads = next((line for line in lines if line in again and _is_head(line) and any(map(needed, _cells(line)))), None)
     if heads is None:
         return
     above = [before.strip(_MARKS) for before, line in zip(["", *lines], lines, strict=False) if line == heads]

@@ -69,6 +69,7 @@ from dtwin.positioning.table_heads import (
     is_row_of_units,
     long_of,
     names_no_direction,
+    names_target,
     other_targets,
     plain_unit,
     rows_of_axis,
@@ -121,7 +122,7 @@ def read_position_runs(
     axis = str(condition.get("axis", ""))
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     part = part_of_axis(whole, axis, path)
-    require_one_block(part, path, way_of)
+    require_one_block(part, path, way_of, names_target)
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)

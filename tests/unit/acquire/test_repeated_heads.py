@@ -23,3 +23,10 @@ def test_titles_of_several_are_refused(titles: tuple[str, str]) -> None:
 def test_repeats_are_not(titles: tuple[str, str]) -> None:
     require_one_block("\n".join(f"{title}\n{TABLE}" for title in titles), Path("a.csv"))
     require_one_block("x,x,x\n" * 3, Path("a.csv"))
+
+
+def test_other_tables_of_a_report_may_repeat_their_heads() -> None:
+    text = "\n".join(f"## {title} limit\n\nTest | Counter [mm]\n--- | ---\n1 | 0.5\n" for title in ("Low", "High"))
+    require_one_block(text, Path("a.md"), needed=lambda cell: cell.startswith("Target"))
+    with pytest.raises(InputError):
+        require_one_block(text, Path("a.md"))
