@@ -38,7 +38,7 @@ def require_one_block(
         return
     above = [before.strip(_MARKS) for before, line in zip(["", *lines], lines, strict=False) if line == heads]
     # The last row of a table is no title of the next one.
-    told = [title for title in dict.fromkeys(above) if title and len(_cells(title)) < len(_cells(heads))]
+    told = [t for t in dict.fromkeys(above) if t and len(_cells(t)) < len(_cells(heads)) and not _is_row(t)]
     if len(told) > 1 and not all(
         _COUNTED.match(t) or is_number(t) or _TIME.search(t) or counted(t) is not None for t in told
     ):
@@ -59,3 +59,8 @@ def _cells(line: str) -> list[str]:
 def _is_head(line: str) -> bool:
     cells = _cells(line)
     return len(cells) > 1 and all(any(map(str.isalpha, cell)) and not is_number(cell) for cell in cells)
+
+
+def _is_row(line: str) -> bool:
+    first, *others = _cells(line)
+    return bool(others) and is_number(first)

@@ -23,6 +23,7 @@ def test_titles_of_several_are_refused(titles: tuple[str, str]) -> None:
 def test_repeats_are_not(titles: tuple[str, str]) -> None:
     require_one_block("\n".join(f"{title}\n{TABLE}" for title in titles), Path("a.csv"))
     require_one_block("x,x,x\n" * 3, Path("a.csv"))
+    require_one_block("a;b;c\n1;2;3\n4;5\n\na;b;c\n1;2;3\n6;7\n\na;b;c\n1;2;3\n", Path("a.csv"))
 
 
 def test_other_tables_of_a_report_may_repeat_their_heads() -> None:
