@@ -31,7 +31,7 @@ _UNITS = "|".join(sorted((*LENGTHS_MM, *ANGLES_DEG), key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
-    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|unit|device|module|actuator|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
+    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|unit|device|module|actuator|table|rundtisch|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?$",
     re.I,
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""

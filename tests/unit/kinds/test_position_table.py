@@ -1079,7 +1079,9 @@ def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_
     assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
 
 
-@pytest.mark.parametrize(("head", "names"), [("slit", ("11358/1", "11358/2")), ("Axis", ("1", "2"))])
+@pytest.mark.parametrize(
+    ("head", "names"), [("slit", ("11358/1", "11358/2")), ("Axis", ("1", "2")), ("table no.", ("1", "2"))]
+)
 def test_of_several_axes_alike_the_one_is_read_by_its_name_or_number(
     tmp_path: Path, head: str, names: tuple[str, ...]
 ) -> None:

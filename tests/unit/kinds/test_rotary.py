@@ -172,6 +172,7 @@ FORMS = {
         for n, row in enumerate(cells("error {way} {c}", "target", lambda t, x: sexagesimal(x)).splitlines())
     ),
     "these below seconds": cells('{way} {c} ["]', "target [°]", lambda t, x: sexagesimal(x)),
+    "angles without a unit above these": cells('{way} {c} ["]', "Winkel", lambda t, x: f"{x * 3600.0:.1f}"),
     "seconds with their mark": cells("{way} {c}", "target", lambda t, x: f'{x * 3600.0:.1f}"'),
     "deviations near a turn": cells("deviation {way} {c} [°]", "target", lambda t, x: f"{x % 360.0:.7f}"),
     "degrees that no head calls deviations": wide("deg"),
