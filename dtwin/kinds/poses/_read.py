@@ -22,6 +22,7 @@ from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
 from dtwin.errors import InputError
 from dtwin.kinds.poses._foreign import NO_UNIT, joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
+from dtwin.kinds.poses._repeats import no_commanded, repeated_places
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM
@@ -100,7 +101,7 @@ def is_pose_table(path: Path) -> bool:
         return False
     rows = first_rows(path, _MOST_BYTES)
     heads = _headed(rows, {}, path)[0]
-    if joined(rows) is not None or of_ros(heads):
+    if joined(rows) is not None or of_ros(heads) or repeated_places(rows):
         return True
     commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
     return commanded and any(h.startswith(("measured_x_", "error_x_")) for h in heads)
@@ -112,6 +113,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     text = decoded(table_bytes(path, _MOST_BYTES))
     require_one_block(text, path)
     rows = rows_of(text)
+    if not recipe and (places := repeated_places(rows)):
+        raise no_commanded(path, places)
     named, heads, below, unit = _headed(rows, recipe, path)
     title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
     if title and not any(name.startswith("measured_") for name in named):

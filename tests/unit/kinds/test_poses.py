@@ -759,3 +759,21 @@ def test_coordinates_with_units_below_merged_heads_are_poses_and_no_positions_of
     assert kind_of_table(path) == "poses"
     (run,), _ = read_poses(path, Campaign("a", "m", "poses"), {})
     assert run.samples["measured_x_mm"] - run.samples["target_x_mm"] == pytest.approx([0.1] * 12)
+
+
+@pytest.mark.parametrize("heads", ["pose,repeat,x_mm,y_mm,z_mm", "Punkt,Messung,X [mm],Y [mm],Z [mm]"])
+def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rng = np.random.default_rng(4)
+    points = {p: rng.normal(0.0, 0.01 * (p == "P2") + 0.005, (10, 3)) for p in ("P1", "P2")}
+    rows = [f"{p},{n},{x[0] + 300:.6f},{x[1]:.6f},{x[2]:.6f}" for p, read in points.items() for n, x in enumerate(read)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+    with pytest.raises(InputError) as refused:
+        read_poses(path, Campaign("a", "m", "poses"), {})
+    off = {p: np.linalg.norm(x - x.mean(axis=0), axis=1) for p, x in points.items()}
+    p1, p2 = (off[p].mean() + 3.0 * off[p].std(ddof=1) for p in ("P1", "P2"))
+    assert refused.value.code == "poses.commanded"
+    assert refused.value.got == f"RP {p2:.3g} mm of 10 readings of P2; RP {p1:.3g} mm of 10 readings of P1"
+    path.write_text("\n".join([f"t_s,{heads}", *(f"0,{row}" for row in rows)]), encoding="utf-8")
+    assert not is_pose_table(path)
