@@ -22,7 +22,7 @@ from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._at_rest import is_at_rest
-from dtwin.kinds.rotation._blocks import SPEED_ABOVE, below_speeds, cell_of, repeats_below
+from dtwin.kinds.rotation._blocks import REPEAT, SPEED_ABOVE, below_speeds, cell_of, repeats_below
 from dtwin.kinds.rotation._heads import (
     ANGLE,
     DISTANCES,
@@ -178,6 +178,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     roles = {c.role for c in columns}
     if {SPEED, RUNOUT} <= roles:
         require_one_of(DISTANCES, heads, rows[first:], path, repeated=True)
+        _require_alike(heads, columns, rows[first:], path)
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
     probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
@@ -312,6 +313,26 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             got=", ".join(twice),
             hint='[campaign.instrument.columns] with "HEAD" = "" leaves one out',
         )
+
+
+def _require_alike(heads: Sequence[str], columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse run-outs that a column of words parts, each with every speed: of several states or parts they are no repeats."""
+    speed = next(n for n, c in enumerate(columns) if c.role == SPEED)
+    for n in (n for n, c in enumerate(columns) if not c.role and not REPEAT.fullmatch(heads[n])):
+        read: dict[str, set[str]] = {}
+        for row in body:
+            if cell_of(row, n) and cell_of(row, speed):
+                read.setdefault(cell_of(row, n), set()).add(cell_of(row, speed))
+        words = all(name[0].isalpha() for name in read)
+        if words and len(read) > 1 and all(one == set().union(*read.values()) for one in read.values()):
+            raise InputError(
+                "a column parts the rows, and is not read: run-outs of several states or parts are no repeats",
+                code="table.several",
+                where=f"{path} {heads[n]}",
+                got=", ".join(read)[:80],
+                allowed="one; repeats under a head such as run",
+                hint="a file for each",
+            )
 
 
 def _rising(t_s: Floats, path: Path) -> Floats:

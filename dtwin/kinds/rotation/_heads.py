@@ -92,10 +92,13 @@ _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
-PLACES = re.compile(r"position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense", re.I)
+PLACES = re.compile(
+    r"(position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense|axis|achse|holder|halter|collet|spannzange|chuck|futter|arbor|bearing|lager)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?",
+    re.I,
+)
 """Head of a column that says where, or with what, the run-out of a row was read."""
 DISTANCES = re.compile(
-    r".*(distance|abstand|height|h[öo]he|depth|tiefe|stick.?out|overhang|auskrag|projection|from.(the.)?(nose|face)|(tool|bar|gauge|werkzeug).?(length|l[äa]nge)).*",
+    r".*(distance|abstand|height|h[öo]he|depth|tiefe|stick.?out|overhang|auskrag|projection|from.(the.)?(nose|face)|(tool|bar|gauge|werkzeug).?(length|l[äa]nge)|load|force|belastung|kraft).*",
     re.I,
 )
 """Head of a column of numbers that say where along the axis, or at which length of the tool, the run-out of a row was read."""

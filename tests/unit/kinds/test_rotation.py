@@ -564,11 +564,23 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
 
 
-@pytest.mark.parametrize(("column", "names"), [("Tool", "12"), ("Position", "FR"), ("Machine no.", ("M1", "M2"))])
+@pytest.mark.parametrize(
+    ("column", "names"),
+    [
+        ("Tool", "12"),
+        ("Position", "FR"),
+        ("Machine no.", ("M1", "M2")),
+        ("spindle no", "12"),
+        ("chuck", ("hydraulic", "shrink")),
+        ("state", ("cold", "warm")),
+        ("load [N]", ("0", "100")),
+    ],
+)
 def test_run_outs_of_several_tools_or_places_are_no_repeats(tmp_path: Path, column: str, names: str) -> None:
     rows = [f"{name},{1000 * n},{n}" for name in names for n in (1, 2, 3)]
-    with pytest.raises(InputError, match="several machines, tools or places"):
+    with pytest.raises(InputError) as refused:
         read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows]))
+    assert refused.value.code == "table.several"
     assert len(read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows[:3]]))) == 1
 
 
