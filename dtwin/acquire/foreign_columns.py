@@ -206,7 +206,7 @@ def require_one_of(
         read = 2 * len(names) > len(body) if repeated else read
         if len(names) > 1 and not read:
             raise InputError(
-                "the rows are of several machines, tools or places",
+                "the rows are of several machines, tools, places or conditions",
                 code="table.several",
                 where=f"{path} {heads[n].strip()}",
                 got=", ".join(names)[:80],

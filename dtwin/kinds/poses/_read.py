@@ -6,6 +6,7 @@ has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degr
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -14,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import REVERSED, below_heads, joined_heads, require_one_table, unit_of_titles
+from dtwin.acquire.foreign_columns import (
+    REVERSED,
+    below_heads,
+    joined_heads,
+    require_one_of,
+    require_one_table,
+    unit_of_titles,
+)
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
@@ -30,6 +38,11 @@ from dtwin.units import LENGTHS_MM
 _MOST_BYTES = 256 * 1024**2
 _SCALES = {f"_{unit}": ("_mm", mm) for unit, mm in LENGTHS_MM.items()} | {"_rad": ("_deg", 180.0 / np.pi)}
 _STAMP_DIGITS, _MOST_TITLES, _LARGEST = 14, 20, 1e9
+_UNDER = re.compile(
+    r"(.*[\s_])?(velocity|speed|geschwindigkeit|override|payload|load|last|nutzlast|traglast|arm|config(uration)?|konfiguration)([\s_]*[\[(].*|_(mm_s|m_s|pct|kg))?",
+    re.I,
+)
+"""Head of a column that says under what poses were measured: those of ISO 9283 are told for each velocity and load."""
 _NEEDED = ("joint_", "measured_", "error_")
 
 
@@ -137,6 +150,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
             hint=f"write it into the heads, such as: {without[0]} [mm]",
         )
     require_one_table(heads, below, path)
+    if not recipe:
+        require_one_of(_UNDER, heads, below, path, repeated=True)
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {

@@ -777,3 +777,24 @@ def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, 
     assert refused.value.got == f"RP {p2:.3g} mm of 10 readings of P2; RP {p1:.3g} mm of 10 readings of P1"
     path.write_text("\n".join([f"t_s,{heads}", *(f"0,{row}" for row in rows)]), encoding="utf-8")
     assert not is_pose_table(path)
+
+
+def test_commanded_places_beside_an_approach_are_poses_and_no_positions_of_one_axis(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "approach,Target X [mm],Target Y [mm],Target Z [mm],Actual X [mm],Actual Y [mm],Actual Z [mm]"
+    rows = [f"{w},{100 * n},{n * n},{7 * n},{100 * n},{n * n},{7 * n}" for w in "+-" for n in range(12)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+
+
+@pytest.mark.parametrize("column", ["velocity [%]", "Payload [kg]", "speed_mm_s", "arm"])
+def test_poses_under_several_speeds_or_loads_are_no_repeats(tmp_path: Path, column: str) -> None:
+    path = tmp_path / "a.csv"
+    heads = f"{column},Target X [mm],Target Y [mm],Target Z [mm],Actual X [mm],Actual Y [mm],Actual Z [mm]"
+    rows = [f"{v},{100 * n},{n * n},{7 * n},{100 * n + v},{n * n},{7 * n}" for v in (10, 100) for n in range(12)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_poses(path, Campaign("a", "m", "poses"), {})
+    assert (refused.value.code, refused.value.got) == ("table.several", "10, 100")
+    path.write_text("\n".join([heads, *rows[:12]]), encoding="utf-8")
+    assert len(read_poses(path, Campaign("a", "m", "poses"), {})[0]) == 1

@@ -586,7 +586,7 @@ def test_run_outs_of_several_tools_or_places_are_no_repeats(tmp_path: Path, colu
 
 def test_run_outs_at_several_distances_are_no_repeats(tmp_path: Path) -> None:
     rows = [f"{z}.0,{1000 * n},{n + z / 100}" for z in (0, 300) for n in (1, 2, 3)]
-    with pytest.raises(InputError, match="several machines, tools or places") as refused:
+    with pytest.raises(InputError, match="several machines, tools, places or conditions") as refused:
         read(tmp_path, "\n".join(["distance from nose [mm],Speed [rpm],Runout [µm]", *rows]))
     assert refused.value.got == "0.0, 300.0"
     assert len(read(tmp_path, "\n".join(["distance from nose [mm],Speed [rpm],Runout [µm]", *rows[:3]]))) == 1
