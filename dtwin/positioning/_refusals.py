@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,14 +65,25 @@ def require_counted(heads: Sequence[str], wide: Wide, path: Path) -> None:
     """Refuse heads whose numbers count no cycles: temperatures, loads, years, numbers of machines."""
     numbers = sorted({number for _, _, number in wide.cells if number})
     if numbers and numbers[-1] > 2 * len(numbers) + _LEFT_OUT:
-        raise InputError(
-            "the numbers of the heads count no cycles",
-            code="position_table.cycles",
-            where=str(path),
-            got=", ".join(heads[i].strip() for i, _, _ in wide.cells)[:80],
-            allowed="forward 1, reverse 1, forward 2, …, of one axis under one condition",
-            hint="where they are of several temperatures, loads, years or machines: a file for each",
-        )
+        raise _no_cycles([heads[i].strip() for i, _, _ in wide.cells], path)
+
+
+def require_cycles(cycles: Iterable[int], head: str, path: Path) -> None:
+    """Refuse numbers of rows that count no cycles; those of a log may begin anywhere."""
+    numbers = sorted(set(cycles))
+    if numbers and numbers[-1] - numbers[0] >= 2 * len(numbers) + _LEFT_OUT:
+        raise _no_cycles([f"{head.strip()}: {', '.join(map(str, numbers))}"], path)
+
+
+def _no_cycles(got: Sequence[str], path: Path) -> InputError:
+    return InputError(
+        "the numbers of the heads, or rows, count no cycles",
+        code="position_table.cycles",
+        where=str(path),
+        got=", ".join(got)[:80],
+        allowed="forward 1, reverse 1, forward 2, …, of one axis under one condition",
+        hint="where they are of several temperatures, loads, years or machines: a file for each",
+    )
 
 
 def require_near(table: PositionTable, path: Path) -> None:

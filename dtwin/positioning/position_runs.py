@@ -97,7 +97,7 @@ def said_of(table: PositionTable) -> Iterator[Finding]:
             f"{table.scale.kind}.single_pass", "warning", f"{several}. In a file of their own they are a test, too"
         )
     if table.apart:
-        told = f"the column {table.apart[:80]} is not read: its rows are counted as cycles of one axis. Call it Axis where they are of several"
+        told = f"the column {table.apart[:80]} is not read: its rows are counted as cycles of one axis. Call it Axis where they are of several; rows under several feeds or loads are tests of their own"
         yield Finding(f"{table.scale.kind}.told_apart", "warning", told)
     if OWN_SENSOR.search(table.read_with):
         own = f"the readings are those of {table.read_with}, by its name a sensor of the axis itself"

@@ -42,6 +42,7 @@ from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
     require_counted,
+    require_cycles,
     require_near,
     require_one_axis,
     require_positioning,
@@ -324,6 +325,8 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         cycle = seen[one[target], way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
             out.append((target, way, cycle, *deviation_of(heads[long.value], factors[1], value, target, scale)))
+    if long.cycle is not None:
+        require_cycles((reading[2] for reading in out), heads[long.value], path)
     return out
 
 

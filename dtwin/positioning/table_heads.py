@@ -40,6 +40,8 @@ _OF_AXIS = re.compile(
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
+_CONDITION = re.compile(r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he)", re.I)
+"""Head of a column of numbers that, where each has all targets, parts tests."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
@@ -245,7 +247,7 @@ def told_apart(table: Sequence[Sequence[str]]) -> str:
         for row in table[1:] if i not in read and not AXIS.match(head.strip()) else ():
             if max(i, columns.target) < len(row) and is_number(row[columns.target]) and row[i].strip():
                 targets.setdefault(row[i].strip(), set()).add(row[columns.target].strip())
-        words = all(name[0].isalpha() for name in targets)
+        words = _CONDITION.match(head.strip()) or all(name[0].isalpha() for name in targets)
         if words and len(targets) > 1 and all(one == set().union(*targets.values()) for one in targets.values()):
             return f"{head.strip()} ({', '.join(targets)})"
     return ""

@@ -1356,6 +1356,20 @@ def test_a_column_that_is_not_known_and_parts_the_rows_is_told(tmp_path: Path) -
     assert not [f for f in runs[0].findings if f.code == "linear.told_apart"]
 
 
+def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{feed},{t},{t},{t}" for feed in (1000, 5000) for t in (0, 50)]
+    path.write_text("\n".join(["feed [mm/min],target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    (told,) = (f.message for f in runs[0].findings if f.code == "linear.told_apart")
+    assert "feed [mm/min] (1000, 5000)" in told
+    rows = [f"{t},{way},1,5" for way in "+-" for t in (0, 50)]
+    path.write_text("\n".join(["target [mm],direction,error 20C [µm],error 30C [µm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="count no cycles") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert "20, 30" in refused.value.got
+
+
 def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
     path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
     path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
