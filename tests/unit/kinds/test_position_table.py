@@ -1370,6 +1370,16 @@ def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(
     assert "20, 30" in refused.value.got
 
 
+@pytest.mark.parametrize("names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2")])
+def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tuple[str, str]) -> None:
+    path = tmp_path / "a.csv"
+    heads = ",".join(f"{name} fwd [µm],{name} rev [µm]" for name in names)
+    path.write_text(f"target [mm],{heads}\n0,1,2,3,4\n50,1,2,3,4\n", encoding="utf-8")
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == ", ".join(names)
+
+
 def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
     path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
     path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
