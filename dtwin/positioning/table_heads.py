@@ -52,12 +52,13 @@ _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _ONE = r"(?![a-z])(?![\s_]*[xyz](?![a-z]))"
 """Behind a word that is cut short, which with a letter of an axis is a part of a place: ``cmd_z_mm``."""
+_WANTED = rf"set ?point|set(?=[\s_]*pos|[\s_]*[\[(]?({_UNITS})\b)|(demand|desired|requested|goal){_ONE}"
 _TARGET = re.compile(
-    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
+    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos|{_WANTED}|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
-    rf"^([px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
+    rf"^([px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|{_WANTED}|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
     r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
@@ -70,8 +71,8 @@ OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|re
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
-_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas){_ONE}", re.I)
-SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas){_ONE}|\d+\s*[\[(])", re.I)
+_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas)(pos)?{_ONE}", re.I)
+SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
 _SERIES = re.compile(

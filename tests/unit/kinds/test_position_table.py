@@ -1380,6 +1380,18 @@ def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tupl
     assert refused.value.got == ", ".join(names)
 
 
+@pytest.mark.parametrize(
+    "heads", ["set_mm,act_mm", "Set [mm],Actual [mm]", "demand (mm),act pos (mm)", "desired_mm,measured_mm"]
+)
+def test_what_is_set_or_asked_for_is_the_target(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},{t + 0.001 * (1 + (way == '-'))},{way}" for way in "+-" for t in (0, 50)]
+    path.write_text("\n".join([f"{heads},direction", *rows]), encoding="utf-8")
+    (run,), _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert list(run.samples["position_mm"]) == [0, 50, 50, 0]
+    assert run.samples["error_um"] == pytest.approx([1, 1, 2, 2])
+
+
 def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
     path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
     path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
