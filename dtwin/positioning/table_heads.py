@@ -31,12 +31,12 @@ _UNITS = "|".join(sorted((*LENGTHS_MM, *ANGLES_DEG), key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
-    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|unit|device|module|actuator|table|rundtisch|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?$",
+    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|device|module|actuator|table|rundtisch|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?$",
     re.I,
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
 _OF_AXIS = re.compile(
-    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
@@ -44,7 +44,7 @@ _CONDITION = re.compile(
     r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
 )
 """Head of a column of numbers that, where each has all targets, parts tests."""
-_NAMED = re.compile(r"([XYZUVWABC])\d(?=[\s_]+[a-z])")
+_NAMED = re.compile(r"([XYZUVWABCJ])\d(?=[\s_]+[a-z])")
 """At the begin of a head: the name of one of several axes that go the same way."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)

@@ -1370,7 +1370,9 @@ def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(
     assert "20, 30" in refused.value.got
 
 
-@pytest.mark.parametrize("names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2")])
+@pytest.mark.parametrize(
+    "names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2"), ("robot 1", "robot 2"), ("J1", "J2")]
+)
 def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tuple[str, str]) -> None:
     path = tmp_path / "a.csv"
     heads = ",".join(f"{name} fwd [µm],{name} rev [µm]" for name in names)
