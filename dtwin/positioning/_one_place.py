@@ -25,6 +25,8 @@ _SESSION = re.compile(r"session|series|day|serie|sitzung", re.I)
 _READ = re.compile(
     r"read|measured|actual|ist|mess|position|deviation|error|abw|fehler|probe|indicator|dial|switch|schalter", re.I
 )
+_PROBED = re.compile(r"\bat (-?[\d.]+, ?-?[\d.]+) (?:is|bed will contact at) z=(-?\d+\.?\d*)", re.I)
+"""Line of the console of a printer: where it probed its bed, and the height in mm."""
 _OTHER = re.compile(STATISTICS, re.I)
 _FEWEST = 5
 _CHANCE = 1e-3
@@ -58,6 +60,14 @@ def trials_of(rows: Sequence[Sequence[str]], scale: Scale) -> Mapping[str, Seque
     return {}
 
 
+def probings_of(text: str) -> Mapping[str, Sequence[float]]:
+    """Return in µm, by place, the heights that a printer's console says its probe found; nothing where no place has several."""
+    told: dict[str, list[float]] = {}
+    for place, height in _PROBED.findall(text):
+        told.setdefault(place, []).append(float(height) * 1e3)
+    return {place: heights for place, heights in told.items() if len(heights) >= _FEWEST}
+
+
 def _moves(groups: Sequence[Floats]) -> tuple[float, float]:
     """Return by how much readings move from one to the next, and the standard deviation about that; 0 where they do no more than chance leaves."""
     at = np.concatenate([np.arange(len(g)) - (len(g) - 1) / 2.0 for g in groups])
@@ -72,7 +82,7 @@ def _moves(groups: Sequence[Floats]) -> tuple[float, float]:
 
 
 def one_place(path: Path, groups_um: Mapping[str, Sequence[float]], fine: str) -> InputError:
-    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction or session, in ``fine``."""
+    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction, session or place, in ``fine``."""
     groups = [np.array(group) for group in groups_um.values() if len(group)]
     dof = sum(len(group) - 1 for group in groups)
     within = float(np.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) / dof)) if dof else float("nan")

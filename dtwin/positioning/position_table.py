@@ -36,7 +36,7 @@ from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._instruments import instruments_beside
 from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
-from dtwin.positioning._one_place import one_place, trials_of
+from dtwin.positioning._one_place import one_place, probings_of, trials_of
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning._refusals import (
     LITTLE,
@@ -84,6 +84,7 @@ from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
+_CONSOLE = ".log"
 _MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -94,9 +95,11 @@ def is_position_table(path: Path) -> bool:
 
 def axis_turns(path: Path) -> bool | None:
     """Return whether a file that looks like one of the forms is of an axis that turns; None of any other file."""
-    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+    if path.suffix.lower() not in (*SUFFIXES, _CONSOLE) or not path.is_file():
         return None
     text = first_text(path, _MAX_BYTES)
+    if path.suffix.lower() == _CONSOLE:
+        return False if probings_of(text) else None
     if is_assigned(text):
         return assigned_unit(text) in ANGLES_DEG
     text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
@@ -109,7 +112,7 @@ def axis_turns(path: Path) -> bool | None:
         return all(of_angles(table[:2]) for table in tables or [plain or ()])
     if names_no_direction(rows):
         return _is_of_angles(rows[:MOST_TITLES])
-    return False if trials_of(rows, LENGTHS) else None
+    return False if trials_of(rows, LENGTHS) or probings_of(text) else None
 
 
 def read_position_runs(
@@ -164,7 +167,7 @@ def table_in(
         of_one_instrument([], instrument, path)
         told = matrix_of(assigned_readings(text, path, scale), path, scale)
         return replace(told, unit_told=bool(assigned_unit(text)))
-    if trials := trials_of(rows, scale):
+    if trials := trials_of(rows, scale) or (not scale.turn and probings_of(text)):
         raise one_place(path, trials, scale.fine)
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables: list[Sequence[Sequence[str]]] = [with_degrees(table.rows) for table in report]

@@ -1394,6 +1394,19 @@ def test_what_is_set_or_asked_for_is_the_target(tmp_path: Path, heads: str) -> N
     assert run.samples["error_um"] == pytest.approx([1, 1, 2, 2])
 
 
+@pytest.mark.parametrize("said", ["probe at 175.0,175.0 is z=", "probe: at 175.0,175.0 bed will contact at z="])
+@pytest.mark.parametrize("name", ["klippy.log", "console.txt"])
+def test_a_probe_of_a_printer_tells_how_one_place_repeats(tmp_path: Path, name: str, said: str) -> None:
+    path = tmp_path / name
+    heights = (2.001, 2.003, 2.002, 2.001, 2.003)
+    path.write_text("\n".join(f"// {said}{z:.6f}" for z in heights), encoding="utf-8")
+    assert is_position_table(path)
+    with pytest.raises(InputError, match="one target, however often") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
+    # s of 1, 3, 2, 1, 3 is 1.
+    assert "standard deviation 1 µm" in refused.value.got
+
+
 def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
     path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
     path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
