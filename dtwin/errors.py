@@ -61,7 +61,7 @@ class DtwinError(Exception):
     def meant(self) -> str | None:
         """The allowed name that is most like what was given; None when none is."""
         close = get_close_matches(self.got or "", self._names(), n=1, cutoff=0.7)
-        return close[0] if close and close[0] != self.got else None
+        return close[0] if close and close[0] not in (self.got or "").split(", ") else None
 
     def _names(self) -> list[str]:
         """Return the allowed names; a sentence about what is allowed is no list of names."""

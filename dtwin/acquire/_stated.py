@@ -12,6 +12,7 @@ from dtwin.errors import InputError
 from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
+_COLDEST_C = -273.15
 _LONGEST = 400
 _AXIS = re.compile(r"[a-cu-z]\d?")
 _FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
@@ -59,7 +60,11 @@ def covariates(value: object, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping):
         raise _refused("covariates", where, value, "a table of numbers")
     require_units(value, where)
-    return {name: _number(v, f"covariates.{name}", where) for name, v in value.items()}
+    told = {name: _number(v, f"covariates.{name}", where) for name, v in value.items()}
+    for name, number in told.items():
+        if name.endswith("_c") and number < _COLDEST_C:
+            raise _refused(f"covariates.{name}", where, number, f"a temperature in °C, above {_COLDEST_C:g}")
+    return told
 
 
 def condition(value: object, where: str) -> dict[str, float | str]:

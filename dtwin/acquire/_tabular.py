@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +26,8 @@ from dtwin.units import require_units
 _MAX_TABLE_BYTES = 512 * 1024**2
 _LONGEST_BEGIN = 2**20
 _MOST_COMMENTS = 1000
+_UNEVEN = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+): ?(.*)", re.S)
+"""What the reader of CSV says of a row that is longer or shorter than the first."""
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
 _CODED = dict.fromkeys(_TEXT_COLUMNS, pa.dictionary(pa.int32(), pa.string()))
@@ -158,11 +161,17 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
 def _malformed(path: Path, error: Exception) -> InputError:
     if "conversion error" in str(error):
         return _not_numeric(str(path), error)
+    uneven = _UNEVEN.search(str(error))
+    if uneven:
+        row, heads, cells, text = uneven.groups()
+        got = f"row {row} has {cells} cell{'s' * (cells != '1')}, the first row {heads}: {text.strip()}"
     return InputError(
-        "the table cannot be read",
+        "the rows of the table are not alike, and it has no form that is known otherwise"
+        if uneven
+        else "the table cannot be read",
         code="table.malformed",
         where=str(path),
-        got=str(error)[:200],
+        got=(got if uneven else str(error))[:200],
         allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
         hint=f"dtwin import {path.name} reads tables of other programs; else the file may be cut short or damaged",
     )

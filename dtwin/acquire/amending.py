@@ -28,6 +28,7 @@ _TABLES = {
 }
 _OF_CAMPAIGN = ("machine", "instrument", "machine_geometry")
 _OF_RUN = ("plane", "direction", "radius_mm", "feed_mm_min", "repeat", "setup", "started")
+_OF_CIRCLES = ("plane", "direction", "radius_mm")
 _ALLOWED = ", ".join(["machine", *_OF_RUN, *(f"{name}.KEY" for name in _TABLES)])
 _LONGEST = 500
 AMENDED, _LEFT_OUT = "campaign.amended", "campaign.left_out"
@@ -74,7 +75,9 @@ def amend(
         for name, value in told:
             _require_not_read_with(name, row, where)
             now |= _changed(now, name, value, where)
-        different = {name: value for name, value in now.items() if row[name] != value}
+        if now["geometry_json"] != row["geometry_json"]:
+            now["condition_json"] = _taken_over(lake, row, now)
+        different = {name: value for name, value in now.items() if not _alike(row[name], value)}
         if different:
             changes[row["run_id"]] = different | _judged_again(lake, row, now)
     if not changes:
@@ -160,6 +163,21 @@ def _setting(text: str) -> tuple[str, Any]:
     return name.strip(), value
 
 
+def _taken_over(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return the conditions of a run with what its kind takes over from the machine's geometry, as that is stated now."""
+    was, geometry = (json.loads(told["geometry_json"]) for told in (row, now))
+    run = lake.load(now, signals=False)
+    own = {name: value for name, value in run.meta.condition.items() if name not in was or was[name] != value}
+    campaign = replace(lake.campaign(row["campaign"]), machine_geometry=geometry)
+    done = kind_named(row["kind"]).completed(replace(run, meta=replace(run.meta, condition=own)), campaign)
+    return json.dumps(dict(done.meta.condition))
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Return whether values of a row are the same; NaN, a rate that is not known, is the same as NaN."""
+    return bool(one == other or (one != one and other != other))
+
+
 def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[str, Any]:
     """Return the fields of a row that one setting states."""
     table, dot, key = name.partition(".")
@@ -172,7 +190,17 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
             check = {"condition": stated.condition, "covariates": stated.covariates}.get(table)
             one = {key: value}
             there |= stated.table(one, table, where) if check is None else check(one, where)
+        if table == "condition":
+            kind_named(row["kind"]).require_condition(there, where)
         return {field: json.dumps(there, default=str)}
+    if name in _OF_CIRCLES and not kind_named(row["kind"]).goes_round:
+        raise InputError(
+            f"a {row['kind']} test goes round no circle: it has no {name}",
+            code="amend.kind",
+            where=where,
+            got=f"{name}={value}"[:120],
+            allowed=", ".join(word for word in _ALLOWED.split(", ") if word not in _OF_CIRCLES),
+        )
     if name == "machine":
         return {name: require_name(value, "the machine name")}
     if name == "setup":

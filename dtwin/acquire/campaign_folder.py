@@ -226,9 +226,11 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         runs = [_completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}") for t in traces]
         return [_with_programmed_angles(run) for run in runs], []
     kind = kind_named(campaign.kind)
+    checked = _checked(entry)
+    kind.require_condition(checked.get("condition", {}), str(entry.file))
     reader = kind.reader_of(entry.file)
     if reader is not None:
-        runs, rows = reader(entry.file, campaign, _checked(entry))
+        runs, rows = reader(entry.file, campaign, checked)
         done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", by_reader=True) for r in runs]
         kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
         return [kind.completed(run, campaign) for run in done], kept

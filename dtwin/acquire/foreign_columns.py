@@ -42,6 +42,8 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }
+_TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
+"""Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
 _GRAD = "grad"
 _VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
@@ -188,17 +190,23 @@ def require_one_table(heads: Sequence[str], body: Sequence[Sequence[str]], path:
     require_one_of(_OF_WHICH, told, rows, path)
 
 
-def require_one_of(which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path) -> None:
-    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells."""
+def require_one_of(
+    which: re.Pattern[str], heads: Sequence[str], body: Sequence[Sequence[str]], path: Path, *, repeated: bool = False
+) -> None:
+    """Refuse rows of several machines, or parts or places of one, as a column whose head is one of ``which`` tells.
+
+    ``repeated``: numbers are places, too, where each stands there more than once on average.
+    """
     for n in (n for n, head in enumerate(heads) if which.fullmatch(head.strip())):
         names = list(dict.fromkeys(row[n].strip() for row in body if n < len(row) and row[n].strip()))
         # Decimals, and many numbers, are readings.
         read = any("." in name and is_number(name) for name in names) or (
             len(names) > 20 and all(map(is_number, names))
         )
+        read = 2 * len(names) > len(body) if repeated else read
         if len(names) > 1 and not read:
             raise InputError(
-                "the rows are of several machines, tools or places",
+                "the rows are of several machines, tools, places or conditions",
                 code="table.several",
                 where=f"{path} {heads[n].strip()}",
                 got=", ".join(names)[:80],
@@ -229,6 +237,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
     match = _WITH_UNIT.match(said) or _SAID.match(said)
     if match and match.re is _SAID and _plain(match[2]) not in _UNITS:
         match = None
+    if answer is None and not unit_below and said.strip().lower() in _TIME_ALONE:
+        return Column(head, said, "t_s", TIMES_S[said.strip().lower()])
     base, unit = (match[1], match[2]) if match else (said, unit_below.strip("[]() "))
     plain = _plain(unit)
     if plain == _GRAD and "winkel" not in base.lower():

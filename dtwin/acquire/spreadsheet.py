@@ -53,7 +53,7 @@ def ending_as_table(path: Path) -> str:
 def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
     """Return a table of text; of a spreadsheet its first sheet that holds a table and is not hidden, as CSV.
 
-    ``axis``: the sheet that is called so, ``X`` or ``X axis``, is taken where there is one. A sheet without numbers below names, such as a
+    ``axis``: the sheet that is called so, ``X``, ``X axis`` or by any name, is taken where there is one. A sheet without numbers below names, such as a
     cover, is none where another one has them. Two sheets with the same heads are refused otherwise: one axis would be read for the other.
     Formulas count as what the spreadsheet program last saved of them; one without a saved value is refused. Empty rows and columns are left
     out.
@@ -97,7 +97,7 @@ def first_rows(path: Path, max_bytes: int) -> list[list[str]]:
 def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, bool]:
     """Return a sheet as CSV, or the table of text that is there in its place or packed; and whether others were left for the axis.
 
-    ``axis``: None takes the first of those with the same heads that are called as axes are.
+    ``axis``: None takes the first of those with the same heads: they are of one form.
     """
     import openpyxl
 
@@ -124,11 +124,13 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             }
             tables = [title for title, found in heads.items() if found]
             alike = [title for title in tables if heads[title] == heads[tables[0]]]
-            called = [title for title in tables if axis and axis_of(title, bare=True) == axis.upper()]
+            wanted = (axis or "").strip().casefold()
+            called = [title for title in tables if wanted and axis_of(title, bare=True) == wanted.upper()]
+            called = called or [title for title in tables if wanted and title.strip().casefold() == wanted]
             others = len(called) == 1 < len(tables)
             if len(called) == 1:
                 tables = called
-            elif len(alike) > 1 and not (axis is None and all(axis_of(title, bare=True) for title in alike)):
+            elif len(alike) > 1 and axis is not None:
                 raise _several(path, alike)
             told = [named for title in tables[:1] if axis and (named := axis_of(title, bare=True))]
             require_axis(told, axis or "", path)
@@ -271,15 +273,14 @@ def _as_csv(rows: list[list[str]]) -> bytes:
 
 
 def _several(path: Path, titles: Sequence[str]) -> InputError:
-    named = next((axis for title in titles if (axis := axis_of(title, bare=True))), "")
+    named = next((axis for title in titles if (axis := axis_of(title, bare=True))), f'"{titles[0]}"')
     return InputError(
         "several sheets hold tables with the same heads",
         code="spreadsheet.sheets",
         where=str(path),
         got=", ".join(titles)[:160],
         allowed="one of them",
-        hint=(f"--axis {named} takes the sheet of that axis, in a positioning test; else " if named else "")
-        + "save the sheet that is meant as CSV and bring that",
+        hint=f"--axis {named} takes the sheet that is called so, in a positioning test; else save the sheet that is meant as CSV and bring that",
     )
 
 

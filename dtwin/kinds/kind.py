@@ -249,6 +249,10 @@ class Kind:
         """
         raise self.lacks("proposals")
 
+    def require_condition(self, condition: Mapping[str, Any], where: str) -> None:
+        """Refuse what is set for a run and cannot be in a test of this kind."""
+        return
+
     def completed(self, run: Run, campaign: Campaign) -> Run:
         """Return a run with what the campaign states of its instrument."""
         return run

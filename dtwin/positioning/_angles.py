@@ -19,8 +19,8 @@ from dtwin.positioning.table_heads import (
     names_target,
     plain_unit,
     told_unit,
-    way_of,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.units import ANGLES_DEG
 
 # Lines: heads are among the first rows, and a comment may stand above them.
@@ -77,8 +77,9 @@ def angles_as_targets(text: str) -> str:
 
     They are where several name a direction, or hold deviations or runs in a unit of angle, and none is in a unit of length.
     """
-    rows = with_degrees(rows_of("\n".join(text.splitlines()[:_FIRST])))
-    for row, below in zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False):
+    written = rows_of("\n".join(text.splitlines()[:_FIRST]))
+    rows = with_degrees(written)
+    for n, (row, below) in enumerate(zip(rows[:MOST_TITLES], [*rows[1:], ()], strict=False)):
         at = next((i for i, cell in enumerate(row) if _ANGLE_HEAD.match(in_english(cell))), -1)
         others = [in_english(cell) for i, cell in enumerate(row) if i != at]
         small = any(map(_in_angles, (*others, *(cell for i, cell in enumerate(below) if i != at))))
@@ -86,7 +87,7 @@ def angles_as_targets(text: str) -> str:
         read = any(way_of(cell) or is_deviation(cell) for cell in others) or any(map(_in_angles, runs))
         ways = sum(way_of(cell) is not None for cell in others)
         if at >= 0 and (ways > 1 or (small and read)) and not any(map(is_length, (*row, *below))):
-            head = row[at].strip()
+            head = written[n][at].strip()
             named = f"{NAMED}{in_english(head)}".replace("\\", r"\\")
             return re.sub(rf"(?<!\w){re.escape(head)}(?!\w)", named, text)
     return text

@@ -14,14 +14,15 @@ from dtwin.positioning.table_heads import (
     SURELY_READ,
     is_deviation,
     is_index,
+    is_length,
     is_row_of_units,
     is_unit,
     long_of,
     names_target,
     told_unit,
-    way_of,
     wide_of,
 )
+from dtwin.positioning.way_words import way_of
 
 _INSTRUMENT = re.compile(
     rf"laser|interferom|\b(xl|xm)-?\d|tracker|taster|\bprobe|messuhr|dial|indicator|lvdt|grid|gauge|(glas|linear|ma(ß|ss)).?s(cale|tab)|{OWN_SENSOR.pattern}",
@@ -56,6 +57,7 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[Repo
     unit = [told_unit(head, units[i] if i < len(units) else "") for i, head in enumerate(heads)]
     named: dict[str, list[int]] = {}
     others: dict[str, list[int]] = {}
+    unknown: dict[str, list[int]] = {}
     for i in (i for i, head in enumerate(heads) if i != target and _may_be_read(head) and is_unit(unit[i])):
         words = name_of(heads[i])
         name = " ".join(word for word in words.split() if not _READ.fullmatch(word))
@@ -63,7 +65,12 @@ def _of_heads(heads: Sequence[str], below: Sequence[Sequence[str]]) -> list[Repo
             named.setdefault(name, []).append(i)
         elif SURELY_READ.match(heads[i]) or is_deviation(heads[i]) or way_of(heads[i]):
             others.setdefault(words or "readings", []).append(i)
+        elif name and is_length("", unit[i]) == is_length("", unit[target] or unit[i]):
+            unknown.setdefault(name, []).append(i)
     own = [name for name in named if OWN_SENSOR.search(name)]
+    if len(own) == len(named) and own and not others:
+        # Beside sensors of the axis itself stands what it is measured with, whatever its name.
+        named |= unknown
     if not named or (others and not own and any(is_deviation(heads[i]) for found in others.values() for i in found)):
         return []
     if others and len(own) == len(named):

@@ -13,6 +13,8 @@ from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning.scale import Scale
 from dtwin.positioning.table_heads import is_index, plain_unit, told_unit
+from dtwin.schema import Floats
+from dtwin.statistics import f_tail
 
 _COUNTS = re.compile(
     r"^(trial|run|cycle|repeat|repetition|approach|test|home|homing|session|series|day|versuch|messung|zyklus|lauf|anfahrt|serie|sitzung|essai|prova)"
@@ -23,8 +25,12 @@ _SESSION = re.compile(r"session|series|day|serie|sitzung", re.I)
 _READ = re.compile(
     r"read|measured|actual|ist|mess|position|deviation|error|abw|fehler|probe|indicator|dial|switch|schalter", re.I
 )
+_PROBED = re.compile(r"\bat (-?[\d.]+, ?-?[\d.]+) (?:is|bed will contact at) z=(-?\d+\.?\d*)", re.I)
+"""Line of the console of a printer: where it probed its bed, and the height in mm."""
 _OTHER = re.compile(STATISTICS, re.I)
 _FEWEST = 5
+_CHANCE = 1e-3
+"""How often readings that only scatter may be said to move."""
 
 
 def trials_of(rows: Sequence[Sequence[str]], scale: Scale) -> Mapping[str, Sequence[float]]:
@@ -54,8 +60,29 @@ def trials_of(rows: Sequence[Sequence[str]], scale: Scale) -> Mapping[str, Seque
     return {}
 
 
+def probings_of(text: str) -> Mapping[str, Sequence[float]]:
+    """Return in µm, by place, the heights that a printer's console says its probe found; nothing where no place has several."""
+    told: dict[str, list[float]] = {}
+    for place, height in _PROBED.findall(text):
+        told.setdefault(place, []).append(float(height) * 1e3)
+    return {place: heights for place, heights in told.items() if len(heights) >= _FEWEST}
+
+
+def _moves(groups: Sequence[Floats]) -> tuple[float, float]:
+    """Return by how much readings move from one to the next, and the standard deviation about that; 0 where they do no more than chance leaves."""
+    at = np.concatenate([np.arange(len(g)) - (len(g) - 1) / 2.0 for g in groups])
+    off = np.concatenate([g - g.mean() for g in groups])
+    dof = len(off) - len(groups) - 1
+    if dof < 1 or not off.any():
+        return 0.0, 0.0
+    step = float(at @ off / (at @ at))
+    rest = float(np.sum((off - step * at) ** 2)) / dof
+    ratio = step**2 * float(at @ at) / max(rest, 1e-12)
+    return (step, float(np.sqrt(rest))) if f_tail(ratio, (1.0, float(dof))) < _CHANCE else (0.0, 0.0)
+
+
 def one_place(path: Path, groups_um: Mapping[str, Sequence[float]], fine: str) -> InputError:
-    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction or session, in ``fine``."""
+    """Return the refusal of readings of one place, with how they repeat; ``groups_um``: by direction, session or place, in ``fine``."""
     groups = [np.array(group) for group in groups_um.values() if len(group)]
     dof = sum(len(group) - 1 for group in groups)
     within = float(np.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) / dof)) if dof else float("nan")
@@ -66,6 +93,9 @@ def one_place(path: Path, groups_um: Mapping[str, Sequence[float]], fine: str) -
             " and ".join(name for name in groups_um if name) if set(groups_um) <= {"forward", "reverse"} else "sessions"
         )
         got += f"; means of {names} differ by {max(means) - min(means):z.3g} {fine}"
+    step, rest = _moves(groups)
+    if step:
+        got += f"; but they move by {step:+z.3g} {fine} from one reading to the next, and scatter by {rest:z.2g} {fine} about that: slip, lost steps, or heat, and a next one lies farther off"
     return InputError(
         "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions",
         code="position_table.one_place",

@@ -18,11 +18,12 @@ from dtwin.positioning.table_heads import (
     long_of,
     names_target,
     told_unit,
-    way_of,
     wide_of,
 )
+from dtwin.positioning.way_words import way_of
 
 _MOST_ON_ITS_SIDE = 2000
+_LETTER = re.compile(r"(?<![a-z])[xyz](?![a-z])")
 _MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")
 """A target with the direction behind it."""
 
@@ -112,8 +113,13 @@ def _below_titles(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
     """Return a table from its heads on, None when there is none; heads in two rows, as under merged cells, become one."""
     for begin, row in enumerate(rows[:MOST_TITLES]):
         below = list(rows[begin + 1 :])
-        if below and {"x", "y", "z"} <= {cell.strip().lower() for cell in below[0]}:
+        if below and {"x", "y", "z"} <= {re.split(r"[\s\[(_]", cell.strip().lower())[0] for cell in below[0]}:
             # Under merged heads these are coordinates of places.
+            continue
+        if {"x", "y", "z"} <= {
+            letter for cell in filter(names_target, row) for letter in _LETTER.findall(cell.lower())
+        }:
+            # Commanded places, though a column tells how they were approached.
             continue
         by_way = by_way_of(row)
         if by_way is not None:

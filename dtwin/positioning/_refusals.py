@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from dtwin.positioning.table_heads import (
     MOST_TITLES,
     NAMED,
     OTHER_TEST,
+    Wide,
     is_opposite,
     is_unit,
     plain_unit,
@@ -25,6 +26,8 @@ from dtwin.positioning.table_heads import (
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
+_LEFT_OUT = 5
+"""Numbers of cycles that may be left out, beside as many as there are."""
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
@@ -41,6 +44,46 @@ def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
             allowed="a positioning test",
             hint="deviations across the axis, and tilts of what moves along it, are not read",
         )
+
+
+def require_one_axis(axes: Sequence[str], where: str, *, in_column: bool = False) -> None:
+    """Refuse readings of several axes, or machines, told by a column or otherwise: they would be taken for cycles of one."""
+    if len(axes) > 1:
+        raise InputError(
+            "the table holds several axes, or several machines",
+            code="position_table.axes",
+            where=where,
+            got=", ".join(axes)[:60],
+            allowed="one",
+            hint=f'--axis "{axes[0]}" reads the rows of that one; else a file for each'
+            if in_column
+            else "rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
+        )
+
+
+def require_counted(heads: Sequence[str], wide: Wide, path: Path) -> None:
+    """Refuse heads whose numbers count no cycles: temperatures, loads, years, numbers of machines."""
+    numbers = sorted({number for _, _, number in wide.cells if number})
+    if numbers and numbers[-1] > 2 * len(numbers) + _LEFT_OUT:
+        raise _no_cycles([heads[i].strip() for i, _, _ in wide.cells], path)
+
+
+def require_cycles(cycles: Iterable[int], head: str, path: Path) -> None:
+    """Refuse numbers of rows that count no cycles; those of a log may begin anywhere."""
+    numbers = sorted(set(cycles))
+    if numbers and numbers[-1] - numbers[0] >= 2 * len(numbers) + _LEFT_OUT:
+        raise _no_cycles([f"{head.strip()}: {', '.join(map(str, numbers))}"], path)
+
+
+def _no_cycles(got: Sequence[str], path: Path) -> InputError:
+    return InputError(
+        "the numbers of the heads, or rows, count no cycles",
+        code="position_table.cycles",
+        where=str(path),
+        got=", ".join(got)[:80],
+        allowed="forward 1, reverse 1, forward 2, …, of one axis under one condition",
+        hint="where they are of several temperatures, loads, years or machines: a file for each",
+    )
 
 
 def require_near(table: PositionTable, path: Path) -> None:

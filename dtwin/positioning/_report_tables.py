@@ -24,10 +24,10 @@ from dtwin.positioning.table_heads import (
     long_of,
     names_target,
     unit_of,
-    way_of,
     wide_of,
     without_remarks,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.schema import Finding, Floats
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
@@ -198,7 +198,7 @@ def _numbered(head: str, way: str) -> str:
 
 def name_of(head: str) -> str:
     """Return what a head says beside direction, cycle and unit: what was read, or with what."""
-    words = re.findall(r"[^\W_]+", head.removesuffix("]").removesuffix(unit_of(head)))
+    words = re.findall(r"[^\W_]+", head.strip().rstrip("])").removesuffix(unit_of(head)))
     return " ".join(w for w in words if way_of(w) is None and not w.isdigit() and w.lower() not in ("i", "j"))
 
 

@@ -13,6 +13,7 @@ from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, li
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.ways import BOTH, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
+from dtwin.units import is_number
 
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
@@ -68,7 +69,7 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
             )
         )
     pitch = run.meta.condition.get("screw_pitch_mm")
-    if isinstance(pitch, float):
+    if is_number(pitch):
         findings += _aliased(_targets_of(position), pitch)
     return findings
 
@@ -90,7 +91,7 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
         )
     tests = tests_by_axis(runs, scale)
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum = [finding for test in tests if test.ways == BOTH and (finding := shifted_zero(test)) is not None]
+    datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
     zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
     return findings + (told or _drift(runs, scale)) + datum + zeroed
 
@@ -131,6 +132,17 @@ def _missed(run: Run, scale: Scale) -> list[Finding]:
                 f"{scale.kind}.one_direction",
                 "warning",
                 f"the targets were approached {ways[0]} only: play cannot be seen",
+            )
+        ]
+    forward, reverse = (np.round(_targets_of(position[direction == way]), 6) for way in BOTH)
+    if not np.intersect1d(forward, reverse).size:
+        told = [", ".join(f"{t:z.6g}" for t in targets[:2]) for targets in (forward, reverse)]
+        return [
+            Finding(
+                f"{scale.kind}.other_targets",
+                "error",
+                f"the directions share no target (forward {told[0]} … {scale.unit}, reverse {told[1]} … {scale.unit}): no reversal follows, nor any figure of both; "
+                "measure the same targets from both sides; a file for each direction tells the figures of that one",
             )
         ]
     absent: list[float] = []

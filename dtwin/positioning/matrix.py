@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.schema import Floats, Run
+from dtwin.units import is_number
 
 TARGET_MM = 1e-3
 """Positions closer than this, mm or degrees, are one target."""
@@ -64,7 +65,7 @@ def linear_test(
         forward_um=matrix[:, : len(runs)],
         reverse_um=matrix[:, len(runs) :],
         left_out=len(anywhere) - len(targets),
-        pitch_mm=pitch if isinstance(pitch, float) else None,
+        pitch_mm=float(pitch) if is_number(pitch) else None,
         axis=str(runs[0].meta.condition.get("axis", "Z")),
         first=_first(runs),
         ways=ways,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from dtwin.schema import Floats
 
 _FEWEST = 2
 """Readings of a sweep."""
+_SENSE = re.compile(r"(?<![^\W_])c?cw(?![^\W\d_])|(counter|anti)?-?clockwise|(im|gegen(\s+den)?)\s+uhrzeigersinn", re.I)
 
 
 def ways_in_order(target_mm: Sequence[float]) -> list[str] | None:
@@ -34,10 +36,16 @@ def ways_in_order(target_mm: Sequence[float]) -> list[str] | None:
     return ["forward" if sign > 0 else "reverse" for piece, sign in pieces for _ in range(piece.start, piece.stop)]
 
 
+def names_sense(cell: str) -> bool:
+    """Return whether a head or a cell names a sense of turning, which is no direction: CW, CCW."""
+    return _SENSE.search(cell) is not None
+
+
 def no_direction(path: Path, got: str, allowed: str) -> InputError:
     """Return the refusal of a table whose directions nothing tells."""
+    sense = "; which of CW and CCW is positive depends on from where one looks, and nothing tells that"
     return InputError(
-        "the table does not say from which side its targets were approached",
+        "the table does not say from which side its targets were approached" + sense * names_sense(got),
         code="position_table.direction",
         where=str(path),
         got=got[:80],

@@ -30,6 +30,7 @@ class PositionTable:
     ``joined_mm``: by how much targets that are taken as one differ from it at most.
     ``read_with``: the instrument, where columns of a report name it.
     ``left_out``: titles of its tables of a single pass, beside those of several cycles.
+    ``apart``: a column that is not known, and tells rows apart that are counted as cycles.
     """
 
     target_mm: Floats
@@ -41,6 +42,7 @@ class PositionTable:
     joined_mm: float = 0.0
     read_with: str = ""
     left_out: tuple[str, ...] = ()
+    apart: str = ""
     scale: Scale = LENGTHS
 
 
@@ -94,6 +96,9 @@ def said_of(table: PositionTable) -> Iterator[Finding]:
         yield Finding(
             f"{table.scale.kind}.single_pass", "warning", f"{several}. In a file of their own they are a test, too"
         )
+    if table.apart:
+        told = f"the column {table.apart[:80]} is not read: its rows are counted as cycles of one axis. Call it Axis where they are of several; rows under several feeds or loads are tests of their own"
+        yield Finding(f"{table.scale.kind}.told_apart", "warning", told)
     if OWN_SENSOR.search(table.read_with):
         own = f"the readings are those of {table.read_with}, by its name a sensor of the axis itself"
         follows = "they show how the control follows its own sensor, not where the axis is: no accuracy"

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis, require_axis
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
@@ -35,12 +36,15 @@ from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._instruments import instruments_beside
 from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
-from dtwin.positioning._one_place import one_place, trials_of
+from dtwin.positioning._one_place import one_place, probings_of, trials_of
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
+    require_counted,
+    require_cycles,
     require_near,
+    require_one_axis,
     require_positioning,
     require_sign,
     require_unit_of,
@@ -48,14 +52,13 @@ from dtwin.positioning._refusals import (
 )
 from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
-from dtwin.positioning.order import no_direction, ways_in_order
+from dtwin.positioning.order import names_sense, no_direction, ways_in_order
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
     MOST_TITLES,
-    MOVES,
     NAMED,
     TURNS,
     Long,
@@ -67,18 +70,21 @@ from dtwin.positioning.table_heads import (
     is_row_of_units,
     long_of,
     names_no_direction,
+    names_target,
     other_targets,
     plain_unit,
     rows_of_axis,
+    told_apart,
     told_unit,
-    way_of,
     wide_of,
     without_remarks,
 )
+from dtwin.positioning.way_words import way_of
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 
 SUFFIXES = (".csv", ".dat", ".txt", ".tsv", ".md", *SPREADSHEETS)
+_CONSOLE = ".log"
 _MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -89,9 +95,11 @@ def is_position_table(path: Path) -> bool:
 
 def axis_turns(path: Path) -> bool | None:
     """Return whether a file that looks like one of the forms is of an axis that turns; None of any other file."""
-    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+    if path.suffix.lower() not in (*SUFFIXES, _CONSOLE) or not path.is_file():
         return None
     text = first_text(path, _MAX_BYTES)
+    if path.suffix.lower() == _CONSOLE:
+        return False if probings_of(text) else None
     if is_assigned(text):
         return assigned_unit(text) in ANGLES_DEG
     text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
@@ -102,7 +110,9 @@ def axis_turns(path: Path) -> bool | None:
     plain = None if tables else table_of(rows)
     if tables or plain is not None:
         return all(of_angles(table[:2]) for table in tables or [plain or ()])
-    return False if names_no_direction(rows) or trials_of(rows, LENGTHS) else None
+    if names_no_direction(rows):
+        return _is_of_angles(rows[:MOST_TITLES])
+    return False if trials_of(rows, LENGTHS) or probings_of(text) else None
 
 
 def read_position_runs(
@@ -116,14 +126,13 @@ def read_position_runs(
     axis = str(condition.get("axis", ""))
     whole = decoded(table_bytes(path, _MAX_BYTES, axis))
     part = part_of_axis(whole, axis, path)
+    require_one_block(part, path, way_of, names_target)
     text = angles_as_targets(part)
     every = with_degrees(rows_of(text))
     rows, told = rows_of_axis(every, axis)
     require_axis(told, axis, path)
     others = part != whole or len(rows) < len(every) or has_other_axes(path, axis)
     first = [cell for row in rows[:MOST_TITLES] for cell in row]
-    if scale.turn and MOVES.fullmatch(axis):
-        raise of_other_unit(LENGTHS, path, f"axis {axis}, which moves along")
     turns = f"axis {axis}, and no unit of length" if TURNS.fullmatch(axis) else next(filter(_names_angles, first), "")
     lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
     if not scale.turn and turns and not lengths:
@@ -134,6 +143,12 @@ def read_position_runs(
         only = f"the file holds other axes, too: what is called {axis} in it was read"
         said.append(Finding(AXIS_CHOSEN, "info", only))
     return runs_of(table, path, stated, said), []
+
+
+def _is_of_angles(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether cells tell a unit of angle, and none a unit of length."""
+    cells = [cell for row in rows for cell in row]
+    return any(map(_names_angles, cells)) and not any(map(is_length, cells))
 
 
 def _names_angles(title: str) -> bool:
@@ -152,14 +167,14 @@ def table_in(
         of_one_instrument([], instrument, path)
         told = matrix_of(assigned_readings(text, path, scale), path, scale)
         return replace(told, unit_told=bool(assigned_unit(text)))
-    if trials := trials_of(rows, scale):
+    if trials := trials_of(rows, scale) or (not scale.turn and probings_of(text)):
         raise one_place(path, trials, scale.fine)
     report = of_one_instrument(report_tables(text, rows) or instruments_beside(rows), instrument, path)
     tables: list[Sequence[Sequence[str]]] = [with_degrees(table.rows) for table in report]
     if not tables:
         require_positioning(rows, path)
         plain = table_of(rows)
-        _require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
+        require_one_axis(axes_beside([*rows[:MOST_TITLES], [row[0] for row in rows]]), str(path))
         if plain is None and (head := names_no_direction(rows)):
             raise no_direction(
                 path,
@@ -189,7 +204,8 @@ def table_in(
     require_near(table, path)
     name = report[0].read_with if report else ""
     stated = all(_tells_units(lines) for lines in tables)
-    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out))
+    apart = next(filter(None, map(told_apart, tables)), "")
+    return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out), apart=apart)
 
 
 def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
@@ -254,6 +270,7 @@ def matrix_of(readings: Sequence[Reading], path: Path, scale: Scale = LENGTHS) -
 def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Scale) -> list[Reading]:
     heads, units, body = _parted(rows, wide.target, path)
     wide = replace(wide, cycle=_not_counting(wide.cycle, wide.target, body))
+    require_counted(heads, wide, path)
     read = {wide.target, *(i for i, _, _ in wide.cells)}
     factor = {i: _factor(heads[i], units[i] if units is not None and i < len(units) else "", path, scale) for i in read}
     again = other_targets(heads, wide.target)
@@ -303,12 +320,16 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         lost = told in MISSING
         value = float("nan") if lost else _cell(row, long.value, where) * factors[1]
         way = in_order or (way_of(row[long.way], ones=True) if long.way is not None and long.way < len(row) else None)
+        if way is None and long.way is not None and names_sense("".join(row[long.way :][:1])):
+            raise no_direction(Path(where), row[long.way], "+ or -, forward or reverse")
         if way is None:
             raise wrong_form("a reading without a direction", Path(where), str(row)[:80])
         seen[one[target], way] += 1
         cycle = seen[one[target], way] if long.cycle is None else _cycle(row, long.cycle, where)
         if not lost:
             out.append((target, way, cycle, *deviation_of(heads[long.value], factors[1], value, target, scale)))
+    if long.cycle is not None:
+        require_cycles((reading[2] for reading in out), heads[long.value], path)
     return out
 
 
@@ -329,21 +350,8 @@ def _parted(
     body = without_remarks(heads, [row for row in body if row != units], target)
     for i in (i for i, head in enumerate(heads) if AXIS.match(head.strip())):
         axes = sorted({row[i].strip() for row in body if i < len(row)} - {""})
-        _require_one_axis(axes, f"{path} {heads[i].strip()}")
+        require_one_axis(axes, f"{path} {heads[i].strip()}", in_column=True)
     return heads, units, body
-
-
-def _require_one_axis(axes: Sequence[str], where: str) -> None:
-    """Refuse readings of several axes: they would be taken for cycles of one."""
-    if len(axes) > 1:
-        raise InputError(
-            "the table holds several axes, or several machines",
-            code="position_table.axes",
-            where=where,
-            got=", ".join(axes)[:60],
-            allowed="one",
-            hint="rows with a column Axis, tables below titles such as X axis, or sheets called so: --axis X reads those of X; else a file for each",
-        )
 
 
 def _tells_units(table: Sequence[Sequence[str]]) -> bool:

@@ -70,6 +70,6 @@ LENGTHS = Scale(
     largest=5_000.0,
     longest=1e5,
     allowed="mm, µm, nm, m, cm, in, mil, µin",
-    elsewhere="a table of angles is one of a rotary axis: --kind rotary --axis C; where the axis is a linear one of this name, write [mm] into the heads; pitch and yaw of one are not read; of a file with axes of both kinds --kind linear --axis X reads one of lengths",
+    elsewhere="a table of angles is one of a rotary axis: --kind rotary --axis C; where the axis is a linear one of this name, write [mm] into the heads; pitch and yaw of one are not read",
     stretch=11.5,
 )

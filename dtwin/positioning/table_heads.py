@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
+from dtwin.positioning.order import names_sense
 from dtwin.positioning.scale import Scale
+from dtwin.positioning.way_words import IN_BRACKETS, SIGNS, way_of
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
 MOST_TITLES = 20
@@ -29,26 +31,34 @@ _UNITS = "|".join(sorted((*LENGTHS_MM, *ANGLES_DEG), key=len, reverse=True))
 SUMS_UP = re.compile(rf"\b({STATISTICS}|median|spread|\d?s)\b|x̄|\u03c3|°\s*[CF]|℃", re.I)
 """Words of a column that sums up the readings beside it, or is a temperature."""
 AXIS = re.compile(
-    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)$",
+    r"^(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|device|module|actuator|table|rundtisch|ger[aä]t|s/?n|(serial|serien)[\s-]*(no|nr|number|nummer)?\.?)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?$",
     re.I,
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
 _OF_AXIS = re.compile(
-    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
+_CONDITION = re.compile(
+    r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
+)
+"""Head of a column of numbers that, where each has all targets, parts tests."""
+_NAMED = re.compile(r"([XYZUVWABCJ])\d(?=[\s_]+[a-z])")
+"""At the begin of a head: the name of one of several axes that go the same way."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
-_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
+_ONE = r"(?![a-z])(?![\s_]*[xyz](?![a-z]))"
+"""Behind a word that is cut short, which with a letter of an axis is a part of a place: ``cmd_z_mm``."""
+_WANTED = rf"set ?point|set(?=[\s_]*pos|[\s_]*[\[(]?({_UNITS})\b)|(demand|desired|requested|goal){_ONE}"
 _TARGET = re.compile(
-    r"^(i\b|[px]_?i\b|target|tgt|nominal|command|position|pos|set ?point|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
+    rf"^(i\b|[px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|position|pos|{_WANTED}|soll|ziel|punkt|cible|consigne|目标|目標|指令)",
     re.I,
 )
 _SURELY_TARGET = re.compile(
-    r"^([px]_?i\b|target|tgt|nominal|command|set ?point|soll|ziel|cible|consigne|目标|目標|指令)", re.I
+    rf"^([px]_?i\b|target|tgt|nominal|command|cmd(pos)?{_ONE}|{_WANTED}|soll|ziel|cible|consigne|目标|目標|指令)", re.I
 )
 _INDEX = re.compile(
     r"#$|i\b|(\w*(target|point|punkt|pos\w*|mess\w*))?[ ._]*(no|nr|num|number|nummer|index)\b\.?$", re.I
@@ -61,36 +71,16 @@ OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|re
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
-_ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
-SURELY_READ = re.compile(r"^(actual|measured?|measurement|reading|ist|mess|\d+\s*[\[(])", re.I)
+_ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas)(pos)?{_ONE}", re.I)
+SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
+_RUN = re.compile(r"r\d+(?!\w)", re.I)
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
     re.I,
 )
 """Title of a block of a test, one a cycle."""
 _WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
-_WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
-    | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
-    "reverse": {
-        "bwd",
-        "backward",
-        "backwards",
-        "b",
-        "rev",
-        "reverse",
-        "r",
-        "down",
-        "neg",
-        "negative",
-        "negativ",
-        "minus",
-    }
-    | {"rück", "rückwärts", "zurück", "her"}
-    | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
-}
-_SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
 """A sign between the words of a head: ``Error + run 1``."""
@@ -131,18 +121,28 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     if whole and not numbered and cycle is None and _alike(names, cells):
         seen: Counter[str] = Counter()
         return Wide(targets[0], tuple((i, way, seen.update([way]) or seen[way]) for i, way, _ in cells))
-    return Wide(targets[0], tuple(numbered)) if len(numbered) >= 2 else None
+    # Cycles may be counted from 0.
+    shift = 1 if any(number == 0 for _, _, number in numbered) else 0
+    counted = tuple((i, way, number + shift) for i, way, number in numbered)
+    return Wide(targets[0], counted) if len(counted) >= 2 else None
 
 
 def _ways_of(names: Sequence[str]) -> list[str | None]:
     """Return the direction that each head names; a sign within it is one where each head stands there with either sign."""
     ways = [way_of(name) for name in names]
-    signs = [_SIGN_INSIDE.search(_IN_BRACKETS.sub("", name)) for name in names]
-    marked = [(name.replace(sign[1], "", 1), _SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
+    bare = [re.sub(r"[\W\d_]", "", IN_BRACKETS.sub("", name)).lower() for name in names]
+    if len({name for name, way in zip(bare, ways, strict=True) if len(name) == 1 and way is None}) > 1:
+        # Of columns A to F the letters B and F are no directions.
+        ways = [None if len(name) == 1 else way for name, way in zip(bare, ways, strict=True)]
+    if {name for name, way in zip(bare, ways, strict=True) if way} == {"r"}:
+        # Alone, R1 may be a run or a reading.
+        ways = [None] * len(names)
+    signs = [_SIGN_INSIDE.search(IN_BRACKETS.sub("", name)) for name in names]
+    marked = [(name.replace(sign[1], "", 1), SIGNS[sign[1]]) for name, sign in zip(names, signs, strict=True) if sign]
     if any(ways) or not marked:
         return ways
     both = [sorted(name for name, way in marked if way == wanted) for wanted in ("forward", "reverse")]
-    return [_SIGNS[sign[1]] if sign else None for sign in signs] if both[0] == both[1] else ways
+    return [SIGNS[sign[1]] if sign else None for sign in signs] if both[0] == both[1] else ways
 
 
 def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bool:
@@ -154,6 +154,9 @@ def _alike(names: Sequence[str], cells: Sequence[tuple[int, str, object]]) -> bo
 def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the axes, or machines, that cells of one row name, as heads of columns beside each other; empty where they are of one."""
     for row in rows:
+        letters = [match for cell in row if (match := _NAMED.match(cell.strip())) is not None]
+        if len({match[0] for match in letters}) > 1 == len({match[1] for match in letters}):
+            return list(dict.fromkeys(match[0] for match in letters))
         named: dict[str, dict[str, str]] = {}
         for match in (match for cell in row if (match := _OF_AXIS.search(cell)) is not None):
             named.setdefault(match[1].lower(), {})[match[2].lower()] = match[0].strip()
@@ -166,17 +169,26 @@ def axes_beside(rows: Sequence[Sequence[str]]) -> list[str]:
 def rows_of_axis(rows: Sequence[Sequence[str]], axis: str) -> tuple[list[Sequence[str]], list[str]]:
     """Return a table without the rows that its column of axes says are of others, and what it says; any other table as it is."""
     for begin, row in enumerate(rows[:MOST_TITLES]):
-        column = next((i for i, head in enumerate(row) if AXIS.match(head.strip())), None)
-        if column is not None:
+        columns = [i for i, head in enumerate(row) if AXIS.match(head.strip())]
+        if columns:
+            body, asked = rows[begin + 1 :], axis.upper()
+            told_in = {i: {line[i].strip().upper() for line in body if i < len(line)} - {""} for i in columns}
+            # Several that are alike have names, or numbers, of any kind.
+            called = [
+                i for i in columns if len(told_in[i]) > 1 and asked in told_in[i] and not axis_of(axis, bare=True)
+            ]
+            letters = [i for i in columns if any(axis_of(cell, bare=True) for cell in told_in[i])]
+            column = [*called, *letters, *columns][0]
             kept, mine = list(rows[: begin + 1]), True
             told: dict[str, None] = {}
-            for line in rows[begin + 1 :]:
+            for line in body:
                 # Of merged cells the first alone is filled.
-                named = axis_of(line[column], bare=True) if column < len(line) else ""
-                mine = named == axis.upper() if named else mine
+                cell = line[column].strip() if column < len(line) else ""
+                named = cell.upper() if called else axis_of(cell, bare=True)
+                mine = named == asked if named else mine
                 told |= {named: None} if named else {}
                 kept += [line] if mine else []
-            return (kept if axis.upper() in told else list(rows)), list(told)
+            return (kept if asked in told else list(rows)), list(told)
     return list(rows), []
 
 
@@ -230,6 +242,25 @@ def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
     return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))
 
 
+def told_apart(table: Sequence[Sequence[str]]) -> str:
+    """Return head and words of a column that is not known here, and of which each word has all targets, where cycles are counted; else nothing."""
+    wide, long = wide_of(table[0]), long_of(table[0])
+    columns = wide or long
+    if columns is None or columns.cycle is not None:
+        return ""
+    cells = [i for i, _, _ in wide.cells] if wide else [long.way, long.value] if long else []
+    read = {columns.target, *cells}
+    for i, head in enumerate(table[0]):
+        targets: dict[str, set[str]] = {}
+        for row in table[1:] if i not in read and not AXIS.match(head.strip()) else ():
+            if max(i, columns.target) < len(row) and is_number(row[columns.target]) and row[i].strip():
+                targets.setdefault(row[i].strip(), set()).add(row[columns.target].strip())
+        words = _CONDITION.match(head.strip()) or all(name[0].isalpha() for name in targets)
+        if words and len(targets) > 1 and all(one == set().union(*targets.values()) for one in targets.values()):
+            return f"{head.strip()} ({', '.join(targets)})"
+    return ""
+
+
 @dataclass(frozen=True)
 class Long:
     """Columns of a table with one reading a row; without ``cycle`` they are counted, without ``way`` their order tells it."""
@@ -277,13 +308,14 @@ def _plain(names: Sequence[str]) -> tuple[int | None, int | None]:
 def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
     """Return the columns of targets and of readings, in units of length or angle, by heads that name no direction."""
     told = [name.strip() for name in names]
-    there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and way_of(name) is None]
+    ways = _ways_of(told)
+    there = [i for i, name in enumerate(told) if is_unit(told_unit(name, "") or "mm") and ways[i] is None]
     targets = [i for i in there if _SURELY_TARGET.match(told[i]) and names_target(told[i])]
     read = [
         i
         for i in there
         if i not in targets
-        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]))
+        and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]) or _RUN.match(told[i]))
         and not SUMS_UP.search(told[i])
         and not (CYCLE.match(told[i]) and not told_unit(told[i], ""))
     ]
@@ -294,6 +326,9 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
     """Return the head of a column of readings in a table of one row a target that does not tell their directions; else nothing."""
     for row in rows[:MOST_TITLES]:
         targets, read = _without_direction(row)
+        senses = [cell.strip() for cell in row if names_sense(cell)]
+        if len(targets) == 1 < len(senses):
+            return senses[0]
         if len(targets) == 1 and len({re.sub(r"\d+", "", row[i]) for i in read}) == 1 < len(read):
             return row[read[0]].strip()
     return ""
@@ -323,21 +358,6 @@ def deviation_of(head: str, factor: float, value: float, target: float, scale: S
     return (value - target if by_position else value) * scale.per, by_position
 
 
-def way_of(text: str, *, ones: bool = False) -> str | None:
-    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both.
-
-    ``ones``: a bare 1 is forward, as beside -1.
-    """
-    told = "+1" if ones and text.strip() == "1" else text.strip().lower()
-    words = set(re.findall(r"[^\W\d_]+", told))
-    named = {way for way, known in _WORDS.items() if words & known}
-    # A unit may stand behind the sign.
-    told = _IN_BRACKETS.sub(lambda inside: inside[1] if inside[1] in _SIGNS else "", told).strip()
-    if not named and told:
-        named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
-    return named.pop() if len(named) == 1 else None
-
-
 def is_deviation(head: str) -> bool:
     """Return whether a head says that its column holds deviations."""
     return _DEVIATION.search(head) is not None
@@ -364,7 +384,7 @@ def is_row_of_units(row: Sequence[str], target: int) -> bool:
 def told_unit(head: str, unit: str) -> str:
     """Return the unit of a column as ``unit``, the row below, or the head tells it, known here or not; empty without one."""
     told = unit.strip() or unit_of(unicodedata.normalize("NFKC", head))
-    inside = (text for text in _IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
+    inside = (text for text in IN_BRACKETS.findall(head) if not _COUNTS.fullmatch(text) and way_of(text) is None)
     words = (_TARGET, _ACTUAL, _DEVIATION, CYCLE)
     return told or next((text for text in inside if not any(word.search(text) for word in words)), "")
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.positioning.table_heads import way_of
+from dtwin.positioning.way_words import way_of
 from dtwin.schema import Run
 
 Ways = tuple[str, str]

@@ -41,3 +41,7 @@ def test_of_a_very_long_name_a_terminal_shows_both_ends() -> None:
     assert "z" * 100 + "\n  got: short" in said
     assert "m" not in said.split("at: ")[1]
     assert error.as_dict()["where"] == error.where
+
+
+def test_a_name_that_is_there_beside_others_is_not_proposed() -> None:
+    assert InputError("no", got="position_mm, steps", allowed="linear: t_s, position_mm, direction").meant is None

@@ -27,7 +27,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import DEVIATION, DIRECTION, bare, blocks, deviates, way_of
+from dtwin.kinds.circular._circle_ways import DEVIATION, DIRECTION, bare, beside_way, blocks, deviates, way_of
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -44,6 +44,8 @@ _PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([x
 _SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
+_LEFT_OUT = 5
+"""Numbers of repeats that may be left out, beside as many as there are."""
 _MOST_OFF = 0.1
 """Of the programmed radius."""
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
@@ -200,6 +202,15 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
             raise _wrong(
                 "a column names a direction and is no deviation", path, column.head, "deviations: ccw [µm], cw [µm]"
             )
+    ways = {column.head: beside_way(bare(column)) for column in columns if way_of(bare(column))}
+    numbers = {number for _, told in ways.values() for number in told}
+    if len({words for words, _ in ways.values()}) > 1 or max(numbers, default=0) > 2 * len(numbers) + _LEFT_OUT:
+        raise _wrong(
+            "columns of one direction are of several planes, feeds, radii or machines, and no repeats",
+            path,
+            ", ".join(ways)[:80],
+            "ccw 1 [µm], cw 1 [µm], ccw 2 [µm], of one condition; a file for each",
+        )
     for pattern in (_ANGLE, _TIME, _RADIUS, DEVIATION):
         alike = [column.head for column in columns if pattern.match(bare(column))]
         if len(alike) > 1:

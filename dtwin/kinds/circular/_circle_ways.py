@@ -77,3 +77,14 @@ def way_of(name: str) -> Direction | None:
     told = {_WAYS[word] for word in words if word in _WAYS}
     way = told.pop() if len(told) == 1 else None
     return "CCW" if way == "CCW" else "CW" if way == "CW" else None
+
+
+def beside_way(name: str) -> tuple[str, list[int]]:
+    """Return what a head in small letters says beside its direction, and its numbers."""
+    for spelt, short in _SPELT:
+        name = spelt.sub(f" {short} ", name)
+    words = [word for word in re.findall(r"[^\W_]+", name) if not re.fullmatch(r"g0?[23]", word)]
+    rest = [re.sub(r"\d", "", word) for word in words]
+    return " ".join(word for word in rest if word and word not in _WAYS), [
+        int(n) for n in re.findall(r"\d+", " ".join(words))
+    ]

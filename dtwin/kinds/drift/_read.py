@@ -27,6 +27,7 @@ from dtwin.acquire.foreign_columns import (
     joined_heads,
     require_one_table,
 )
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -44,13 +45,13 @@ _MOVED = re.compile(rf"(displacement|deviation|verlagerung|drift|{PROBES}|[d\u03
 _AXIS = re.compile(r"(?:^|_)[d\u03b4]?([xyz])\d?(?=_)", re.I)
 _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
-_OF_OTHERS = re.compile(r"(angle|position|error|speed|joint|direction|cmd|act)\w*_", re.I)
+_OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
     r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur)",
     re.I,
 )
 _STAMP = re.compile(
-    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|epoch|unix[ _]?time|(local |utc )?time|(uhr)?zeit|clock)",
+    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|epoch|unix[ _]?time|(local |utc )?time|(uhr)?zeit|clock|elapsed([ _]time)?|time[ _]elapsed|verstrichene zeit)",
     re.I,
 )
 _FORM = re.compile(r"\s*[\[(]\s*(utc|local|[hdmsyt:./ -]*[:./-][hdmsyt:./ -]*)\s*[\])]\s*$", re.I)
@@ -70,6 +71,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
+    require_one_block(text, path)
     rows = rows_of(text)
     recipe = campaign.instrument.get("columns", {})
     said, units, body = _parted(rows, path)

@@ -14,7 +14,7 @@ from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule
 from dtwin.positioning.order import sweeps
 from dtwin.positioning.ways import with_ways
 from dtwin.schema import Campaign, Finding, Run, RunMeta
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, is_number
 
 _FORWARD, _REVERSE = "forward", "reverse"
 MM_PER: Mapping[str, float] = {"mm": 1.0, "in": 25.4}
@@ -69,12 +69,21 @@ def with_pitch(run: Run, campaign: Campaign) -> Run:
     pitch = campaign.machine_geometry.get("screw_pitch_mm")
     if pitch is None:
         return run
-    if not isinstance(pitch, int | float) or not 0.0 < pitch < 1000.0:
-        raise InputError(
-            "the screw's pitch is no length", code="linear.pitch", got=str(pitch)[:40], allowed="mm per turn, above 0"
-        )
+    require_pitch(pitch, campaign.name)
     condition = {"screw_pitch_mm": float(pitch)} | dict(run.meta.condition)
     return replace(run, meta=replace(run.meta, condition=condition))
+
+
+def require_pitch(pitch: object, where: str) -> None:
+    """Refuse a pitch that is no length; None is not stated."""
+    if pitch is not None and not (is_number(pitch) and 0.0 < pitch < 1000.0):
+        raise InputError(
+            "the screw's pitch is no length",
+            code="linear.pitch",
+            where=where,
+            got=str(pitch)[:40],
+            allowed="mm per turn, above 0",
+        )
 
 
 def _period_s(campaign: Campaign) -> float:

@@ -94,6 +94,11 @@ class _Linear(PathKind):
 
         return proposals(machine, axes)
 
+    def require_condition(self, condition: Mapping[str, Any], where: str) -> None:
+        from dtwin.kinds.linear._read import require_pitch
+
+        require_pitch(condition.get("screw_pitch_mm"), where)
+
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.linear._read import with_pitch
 

@@ -86,6 +86,7 @@ def _refused(where: str, got: str) -> InputError:
         got=got[:80],
         allowed=f"chain = one of {', '.join(KNOWN)}; or dh = [{{ {' = …, '.join(_COLUMNS)} = … }}, …], one a joint; "
         'or urdf = "robot.urdf"',
+        hint="state it under [campaign.machine_geometry] of a campaign.toml; the figures of ISO 9283 need no joints: those columns may be left out",
     )
 
 

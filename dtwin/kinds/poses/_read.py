@@ -6,6 +6,7 @@ has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degr
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -14,13 +15,22 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.foreign_columns import REVERSED, below_heads, joined_heads, require_one_table, unit_of_titles
+from dtwin.acquire.foreign_columns import (
+    REVERSED,
+    below_heads,
+    joined_heads,
+    require_one_of,
+    require_one_table,
+    unit_of_titles,
+)
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
 from dtwin.errors import InputError
 from dtwin.kinds.poses._foreign import NO_UNIT, joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
+from dtwin.kinds.poses._repeats import no_commanded, repeated_places
 from dtwin.kinds.poses._stops import with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM
@@ -28,6 +38,11 @@ from dtwin.units import LENGTHS_MM
 _MOST_BYTES = 256 * 1024**2
 _SCALES = {f"_{unit}": ("_mm", mm) for unit, mm in LENGTHS_MM.items()} | {"_rad": ("_deg", 180.0 / np.pi)}
 _STAMP_DIGITS, _MOST_TITLES, _LARGEST = 14, 20, 1e9
+_UNDER = re.compile(
+    r"(.*[\s_])?(velocity|speed|geschwindigkeit|override|payload|load|last|nutzlast|traglast|arm|config(uration)?|konfiguration)([\s_]*[\[(].*|_(mm_s|m_s|pct|kg))?",
+    re.I,
+)
+"""Head of a column that says under what poses were measured: those of ISO 9283 are told for each velocity and load."""
 _NEEDED = ("joint_", "measured_", "error_")
 
 
@@ -99,7 +114,7 @@ def is_pose_table(path: Path) -> bool:
         return False
     rows = first_rows(path, _MOST_BYTES)
     heads = _headed(rows, {}, path)[0]
-    if joined(rows) is not None or of_ros(heads):
+    if joined(rows) is not None or of_ros(heads) or repeated_places(rows):
         return True
     commanded = any(h.startswith(("joint_1_", "target_x_")) for h in heads)
     return commanded and any(h.startswith(("measured_x_", "error_x_")) for h in heads)
@@ -108,7 +123,11 @@ def is_pose_table(path: Path) -> bool:
 def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[str], str]:
     """Return the columns of a table by the house's names, in mm and degrees, its heads, and the unit of lengths that it states, else metres."""
     recipe = campaign.instrument.get("columns", {})
-    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    text = decoded(table_bytes(path, _MOST_BYTES))
+    require_one_block(text, path)
+    rows = rows_of(text)
+    if not recipe and (places := repeated_places(rows)):
+        raise no_commanded(path, places)
     named, heads, below, unit = _headed(rows, recipe, path)
     title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
     if title and not any(name.startswith("measured_") for name in named):
@@ -131,6 +150,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
             hint=f"write it into the heads, such as: {without[0]} [mm]",
         )
     require_one_table(heads, below, path)
+    if not recipe:
+        require_one_of(_UNDER, heads, below, path, repeated=True)
     sound = (len(row) == len(named) and not any(SUMMARY.fullmatch(cell.strip()) for cell in row) for row in below)
     body = [row if whole else [""] * len(named) for row, whole in zip(below, sound, strict=True)]
     wanted = {

@@ -34,7 +34,7 @@ def asked(test: LinearTest) -> list[str]:
     if targets < fewest:
         said.append(f"ISO 230-2 asks for {fewest} targets on this travel, these are {targets}")
     if runs < _RUNS:
-        said.append(f"ISO 230-2 asks for five runs, these are {runs}")
+        said.append(f"ISO 230-2 asks for five runs, {'this is one' if runs == 1 else f'these are {runs}'}")
     return said
 
 

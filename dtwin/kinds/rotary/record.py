@@ -49,6 +49,11 @@ class _Rotary(Kind):
 
         return axis_turns(path) is True
 
+    def require_condition(self, condition: Mapping[str, Any], where: str) -> None:
+        from dtwin.kinds.rotary._scale import require_turning
+
+        require_turning(str(condition.get("axis", "")), where)
+
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.positioning.ways import with_ways
 

@@ -11,8 +11,8 @@ from dtwin.acquire.table_dialect import SUMMARY
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.kinds.rotation._heads import SPEED, Column, column_of
 
-_REPEAT = re.compile(
-    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|turn|umdrehung|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida)[\s_.#-]*\d*(?![^\W_])",
+REPEAT = re.compile(
+    r"[\s_.#-]*(?<![^\W_])(run(?!\W*out)|turn|umdrehung|trial|repeat|repetition|messung|messreihe|durchgang|lauf|test|essai|misura|medida|operator|pr[üu]fer|inspector)[\s_.#-]*\d*(?![^\W_])",
     re.I,
 )
 """In the head of a column: which of several readings of one probe it holds."""
@@ -65,15 +65,14 @@ def repeats_below(
     """Return a table whose columns of one probe, ``run 1``, ``run 2``, stand as rows below each other: they are repeats."""
     alike: dict[str, list[int]] = {}
     for n in probes:
-        if _REPEAT.search(heads[n]):
-            alike.setdefault(_REPEAT.sub("", heads[n]), []).append(n)
+        if REPEAT.search(heads[n]):
+            alike.setdefault(REPEAT.sub("", heads[n]), []).append(n)
     first = {group[0]: group for group in alike.values() if len(group) > 1}
     if not first:
         return columns, list(probes), list(body)
     others = {n for group in first.values() for n in group[1:]}
     named = [
-        replace(c, name=_REPEAT.sub("", c.name).strip("_") or c.name) if n in first else c
-        for n, c in enumerate(columns)
+        replace(c, name=REPEAT.sub("", c.name).strip("_") or c.name) if n in first else c for n, c in enumerate(columns)
     ]
     out: list[Sequence[str]] = []
     for k in range(max(map(len, first.values()))):

@@ -14,6 +14,7 @@ import numpy as np
 
 from dtwin.acquire.channel_log import LINE, is_channel_log
 from dtwin.acquire.foreign_columns import joined_heads, require_one_of, require_one_table
+from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -21,9 +22,10 @@ from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._at_rest import is_at_rest
-from dtwin.kinds.rotation._blocks import SPEED_ABOVE, below_speeds, cell_of, repeats_below
+from dtwin.kinds.rotation._blocks import REPEAT, SPEED_ABOVE, below_speeds, cell_of, repeats_below
 from dtwin.kinds.rotation._heads import (
     ANGLE,
+    DISTANCES,
     PATH,
     PLACES,
     PROBE,
@@ -96,6 +98,7 @@ def read_file(path: Path, recipe: Mapping[str, Any], needed: str = PROBE) -> Rea
     text = decoded(table_bytes(path, _MOST_BYTES))
     if is_channel_log(text):
         return _from_log(text, recipe, path, needed)
+    require_one_block(text, path, SPEED_ABOVE.search)
     return _from_table(_upright(rows_of(text), path), recipe, path, needed)
 
 
@@ -103,9 +106,16 @@ def _upright(rows: Sequence[Sequence[str]], path: Path) -> list[Sequence[str]]:
     """Return a table with its heads in a row, joined where they stand in two; one over speed may lie on its side, or in blocks."""
     rows = below_speeds(rows)
     wide = [row for row in rows if sum(bool(cell.strip()) for cell in row) > 1]
-    if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE and _headed(rows, {}) is None:
+    if wide and 2 < len(wide[0]) <= _MOST_ON_ITS_SIDE:
         told = [SPEED_ABOVE.fullmatch(cell.strip()) for cell in wide[0][1:]]
-        if all(told) and len({cell[2] for cell in told if cell}) == 1:
+        speeds = all(told) and len({cell[2] for cell in told if cell}) == 1
+        if speeds and (corner := column_of(wide[0][0])).role == RUNOUT and corner.factor:
+            # The first cell tells what stands below the speeds, and each row is another reading of it.
+            names = (f"run {n}" if number_or_none(row[0]) else row[0] for n, row in enumerate(wide[1:], start=1))
+            wide[1:] = [[f"{name} {wide[0][0]}", *row[1:]] for name, row in zip(names, wide[1:], strict=True)]
+        elif _headed(rows, {}) is not None:
+            return joined_heads(rows, path)
+        if speeds:
             wide[0] = [f"speed {next(cell[2] for cell in told if cell)}", *(cell[1] for cell in told if cell)]
         numbers = all(number_or_none(cell) is not None for cell in wide[0][1:] if column_of(cell).role != SPEED)
         standing = list(zip_longest(*wide, fillvalue=""))
@@ -166,6 +176,9 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     require_one_table(heads, rows[first:], path)
     require_one_of(PLACES, heads, rows[first:], path)
     roles = {c.role for c in columns}
+    if {SPEED, RUNOUT} <= roles:
+        require_one_of(DISTANCES, heads, rows[first:], path, repeated=True)
+        _require_alike(heads, columns, rows[first:], path)
     # Run-out beside an angle is read at each place of the turn.
     by_speed = not roles & {TIME, ANGLE} or (RUNOUT in roles and not roles & {ANGLE, PULSE})
     probes = [n for n, c in enumerate(columns) if c.role in (PROBE, RUNOUT)]
@@ -300,6 +313,26 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             got=", ".join(twice),
             hint='[campaign.instrument.columns] with "HEAD" = "" leaves one out',
         )
+
+
+def _require_alike(heads: Sequence[str], columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse run-outs that a column of words parts, each with every speed: of several states or parts they are no repeats."""
+    speed = next(n for n, c in enumerate(columns) if c.role == SPEED)
+    for n in (n for n, c in enumerate(columns) if not c.role and not REPEAT.fullmatch(heads[n])):
+        read: dict[str, set[str]] = {}
+        for row in body:
+            if cell_of(row, n) and cell_of(row, speed):
+                read.setdefault(cell_of(row, n), set()).add(cell_of(row, speed))
+        words = all(name[0].isalpha() for name in read)
+        if words and len(read) > 1 and all(one == set().union(*read.values()) for one in read.values()):
+            raise InputError(
+                "a column parts the rows, and is not read: run-outs of several states or parts are no repeats",
+                code="table.several",
+                where=f"{path} {heads[n]}",
+                got=", ".join(read)[:80],
+                allowed="one; repeats under a head such as run",
+                hint="a file for each",
+            )
 
 
 def _rising(t_s: Floats, path: Path) -> Floats:

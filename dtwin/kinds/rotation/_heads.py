@@ -63,7 +63,7 @@ _FACTORS: Mapping[str, Mapping[str, float]] = {
 _USUAL = {TIME: "s", ANGLE: "deg", SPEED: "rpm", PULSE: "1"}
 _WORDS = {
     TIME: re.compile(
-        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
+        r"^(t|date.?time|datum.{1,3}(?:uhr)?zeit|time|zeit|uhrzeit|zeitpunkt|timestamp|clock|elapsed|hours|minutes|seconds|stunden|minuten|sekunden|temps|heure|tiempo|hora|tempo|时间|時間|時刻)\b"
     ),
     PULSE: re.compile(r"pulse|puls\b|index|trigger|tacho|once.per|keyphas|marker"),
     SPEED: re.compile(
@@ -92,8 +92,16 @@ _RADIAL = re.compile(r"radial|rundlauf|径向|faux.?rond|^d?[xy]\d?$")
 _OTHER = re.compile(r"temp|°\s*[cf]|℃|cmd|act\b")
 _PATH = re.compile(r"deviation|abweichung|\berr|fehler|target|soll|nominal|direction|richtung")
 """What a test of a path or a position tells, and one of a turning axis does not."""
-PLACES = re.compile(r"position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense", re.I)
+PLACES = re.compile(
+    r"(position|location|place|stelle|mess(stelle|ort|punkt)|spindle|spindel|probe|sensor|sense|axis|achse|holder|halter|collet|spannzange|chuck|futter|arbor|bearing|lager)([\s._-]*(no|nr|id|number|nummer|name|#)\.?)?",
+    re.I,
+)
 """Head of a column that says where, or with what, the run-out of a row was read."""
+DISTANCES = re.compile(
+    r".*(distance|abstand|height|h[öo]he|depth|tiefe|stick.?out|overhang|auskrag|projection|from.(the.)?(nose|face)|(tool|bar|gauge|werkzeug).?(length|l[äa]nge)|load|force|belastung|kraft).*",
+    re.I,
+)
+"""Head of a column of numbers that say where along the axis, or at which length of the tool, the run-out of a row was read."""
 _LETTER = re.compile(r"d?[xyz]\d?")
 _UNITS = sorted({unit for known in (*_FACTORS.values(), _LENGTH_UM) for unit in known}, key=len, reverse=True)
 _UNIT = re.compile(rf"(?:^|[\[(_\s/,])({'|'.join(map(re.escape, _UNITS))})\s*[\])]?\s*$")

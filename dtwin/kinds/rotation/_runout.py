@@ -192,8 +192,6 @@ def runout_sentences(told: RunOut) -> list[tuple[str, str, str]]:
         f"{'a run-out' if symbol == 'TIR' else 'this figure'} has neither phase nor mean: unbalance, a bearing that runs warm, loss of preload and the form of the target are not told "
         "apart by it; log the displacement with the angle"
     )
-    if len(told.groups) < 2:
-        return []
     changes = told.law is not None and told.law.name != CONSTANT
     moved = max(means) - min(means)
     inside = largest not in (first, last)
@@ -202,6 +200,8 @@ def runout_sentences(told: RunOut) -> list[tuple[str, str, str]]:
     if told.time_um > 0.0:
         said = f"{told.probe}: at one speed {figure} changes by {told.time_um:z.3g} µm with {time}"
         out.append(("rotation.runout_time", "warning", said))
+    if len(told.groups) < 2:
+        return out
     if not told.dof and not changes and told.smooth_p < _CHANCE:
         looks = "; a resonance looks so: measure between its neighbours" if inside else ""
         said = (

@@ -12,7 +12,7 @@ from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
 from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, is_number
 
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05
@@ -100,7 +100,7 @@ def judge_sinusoidal_run(run: Run) -> list[Finding]:
     told = commanded(run)
     findings = _sampling(run, told) + _tone(run, told)
     bandwidth = run.meta.condition.get("z_bandwidth_hz")
-    if isinstance(bandwidth, float) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
+    if is_number(bandwidth) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
         findings.append(
             Finding(
                 "sinusoidal.beyond_safe",

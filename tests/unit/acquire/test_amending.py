@@ -81,6 +81,7 @@ def test_a_single_run_is_amended_and_judged_again(lake: Lake) -> None:
         ("plane=QQ", "run.plane"),
         ("direction=up", "amend.setting"),
         ("covariates.load=3.0", "units.unknown"),
+        ("covariates.temperature_air_c=-400", "campaign.value"),
         ("instrument.a=[[[[[[[[1]]]]]]]]", "campaign.value"),
         ("radius_mm", "amend.setting"),
         ("radius_mm=100", "amend.same"),
@@ -123,3 +124,11 @@ def test_other_signals_of_an_amended_run_are_refused(lake: Lake) -> None:
     with pytest.raises(InputError, match="other content") as caught:
         lake.commit(corrected, [replace(made("r1", 1), signals=(late,))])
     assert "the signals" in str(caught.value.got)
+
+
+def test_a_rate_that_is_not_known_is_not_stated_anew_and_what_is_the_same_is_refused(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), made("r1", 1)
+    lake.commit(CAMPAIGN, [replace(run, meta=replace(run.meta, sample_rate_hz=float("nan")))])
+    assert set(amend(lake, "c", ["setup=s2"], "typo")["r1"]) == {"setup"}
+    with pytest.raises(InputError, match="nothing would change"):
+        amend(lake, "c", ["setup=s2"], "typo")

@@ -79,3 +79,11 @@ def test_a_table_is_read_in_the_encodings_of_windows(tmp_path: Path, encoding: s
     assert columns["angle_deg"].tolist() == list(range(60_000))
     assert rejects == []
     assert kind_of_table(path) == "circular"
+
+
+def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_the_reader(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("foo;bar\nmessung 1\n1;2\n")
+    with pytest.raises(InputError) as refused:
+        read_columns(path, "rotary")
+    assert refused.value.got == "row 2 has 1 cell, the first row 2: messung 1"

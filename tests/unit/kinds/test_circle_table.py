@@ -15,8 +15,8 @@ from dtwin.acquire._lone_table import open_table
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_table import is_circle_table
-from dtwin.schema import Floats, Run
+from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
+from dtwin.schema import Campaign, Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
 ANGLE: Floats = np.arange(720.0) * 0.5 + 0.25
@@ -328,3 +328,25 @@ def test_both_directions_in_one_run_and_a_bar_that_is_fed_in_are_errors(tmp_path
         table("t_s,angle_deg,deviation_um", np.arange(400.0), fed, np.sin(np.radians(2.0 * fed))),
     )
     assert not {"angle.fed", "angle.both_ways"} & {f.code for f in judge_run(run)}
+
+
+@pytest.mark.parametrize(
+    ("heads", "runs"),
+    [
+        ("ccw 1000 [µm],cw 1000 [µm],ccw 5000 [µm],cw 5000 [µm]", 0),
+        ("XY ccw [µm],XY cw [µm],YZ ccw [µm],YZ cw [µm]", 0),
+        ("before ccw [µm],after ccw [µm]", 0),
+        ("run 1 ccw [µm],run 1 cw [µm],run 2 ccw [µm],run 2 cw [µm]", 4),
+        ("Abweichung ccw1 [µm],Abweichung cw1 [µm]", 2),
+    ],
+)
+def test_columns_of_several_conditions_are_no_repeats(tmp_path: Path, heads: str, runs: int) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t}," + ",".join(f"{n}.5" for n, _ in enumerate(heads.split(","))) for t in range(0, 361, 3)]
+    path.write_text("\n".join([f"angle [deg],{heads}", *rows]), encoding="utf-8")
+    stated = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0}
+    if runs:
+        assert len(read_circle_runs(path, Campaign("a", "m"), stated)[0]) == runs
+        return
+    with pytest.raises(InputError, match="several planes, feeds, radii or machines"):
+        read_circle_runs(path, Campaign("a", "m"), stated)

@@ -711,3 +711,21 @@ def test_the_form_of_times_may_stand_in_the_row_of_units(tmp_path: Path, form: s
     assert [run.meta.run_id for run in runs] == ["x", "z"]
     assert runs[0].samples["t_s"][-1] == 59 * 60.0
     assert not {finding.code for finding in runs[0].findings}
+
+
+@pytest.mark.parametrize(("head", "seconds"), [("minutes", 60.0), ("Stunden", 3600.0)])
+def test_a_head_that_is_nothing_but_a_unit_of_time_is_one_of_times(tmp_path: Path, head: str, seconds: float) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"{head},Z [µm],spindle [°C]\n" + "\n".join(f"{n},{n},2{n}" for n in range(5)), encoding="utf-8")
+    assert is_drift_log(path)
+    (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
+    assert run.samples["t_s"].tolist() == [n * seconds for n in range(5)]
+
+
+def test_a_spindle_s_speed_beside_a_warm_up_and_a_time_that_elapsed_are_of_a_drift_log(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"0:{n:02d}:00,8000,{n},2{n % 10}" for n in range(10)]
+    path.write_text("\n".join(["elapsed,speed [rpm],Z [µm],spindle [°C]", *rows]), encoding="utf-8")
+    assert is_drift_log(path)
+    (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
+    assert run.samples["t_s"].tolist() == [60.0 * n for n in range(10)]

@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from dtwin.acquire._tabular import kind_of_table
 from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
@@ -748,3 +749,52 @@ def test_a_row_that_sums_up_the_others_is_no_reading(tmp_path: Path) -> None:
     numbered = [f"P{i % 30},{row}" for i, row in enumerate(rows)]
     (folder / "poses.csv").write_text("\n".join([f"pose,{heads}", *numbered, f"mean,{rows[3]}"]), encoding="utf-8")
     assert first_run(folder).n_samples == 900
+
+
+def test_coordinates_with_units_below_merged_heads_are_poses_and_no_positions_of_an_axis(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{100 * n},{n * n},{7 * n},{100 * n + 0.1},{n * n},{7 * n}" for n in range(12)]
+    heads = ["Target,,,Actual,,", "X [mm],Y [mm],Z [mm],X [mm],Y [mm],Z [mm]"]
+    path.write_text("\n".join([*heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+    (run,), _ = read_poses(path, Campaign("a", "m", "poses"), {})
+    assert run.samples["measured_x_mm"] - run.samples["target_x_mm"] == pytest.approx([0.1] * 12)
+
+
+@pytest.mark.parametrize("heads", ["pose,repeat,x_mm,y_mm,z_mm", "Punkt,Messung,X [mm],Y [mm],Z [mm]"])
+def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rng = np.random.default_rng(4)
+    points = {p: rng.normal(0.0, 0.01 * (p == "P2") + 0.005, (10, 3)) for p in ("P1", "P2")}
+    rows = [f"{p},{n},{x[0] + 300:.6f},{x[1]:.6f},{x[2]:.6f}" for p, read in points.items() for n, x in enumerate(read)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+    with pytest.raises(InputError) as refused:
+        read_poses(path, Campaign("a", "m", "poses"), {})
+    off = {p: np.linalg.norm(x - x.mean(axis=0), axis=1) for p, x in points.items()}
+    p1, p2 = (off[p].mean() + 3.0 * off[p].std(ddof=1) for p in ("P1", "P2"))
+    assert refused.value.code == "poses.commanded"
+    assert refused.value.got == f"RP {p2:.3g} mm of 10 readings of P2; RP {p1:.3g} mm of 10 readings of P1"
+    path.write_text("\n".join([f"t_s,{heads}", *(f"0,{row}" for row in rows)]), encoding="utf-8")
+    assert not is_pose_table(path)
+
+
+def test_commanded_places_beside_an_approach_are_poses_and_no_positions_of_one_axis(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    heads = "approach,Target X [mm],Target Y [mm],Target Z [mm],Actual X [mm],Actual Y [mm],Actual Z [mm]"
+    rows = [f"{w},{100 * n},{n * n},{7 * n},{100 * n},{n * n},{7 * n}" for w in "+-" for n in range(12)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert kind_of_table(path) == "poses"
+
+
+@pytest.mark.parametrize("column", ["velocity [%]", "Payload [kg]", "speed_mm_s", "arm"])
+def test_poses_under_several_speeds_or_loads_are_no_repeats(tmp_path: Path, column: str) -> None:
+    path = tmp_path / "a.csv"
+    heads = f"{column},Target X [mm],Target Y [mm],Target Z [mm],Actual X [mm],Actual Y [mm],Actual Z [mm]"
+    rows = [f"{v},{100 * n},{n * n},{7 * n},{100 * n + v},{n * n},{7 * n}" for v in (10, 100) for n in range(12)]
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_poses(path, Campaign("a", "m", "poses"), {})
+    assert (refused.value.code, refused.value.got) == ("table.several", "10, 100")
+    path.write_text("\n".join([heads, *rows[:12]]), encoding="utf-8")
+    assert len(read_poses(path, Campaign("a", "m", "poses"), {})[0]) == 1

@@ -28,8 +28,10 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.positioning.position_runs import PositionTable
+from dtwin.positioning.matrix import linear_test
+from dtwin.positioning.position_runs import PositionTable, runs_of
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
+from dtwin.positioning.way_words import way_of
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 
@@ -271,7 +273,7 @@ def test_whole_numbers_in_groups_are_told_from_decimals(
         ("target,forward 1,reverse 1\n0,1,2\n", "1 targets"),
         ("target,direction,actual\n0,sideways,2\n", "sideways"),
         ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
-        ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+        ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "reverse 999999"),
         ("axis,target,direction,actual\nX,0,+,0\nX,1,+,1\nY,0,+,0\nY,1,+,1\n", "X, Y"),
         # What is a unit, and not one that is known, is not millimetres; deviations may be in any.
         ("target [mm],error forward 1 [1/10 µm],error reverse 1 [1/10 µm]\n0,1,2\n10,3,4\n", "[1/10 µm]"),
@@ -420,6 +422,24 @@ def test_a_zero_that_is_off_is_a_datum_and_changes_no_figure(tmp_path: Path, shi
     assert [f["code"] for f in off["findings"]] == (["linear.datum"] if told else [])
     figures = off["positioning"]["iso_230_2"]
     assert figures == pytest.approx(plain["positioning"]["iso_230_2"], abs=1e-3)
+
+
+def test_a_datum_is_told_of_a_test_in_one_direction_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("target [mm],actual [mm]\n" + "\n".join(f"{t},{t - 0.2 + t / 1e6}" for t in range(0, 100, 10)))
+    found = check_source(path, told={"axis": "X", "machine": "m"})["findings"]
+    (datum,) = (f for f in found if f["code"] == "linear.datum")
+    assert datum["numbers"]["shift_um"] == pytest.approx(-199.955)
+
+
+def test_directions_that_share_no_target_are_told_as_that_and_not_as_readings_that_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t + 0.2 * (way == '-')},{way},1.0" for _ in range(3) for way in "+-" for t in (15, 25, 35)]
+    path.write_text("\n".join(["target [mm],direction,deviation [µm]", *rows]), encoding="utf-8")
+    (run, *_) = check_source(path, told={"axis": "X", "machine": "m"})["runs"]
+    (told,) = (f for f in run["findings"] if f["severity"] == "error")
+    assert told["code"] == "linear.other_targets"
+    assert "forward 15, 25 … mm, reverse 15.2, 25.2 … mm" in told["message"]
 
 
 def test_a_report_of_two_instruments_is_refused_with_a_way_out(tmp_path: Path) -> None:
@@ -1059,6 +1079,42 @@ def test_rows_of_one_axis_are_read_of_a_table_of_several_and_stay_that_axis(tmp_
     assert amend(lake, "one", ["condition.axis=X"], "typed wrongly")
 
 
+@pytest.mark.parametrize(
+    ("head", "names"), [("slit", ("11358/1", "11358/2")), ("Axis", ("1", "2")), ("table no.", ("1", "2"))]
+)
+def test_of_several_axes_alike_the_one_is_read_by_its_name_or_number(
+    tmp_path: Path, head: str, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "axes.csv"
+    rows = [f"{name},{t},{t + n},{t + n + 0.5}" for n, name in enumerate(names) for t in (0, 100) for _ in (1, 2)]
+    path.write_text("\n".join([f"{head},target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.hint == f'--axis "{names[0]}" reads the rows of that one; else a file for each'
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": names[1]}})
+    assert [run.samples["error_um"].tolist() for run in runs] == [[1000.0, 1000.0, 1500.0, 1500.0]] * 2
+
+
+def test_beside_the_own_sensor_of_an_axis_stands_its_instrument_whatever_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "slit.csv"
+    rows = [f"{t},{way},{t},{t - 0.2}" for way in ("+", "-") for t in (10, 20, 30)]
+    path.write_text("\n".join(["target [mm],direction,resolver [mm],ild2300_mm", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == "ild2300, resolver"
+    told = {"condition": {"axis": "X", "instrument": "ild2300"}}
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), told)
+    assert runs[0].samples["error_um"].tolist() == pytest.approx([-200.0] * 6)
+
+
+def test_the_unit_in_round_brackets_is_no_part_of_an_instrument_s_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Target (mm),Laser (mm),Encoder (mm)\n0,0,0\n50,50.01,50\n100,100.02,100\n", encoding="utf-8")
+    told = {"condition": {"axis": "X", "instrument": "laser"}}
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), told)
+    assert runs[0].samples["error_um"].tolist() == pytest.approx([0.0, 10.0, 20.0])
+
+
 def test_a_sign_within_the_heads_is_the_direction_where_both_stand_there(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     heads = "Position [mm],Error + run1 [µm],Error - run1 [µm],Error + run2 [µm],Error - run2 [µm]"
@@ -1211,3 +1267,197 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
     heads = "Nr;Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]"
     path.write_text("\n".join(["Messung;;;;;;", "Roboter;KR 16;;;;;", heads, *rows]), encoding="utf-8")
     assert not is_position_table(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "way"),
+    [
+        ("from below 1 [mm]", "forward"),
+        ("from_above_1_mm", "reverse"),
+        ("above", "reverse"),
+        ("von unten [mm]", "forward"),
+        ("von oben", "reverse"),
+        ("nach unten", None),
+        ("R1+ [µm]", "forward"),
+        ("R1- [µm]", "reverse"),
+        ("F1", "forward"),
+        ("sensor above [mm]", None),
+    ],
+)
+def test_the_side_from_which_a_target_was_approached_is_its_direction(head: str, way: str | None) -> None:
+    assert way_of(head) == way
+
+
+def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},{t + 0.001},{way}" for _ in (1, 2) for way, ts in (("+", (0, 50)), ("-", (50, 0))) for t in ts]
+    path.write_text("\n".join(["cmd_mm,meas_mm,dir", *rows]), encoding="utf-8")
+    assert read_position_table(path).forward_um == pytest.approx(np.ones((2, 2)))
+    path.write_text("t_s,cmd_z_mm,act_z_mm\n0,0,0\n1,1,1\n", encoding="utf-8")
+    assert not is_position_table(path)
+
+
+def test_a_place_that_moves_steadily_is_told_as_that_and_not_as_scatter(tmp_path: Path) -> None:
+    path = tmp_path / "home.csv"
+    off = (0.0, 1.0, -1.0, 0.5, -0.5, 0.0)
+    path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{-0.01 * n + x / 1000}" for n, x in enumerate(off)))
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert "they move by -10.1 µm from one reading to the next, and scatter by 0.77 µm" in str(refused.value.got)
+    path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{x / 1000}" for n, x in enumerate(off)))
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert "they move" not in str(refused.value.got)
+
+
+def test_a_sheet_of_several_alike_is_read_by_its_name_whatever_it_is(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    for n, title in enumerate(("11358-1", "11358-2")):
+        sheet = book.active if n == 0 else book.create_sheet()
+        sheet.title = title
+        for row in (("target [mm]", "forward 1 [µm]", "reverse 1 [µm]"), (0, n, n), (50, n + 5, n + 5)):
+            sheet.append(row)
+    book.save(path := tmp_path / "slits.xlsx")
+    assert kind_of_table(path) == "linear"
+    with pytest.raises(InputError, match="several sheets") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert str(refused.value.hint).startswith('--axis "11358-1" takes the sheet')
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "11358-2"}})
+    assert runs[0].samples["error_um"].tolist() == [1.0, 6.0, 6.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("titles", "read"),
+    [(("# 11358-1", "# 11358-2"), False), (("# run 1", "# run 2"), True), (("# 9:00", "# 9:30"), True)],
+)
+def test_the_same_heads_below_titles_of_several_axes_are_no_cycles_of_one(
+    tmp_path: Path, titles: tuple[str, ...], read: bool
+) -> None:
+    path = tmp_path / "a.csv"
+    table = "target [mm];forward [mm];reverse [mm]\n0;0;0.001\n50;50.002;50.003\n"
+    path.write_text("\n".join(f"{title}\n{table}" for title in titles), encoding="utf-8")
+    if read:
+        assert len(read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})[0]) == 2
+        return
+    with pytest.raises(InputError, match="the same heads stand there again") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == "11358-1, 11358-2"
+
+
+def test_a_column_that_is_not_known_and_parts_the_rows_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{name},{t},{t},{t}" for name in ("left", "right") for t in (0, 50)]
+    path.write_text("\n".join(["carriage,target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    (told,) = (f.message for f in runs[0].findings if f.code == "linear.told_apart")
+    assert "carriage (left, right)" in told
+    path.write_text(path.read_text("utf-8").replace("left", "2026-01-01").replace("right", "2026-01-02"))
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert not [f for f in runs[0].findings if f.code == "linear.told_apart"]
+
+
+def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{feed},{t},{t},{t}" for feed in (1000, 5000) for t in (0, 50)]
+    path.write_text("\n".join(["feed [mm/min],target [mm],forward [mm],reverse [mm]", *rows]), encoding="utf-8")
+    runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    (told,) = (f.message for f in runs[0].findings if f.code == "linear.told_apart")
+    assert "feed [mm/min] (1000, 5000)" in told
+    rows = [f"{t},{way},1,5" for way in "+-" for t in (0, 50)]
+    path.write_text("\n".join(["target [mm],direction,error 20C [µm],error 30C [µm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="count no cycles") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert "20, 30" in refused.value.got
+
+
+@pytest.mark.parametrize(
+    "names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2"), ("robot 1", "robot 2"), ("J1", "J2")]
+)
+def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tuple[str, str]) -> None:
+    path = tmp_path / "a.csv"
+    heads = ",".join(f"{name} fwd [µm],{name} rev [µm]" for name in names)
+    path.write_text(f"target [mm],{heads}\n0,1,2,3,4\n50,1,2,3,4\n", encoding="utf-8")
+    with pytest.raises(InputError, match="several axes") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert refused.value.got == ", ".join(names)
+
+
+@pytest.mark.parametrize(
+    "heads", ["set_mm,act_mm", "Set [mm],Actual [mm]", "demand (mm),act pos (mm)", "desired_mm,measured_mm"]
+)
+def test_what_is_set_or_asked_for_is_the_target(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t},{t + 0.001 * (1 + (way == '-'))},{way}" for way in "+-" for t in (0, 50)]
+    path.write_text("\n".join([f"{heads},direction", *rows]), encoding="utf-8")
+    (run,), _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+    assert list(run.samples["position_mm"]) == [0, 50, 50, 0]
+    assert run.samples["error_um"] == pytest.approx([1, 1, 2, 2])
+
+
+@pytest.mark.parametrize("said", ["probe at 175.0,175.0 is z=", "probe: at 175.0,175.0 bed will contact at z="])
+@pytest.mark.parametrize("name", ["klippy.log", "console.txt"])
+def test_a_probe_of_a_printer_tells_how_one_place_repeats(tmp_path: Path, name: str, said: str) -> None:
+    path = tmp_path / name
+    heights = (2.001, 2.003, 2.002, 2.001, 2.003)
+    path.write_text("\n".join(f"// {said}{z:.6f}" for z in heights), encoding="utf-8")
+    assert is_position_table(path)
+    with pytest.raises(InputError, match="one target, however often") as refused:
+        read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "Z"}})
+    # s of 1, 3, 2, 1, 3 is 1.
+    assert "standard deviation 1 µm" in refused.value.got
+
+
+def test_a_pitch_that_is_stated_anew_or_a_whole_number_counts(tmp_path: Path) -> None:
+    path, lake = tmp_path / "a.csv", Lake(tmp_path / "lake")
+    path.write_text("target [mm],forward 1 [µm],reverse 1 [µm]\n" + "\n".join(f"{10 * n},{n},{n}" for n in range(6)))
+    ingest(path, lake, told={"axis": "X", "machine": "m"})
+    for setting, pitch in (
+        ("machine_geometry.screw_pitch_mm=5", 5.0),
+        ("machine_geometry.screw_pitch_mm=10", 10.0),
+        ("condition.screw_pitch_mm=20", 20.0),
+    ):
+        amend(lake, "a", [setting], "typo")
+        (run,) = lake.iterate("a")
+        assert linear_test([run]).pitch_mm == pitch
+        assert "linear.step_divides_pitch" in {f.code for f in run.findings}
+    for setting in ("machine_geometry.screw_pitch_mm=abc", "condition.screw_pitch_mm=-5"):
+        with pytest.raises(InputError, match="pitch is no length"):
+            amend(lake, "a", [setting], "typo")
+
+
+@pytest.mark.parametrize(
+    ("heads", "read"),
+    [
+        ("A [µm],B [µm],C [µm],D [µm],E [µm],F [µm]", False),
+        ("A1 [µm],B1 [µm],C1 [µm],A2 [µm],B2 [µm],C2 [µm]", False),
+        ("R1 [µm],R2 [µm],R3 [µm]", False),
+        ("F1 [µm],R1 [µm],F2 [µm],R2 [µm]", True),
+        ("F [µm],B [µm]", True),
+    ],
+)
+def test_letters_of_columns_and_runs_are_no_directions(tmp_path: Path, heads: str, read: bool) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{t}," + ",".join("1" for _ in heads.split(",")) for t in (0, 50, 100)]
+    path.write_text("\n".join([f"Position [mm],{heads}", *rows]), encoding="utf-8")
+    assert is_position_table(path) is read
+
+
+@pytest.mark.parametrize(
+    ("heads", "code"),
+    [
+        ("fwd 20C [µm],rev 20C [µm],fwd 30C [µm],rev 30C [µm]", "position_table.cycles"),
+        ("fwd 0 kg [µm],rev 0 kg [µm],fwd 50 kg [µm],rev 50 kg [µm]", "position_table.cycles"),
+        ("Lathe 1 fwd [µm],Lathe 1 rev [µm],Lathe 2 fwd [µm],Lathe 2 rev [µm]", "position_table.axes"),
+        ("fwd 0 [µm],rev 0 [µm],fwd 1 [µm],rev 1 [µm]", ""),
+        ("fwd 1 [µm],rev 1 [µm],fwd 5 [µm],rev 5 [µm]", ""),
+    ],
+)
+def test_numbers_of_conditions_and_machines_count_no_cycles(tmp_path: Path, heads: str, code: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Target [mm],{heads}", "0,1,2,3,4", "50,1,2,3,4"]), encoding="utf-8")
+    if code:
+        with pytest.raises(InputError) as refused:
+            read_position_table(path)
+        assert refused.value.code == code
+        return
+    assert [run.samples["error_um"][0] for run in runs_of(read_position_table(path), path, {})] == [1.0, 3.0]

@@ -16,13 +16,15 @@ from hypothesis import strategies as st
 from openpyxl import Workbook
 from typer.testing import CliRunner
 
+from dtwin.acquire.amending import amend
 from dtwin.acquire.importing import understand
-from dtwin.acquire.ingest import open_source
+from dtwin.acquire.ingest import ingest, open_source
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, unit_of_limit
 from dtwin.kinds.rotary._sheet import positioning_result
+from dtwin.lake.store import Lake
 from dtwin.pipeline.sheet_changes import sheet_changes
 from dtwin.positioning.position_table import axis_turns
 from dtwin.report.checking import check_source
@@ -170,6 +172,7 @@ FORMS = {
         for n, row in enumerate(cells("error {way} {c}", "target", lambda t, x: sexagesimal(x)).splitlines())
     ),
     "these below seconds": cells('{way} {c} ["]', "target [°]", lambda t, x: sexagesimal(x)),
+    "angles without a unit above these": cells('{way} {c} ["]', "Winkel", lambda t, x: f"{x * 3600.0:.1f}"),
     "seconds with their mark": cells("{way} {c}", "target", lambda t, x: f'{x * 3600.0:.1f}"'),
     "deviations near a turn": cells("deviation {way} {c} [°]", "target", lambda t, x: f"{x % 360.0:.7f}"),
     "degrees that no head calls deviations": wide("deg"),
@@ -279,10 +282,34 @@ def test_a_mark_of_inches_is_no_second_of_arc_where_no_angle_is_named(tmp_path: 
 
 def test_a_table_of_angles_is_none_of_a_linear_axis_and_the_refusal_names_the_kind(tmp_path: Path) -> None:
     path = written(tmp_path, wide("arcsec"))
-    for told in ({"axis": "X"}, {"axis": "C", "kind": "linear"}):
-        with pytest.raises(InputError, match="in angles") as refused:
-            check_source(path, told={**told, "machine": "m"})
-        assert "--kind rotary --axis C" in str(refused.value.hint)
+    with pytest.raises(InputError, match="in angles") as refused:
+        check_source(path, told={"axis": "C", "kind": "linear", "machine": "m"})
+    assert "--kind rotary --axis C" in str(refused.value.hint)
+
+
+def test_an_axis_that_moves_along_is_refused_of_files_and_afterwards(tmp_path: Path) -> None:
+    path, lake = written(tmp_path, wide("arcsec")), Lake(tmp_path / "lake")
+    with pytest.raises(InputError, match="moves along") as refused:
+        check_source(path, told={"axis": "X", "machine": "m"})
+    assert "--kind linear" in str(refused.value.hint)
+    ingest(path, lake, told={"axis": "C", "machine": "m"})
+    for setting, code in (("condition.axis=X", "rotary.axis"), ("radius_mm=150", "amend.kind")):
+        with pytest.raises(InputError) as refused:
+            amend(lake, "c", [setting], "typo")
+        assert refused.value.code == code
+    assert amend(lake, "c", ["condition.axis=B"], "typo")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        wide("arcsec").replace("forward", "CW").replace("reverse", "CCW"),
+        long("target [°],direction,cycle,deviation [arcsec]").replace("forward", "CW").replace("reverse", "CCW"),
+    ],
+)
+def test_a_sense_of_turning_is_no_direction_and_the_refusal_says_why(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match="which of CW and CCW is positive depends on from where one looks"):
+        check_source(written(tmp_path, text), told={"axis": "C", "machine": "m"})
 
 
 def test_tilts_along_an_axis_are_no_positions_of_one_that_turns(tmp_path: Path) -> None:

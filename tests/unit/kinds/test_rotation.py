@@ -564,12 +564,38 @@ def test_speeds_of_many_names_and_units_are_read(tmp_path: Path, speed: str, per
     assert run.samples["runout_um"] == pytest.approx(3.0 * parts.get(runout, 1.0) + 0.0 * rpm)
 
 
-@pytest.mark.parametrize(("column", "names"), [("Tool", "12"), ("Position", "FR"), ("Machine no.", ("M1", "M2"))])
+@pytest.mark.parametrize(
+    ("column", "names"),
+    [
+        ("Tool", "12"),
+        ("Position", "FR"),
+        ("Machine no.", ("M1", "M2")),
+        ("spindle no", "12"),
+        ("chuck", ("hydraulic", "shrink")),
+        ("state", ("cold", "warm")),
+        ("load [N]", ("0", "100")),
+    ],
+)
 def test_run_outs_of_several_tools_or_places_are_no_repeats(tmp_path: Path, column: str, names: str) -> None:
     rows = [f"{name},{1000 * n},{n}" for name in names for n in (1, 2, 3)]
-    with pytest.raises(InputError, match="several machines, tools or places"):
+    with pytest.raises(InputError) as refused:
         read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows]))
+    assert refused.value.code == "table.several"
     assert len(read(tmp_path, "\n".join([f"{column},Speed [rpm],Runout [µm]", *rows[:3]]))) == 1
+
+
+def test_run_outs_at_several_distances_are_no_repeats(tmp_path: Path) -> None:
+    rows = [f"{z}.0,{1000 * n},{n + z / 100}" for z in (0, 300) for n in (1, 2, 3)]
+    with pytest.raises(InputError, match="several machines, tools, places or conditions") as refused:
+        read(tmp_path, "\n".join(["distance from nose [mm],Speed [rpm],Runout [µm]", *rows]))
+    assert refused.value.got == "0.0, 300.0"
+    assert len(read(tmp_path, "\n".join(["distance from nose [mm],Speed [rpm],Runout [µm]", *rows[:3]]))) == 1
+
+
+def test_speeds_side_by_side_below_a_cell_that_names_the_run_out_are_read(tmp_path: Path) -> None:
+    (run,) = read(tmp_path, "TIR [µm],1000 rpm,2000 rpm,4000 rpm\nrun 1,3,4,6\nrun 2,3.1,4.1,6.1\n")
+    assert run.samples["speed_rpm"].tolist() == [1000.0, 2000.0, 4000.0] * 2
+    assert run.samples["runout_um"].tolist() == [3.0, 4.0, 6.0, 3.1, 4.1, 6.1]
 
 
 @pytest.mark.parametrize(

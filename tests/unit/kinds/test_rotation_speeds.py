@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from unit.kinds.turning_target import Target, turned
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.kinds.rotation._heads import column_of
 from dtwin.kinds.rotation._simulate import TRUTHS, simulate_rotation
 from dtwin.report.checking import check_source
 from dtwin.schema import Finding, Floats, Run, RunMeta
@@ -189,6 +190,13 @@ def test_a_table_of_run_outs_tells_what_repeats_allow(
 ) -> None:
     right = sum({f.code for f in KIND.judge_campaign([runout(um, seed)])} == allowed for seed in SEEDS)
     assert right >= 19
+
+
+def test_a_warm_up_at_one_speed_is_told() -> None:
+    run = runout(lambda n, k: 0.15 * k, 0)
+    run = replace(run, samples={**run.samples, "speed_rpm": np.full(run.n_samples, 8000.0)})
+    assert "rotation.runout_time" in {f.code for f in KIND.judge_campaign([run])}
+    assert column_of("minutes").factor == 60.0
 
 
 def test_a_table_of_run_outs_never_names_its_cause() -> None:

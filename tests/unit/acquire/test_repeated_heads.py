@@ -1,0 +1,33 @@
+"""Tables below each other with the same heads: those of several machines are refused, repeats of one are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dtwin.acquire.repeated_heads import require_one_block
+from dtwin.errors import InputError
+
+TABLE = "speed [rpm];run-out [µm]\n1000;3\n2000;4\n"
+
+
+@pytest.mark.parametrize("titles", [("# tool A", "# tool B"), ("UR5", "UR10"), ("spindle on", "spindle off")])
+def test_titles_of_several_are_refused(titles: tuple[str, str]) -> None:
+    with pytest.raises(InputError) as refused:
+        require_one_block("\n".join(f"{title}\n{TABLE}" for title in titles), Path("a.csv"))
+    assert (refused.value.code, refused.value.got) == ("table.titles", ", ".join(t.strip("# ") for t in titles))
+
+
+@pytest.mark.parametrize("titles", [("# run 1", "# run 2"), ("", ""), ("9:00", "9:30"), ("1", "2"), ("same", "same")])
+def test_repeats_are_not(titles: tuple[str, str]) -> None:
+    require_one_block("\n".join(f"{title}\n{TABLE}" for title in titles), Path("a.csv"))
+    require_one_block("x,x,x\n" * 3, Path("a.csv"))
+    require_one_block("a;b;c\n1;2;3\n4;5\n\na;b;c\n1;2;3\n6;7\n\na;b;c\n1;2;3\n", Path("a.csv"))
+
+
+def test_other_tables_of_a_report_may_repeat_their_heads() -> None:
+    text = "\n".join(f"## {title} limit\n\nTest | Counter [mm]\n--- | ---\n1 | 0.5\n" for title in ("Low", "High"))
+    require_one_block(text, Path("a.md"), needed=lambda cell: cell.startswith("Target"))
+    with pytest.raises(InputError):
+        require_one_block(text, Path("a.md"))
