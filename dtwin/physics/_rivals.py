@@ -94,7 +94,7 @@ def described(
                 for c in group[1:]
                 if c.term.label in absorbed
                 or (_is_like(top, c) and c.score.gain > _NO_LESS * top.score.gain)
-                or _adds_nothing(beside, top, c, everywhere, rough)
+                or adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
@@ -151,7 +151,7 @@ def _group(
         invisible = not candidates.visible(beside, other.term).shape[1]
         if in_part and invisible and candidates.numbers(other.term) < candidates.numbers(top.term):
             hidden.add(other.term.label)
-        elif not _as_good(problem, top, other) and not _adds_nothing(problem, top, other, candidates, level):
+        elif not _as_good(problem, top, other) and not adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
     return tuple(group), frozenset(hidden)
@@ -242,9 +242,7 @@ def refined_candidate(problem: Problem, candidates: Candidates, candidate: Candi
     return candidates.at(problem, candidate, term, level)
 
 
-def _adds_nothing(
-    problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel
-) -> bool:
+def adds_nothing(problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel) -> bool:
     visible = candidates.visible(problem, other.term)
     given = problem.extended(visible, candidates.whitened(problem, other.term))
     simpler = candidates.numbers(other.term) < candidates.numbers(top.term)

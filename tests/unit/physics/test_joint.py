@@ -111,3 +111,9 @@ def test_growth_of_two_axes_together_is_judged_together() -> None:
     settled = settled_with(joint([bar, *lasers], LIBRARY), "thermal_growth X")
     assert settled.left == ("thermal_drift",)
     assert {"thermal_growth X", "thermal_growth Y"} <= {j.label for j in settled.judged if j.said == "refuted"}
+
+
+def test_a_long_wave_of_an_axis_is_no_shape_of_a_guideway_alone() -> None:
+    mill = MillParameters().with_axis("X", pitch_error_um=0.3, pitch_mm=220.0, pitch_phase_rad=0.5)
+    found = circles(mill).found.found
+    assert [{s.label for s in group} for group in found] == [{"guideway_shape Y", "cyclic_error X"}]
