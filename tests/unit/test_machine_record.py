@@ -54,6 +54,28 @@ def test_what_is_told_stays_until_it_is_told_anew(home: Home) -> None:
     assert [(e.on.isoformat(), e.what) for e in known.events] == [("2026-01-02", "repair"), ("2026-03-04", "crash")]
 
 
+def test_what_was_mistyped_is_taken_back(home: Home) -> None:
+    said("machine", "add", "mill-a", "--tolerance", "G(b)=10", "--tolerance", "D=100")
+    for note in ("vice", "", "table"):
+        said("machine", "event", "mill-a", "crash", "--on", "2026-03-04", "--note", note)
+    said("machine", "event", "mill-a", "repair", "--on", "2026-01-02", "--note", "spindle")
+    said("machine", "add", "mill-a", "--tolerance", "D=")
+    said("machine", "event", "mill-a", "repair", "--on", "2026-01-02", "--take-back")
+    said("machine", "event", "mill-a", "crash", "--on", "2026-03-04", "--take-back")
+    for words in (
+        ("add", "mill-a", "--tolerance", "D="),
+        ("add", "mill-a", "--tolerance", "="),
+        ("event", "mill-a", "crash", "--on", "2026-03-04", "--take-back"),
+        ("event", "mill-a", "crash", "--on", "2026-03-05", "--take-back"),
+        ("event", "mill-a", "crash", "--on", "2026-03-04", "--note", "wall", "--take-back"),
+    ):
+        assert isinstance(CliRunner().invoke(app, ["machine", *words]).exception, InputError), words
+    known = read_record(home, "mill-a")
+    assert known is not None
+    assert known.tolerances == {"G(b)": Limits(None, 10.0)}
+    assert [e.note for e in known.events] == ["vice", "table"]
+
+
 @pytest.mark.parametrize(
     "text",
     [

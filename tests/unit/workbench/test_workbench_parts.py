@@ -10,6 +10,7 @@ import threading
 import time
 import tomllib
 import zipfile
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.machine_record import keep_record, tolerances_of
+from dtwin.machine_record import events_of, keep_record, tolerances_of, with_event
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
@@ -229,6 +230,32 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
         time.sleep(0.01)
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
+
+
+def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is_done(tmp_path: Path) -> None:
+    bench = Bench(Home(tmp_path), Access("127.0.0.1", 8765))
+    keep_record(bench.home, "mill-a", {"tolerances": {"H": 3.0, "G(CW)": 4.0}})
+    note = "hit <b>\n the vice "
+    with_event(bench.home, "mill-a", "crash", "2026-01-02", note)
+    client = TestClient(
+        application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
+    )
+    client.get("/", params={"token": bench.access.token})
+    for what in ("next", "together", "event", "event/drop"):
+        event = {"what": "crash", "on": "2026-01-02", "note": note.strip()}
+        assert client.post(f"/api/machines/nobody/{what}", json=event).status_code == 404, what
+    assert client.get("/machines/nobody").status_code == 404
+    page = client.get("/machines/mill-a").text
+    assert page.count("/tolerance/drop") == 2
+    assert f'name="note" value="{escape(note)}"' in page
+    assert client.post("/api/machines/mill-a/tolerance/drop", json={"symbol": "D"}).status_code == 400
+    told = (("tolerance", {"symbol": "H"}), ("event", event))
+    jobs = [client.post(f"/api/machines/mill-a/{what}/drop", json=one).json()["job"] for what, one in told]
+    deadline = time.monotonic() + 300.0
+    while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
+        time.sleep(0.01)
+    assert set(tolerances_of(bench.home, "mill-a")) == {"G(CW)"}
+    assert events_of(bench.home, "mill-a") == ()
 
 
 _BEGUN = """
