@@ -72,9 +72,6 @@ def _options(
 ) -> None:
     if {"--help", "-h"} & set(sys.argv):
         return
-    home().require_parts()
-    if context.invoked_subcommand in _FOLLOW_THEMSELVES:
-        return
     told = os.environ.get("DTWIN_HOME", "")
     if "://" in told:
         raise InputError(
@@ -85,9 +82,10 @@ def _options(
             hint="a home on a shared store: dtwin home move --store ADDRESS, docs/how-to/share-a-home.md",
         )
     state = home()
+    state.require_parts()
     if state.root.exists() and not state.root.is_dir():
         raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
-    if state.file.store:
+    if state.file.store and context.invoked_subcommand not in _FOLLOW_THEMSELVES:
         from dtwin.shared_documents import followed_beside, following
 
         beside = context.invoked_subcommand == "serve"

@@ -249,15 +249,16 @@ def test_what_makes_no_sense_is_refused_and_nothing_hangs(
     assert f"error[{code}]" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("where", ["home", "s3://name:secret@bucket/dtwin"])
+@pytest.mark.parametrize("words", [["runs"], ["ui", "--no-browser"], ["up"], ["home", "show"]])
+@pytest.mark.parametrize("where", ["home", "s3://name:secret%2F@bucket/dtwin"])
 def test_a_home_that_is_a_file_or_an_address_is_refused(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    where: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "home"
     file.write_text("")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DTWIN_HOME", where)
-    monkeypatch.setattr(sys, "argv", ["dtwin", "runs"])
+    monkeypatch.setattr(sys, "argv", ["dtwin", *words])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code not in (0, None)

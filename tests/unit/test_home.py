@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import tarfile
 from collections.abc import Callable
@@ -203,3 +204,21 @@ def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypa
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "again"))
     assert "are back in" in shell.invoke(app, ["home", "restore", str(out)]).stdout
     assert shell.invoke(app, ["home", "check"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["a%41", "a#b", "a?b", "a\\b", "a\nb", os.fsdecode(b"a\xff"), "/".join(["x" * 200] * 3)]
+)
+def test_a_path_that_tables_or_databases_read_as_another_is_refused(tmp_path: Path, name: str) -> None:
+    asked = CliRunner().invoke(app, ["runs"], env={"DTWIN_HOME": str(tmp_path / name)}).exception
+    assert isinstance(asked, InputError)
+    assert asked.code == "home.path"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unusual_path_is_used_as_it_is(tmp_path: Path) -> None:
+    root = tmp_path / "Größe µ'\"&;$HOME~ {b}"
+    for words in (["machine", "add", "mill-a"], ["home", "check"], ["models"]):
+        asked = CliRunner().invoke(app, words, env={"DTWIN_HOME": str(root)})
+        assert asked.exit_code == 0, asked.output
+    assert list(tmp_path.iterdir()) == [root]
