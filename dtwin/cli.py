@@ -8,6 +8,7 @@ import io
 import json
 import os
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -72,6 +73,7 @@ def _options(
 ) -> None:
     if {"--help", "-h"} & set(sys.argv):
         return
+    _require_text(sys.argv[1:])
     told = os.environ.get("DTWIN_HOME", "")
     if "://" in told:
         raise InputError(
@@ -90,6 +92,19 @@ def _options(
 
         beside = context.invoked_subcommand == "serve"
         context.with_resource(followed_beside(state) if beside else following(state))
+
+
+def _require_text(words: Sequence[str]) -> None:
+    """Refuse words whose bytes are no text here: a table, page or name that they come into could not be written."""
+    odd = next((word for word in (*words, str(home().root)) if any("\ud800" <= c <= "\udfff" for c in word)), None)
+    if odd is not None:
+        raise InputError(
+            "a word of the command is no text in the encoding of this terminal",
+            code="command.encoding",
+            got=ascii(odd)[1:-1][:120],
+            allowed=sys.getfilesystemencoding(),
+            hint="rename what is not in UTF-8; in a terminal of ASCII: LC_ALL=C.UTF-8, and PYTHONUTF8 not 0",
+        )
 
 
 def main() -> None:

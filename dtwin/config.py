@@ -93,13 +93,13 @@ class Home:
         It would look as if nothing was measured yet.
         """
         path = os.fsencode(self.root)
-        if len(path) > _LONGEST or _MISREAD.search(path) or "\ufffd" in path.decode(errors="replace"):
+        if len(path) > _LONGEST or _MISREAD.search(path):
             raise InputError(
                 "the path of the home cannot be used",
                 code="home.path",
                 where="DTWIN_HOME",
                 got=repr(str(self.root))[:200] + (f", {len(path)} bytes" if len(path) > _LONGEST else ""),
-                allowed=f"UTF-8 of at most {_LONGEST} bytes, without % ? # \\ and control characters",
+                allowed=f"at most {_LONGEST} bytes, without % ? # \\ and control characters",
                 hint="set DTWIN_HOME to another folder",
             )
         for part in self.root.glob("*"):

@@ -268,6 +268,21 @@ def test_a_home_that_is_a_file_or_an_address_is_refused(
     assert [path.name for path in tmp_path.iterdir()] == ["home"]
 
 
+@pytest.mark.parametrize(
+    ("words", "where"), [(["check", "a\udcff.b5r"], "home"), (["machine", "add", "m"], "home-\udcc3")]
+)
+def test_words_that_are_no_text_are_refused_before_something_is_written(
+    words: list[str], where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / where))
+    monkeypatch.setattr(sys, "argv", ["dtwin", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "error[command.encoding]" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_terminal_of_few_letters_gets_no_traceback() -> None:
     few = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}
     command = [sys.executable, "-m", "dtwin", "effects", "show", "backlash"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import shutil
 import tarfile
 from collections.abc import Callable
@@ -206,9 +205,7 @@ def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypa
     assert shell.invoke(app, ["home", "check"]).exit_code == 0
 
 
-@pytest.mark.parametrize(
-    "name", ["a%41", "a#b", "a?b", "a\\b", "a\nb", os.fsdecode(b"a\xff"), "/".join(["x" * 200] * 3)]
-)
+@pytest.mark.parametrize("name", ["a%41", "a#b", "a?b", "a\\b", "a\nb", "/".join(["x" * 200] * 3)])
 def test_a_path_that_tables_or_databases_read_as_another_is_refused(tmp_path: Path, name: str) -> None:
     asked = CliRunner().invoke(app, ["runs"], env={"DTWIN_HOME": str(tmp_path / name)}).exception
     assert isinstance(asked, InputError)
