@@ -154,20 +154,22 @@ def _run() -> None:
 
 
 def _is_of_database(error: Exception) -> bool:
-    """Tell whether a library says that a shared registry was lost; nothing is imported for it."""
+    """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
     raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
     libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    return bool(raised & libraries) and bool(home().file.registry)
+    return bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
 
 
 def _registry_away(error: Exception) -> StoreError:
-    """Say that the shared registry was lost while a command asked it."""
+    """Say that the registry was lost, or held by another, while a command asked it."""
     return StoreError(
         "the model registry was lost, or refused",
         code="registry.away",
-        where=home().file.registry,
+        where=home().file.registry or str(home().root / "mlflow"),
         got=str(error).split("\n")[0][:200],
-        hint="run this again when it is back: what is done already is not done twice",
+        hint="run this again when it is back: what is done already is not done twice"
+        if home().file.registry
+        else "run this again: another process may have held it; dtwin home check says whether it is damaged",
     )
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -210,6 +211,13 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     def lost() -> None:
         raise OperationalError("SELECT 1", {}, Exception("server closed the connection"))
 
+    def held() -> None:
+        raise OperationalError("SELECT 1", {}, sqlite3.OperationalError("database is locked"))
+
+    monkeypatch.setattr("dtwin.cli.app", held)
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert "database is locked" in capsys.readouterr().err
     monkeypatch.setattr("dtwin.cli.app", lost)
     with pytest.raises(OperationalError):
         cli.main()

@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import sqlite3
 import tarfile
 from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -122,6 +125,19 @@ def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> 
     (lived_in.root / "mlflow" / "mlflow.db").write_text("x" * 2000)
     with pytest.raises(StoreError, match="damaged"):
         Registry(lived_in)
+
+
+def test_a_database_that_another_holds_is_not_called_damaged(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    Registry(lived_in)
+    at_once = partial(sqlite3.connect, timeout=0.0)
+    with closing(sqlite3.connect(lived_in.root / "mlflow" / "mlflow.db")) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        monkeypatch.setattr(sqlite3, "connect", at_once)
+        for asked in (Registry, check_home):
+            with pytest.raises(StoreError, match="another process holds") as refused:
+                asked(lived_in)
+            assert "restore" not in (refused.value.hint or "")
+    assert check_home(lived_in).wrong == {}
 
 
 def test_a_file_of_settings_that_states_nothing_is_in_no_backup(lived_in: Home, tmp_path: Path) -> None:
