@@ -110,6 +110,7 @@ def _require_text(words: Sequence[str]) -> None:
 def main() -> None:
     """Run the command line; a user's mistake ends in a message, never a traceback."""
     quiet_environment()
+    _open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal of few letters has no µ; what it cannot show is told as on stderr.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -117,6 +118,13 @@ def main() -> None:
     with contextlib.ExitStack() as ending:
         ending.callback(home().tightened)
         _run()
+
+
+def _open_closed_streams() -> None:
+    """Open streams that were closed (``>&-``) to nowhere, in their order: the next file would get what is printed."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
 
 
 def _run() -> None:
@@ -196,6 +204,8 @@ def _missing_part(package: str) -> MissingPart:
 
 def _report(error: DtwinError) -> None:
     if "--json" in sys.argv:
-        print(json.dumps({"error": error.as_dict()}, indent=2))
-    else:
+        with contextlib.suppress(OSError):
+            print(json.dumps({"error": error.as_dict()}, indent=2), flush=True)
+            return
+    with contextlib.suppress(OSError):
         print(error.render(), file=sys.stderr)

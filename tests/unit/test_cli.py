@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shlex
 import sqlite3
 import subprocess
 import sys
@@ -324,3 +325,22 @@ def test_a_branch_alone_knows_every_command_of_the_whole_tree_and_says_the_same(
         with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
             whole()
         assert command_here(*words) == (ended.value.code, out.getvalue(), err.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("streams", "code"),
+    [
+        ("<&- >&- 2>&-", 0),
+        (">&-", 0),
+        ("--json >&-", 0),
+        (">/dev/full", 1),
+        ("--json >/dev/full", 1),
+        ("2>/dev/full", 0),
+    ],
+)
+def test_closed_and_full_streams_end_in_no_traceback(streams: str, code: int, tmp_path: Path) -> None:
+    where = {**os.environ, "DTWIN_HOME": str(tmp_path / "home")}
+    command = f"{shlex.quote(sys.executable)} -m dtwin machine add mill-a {streams}"
+    done = subprocess.run(["sh", "-c", command], env=where, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+    assert (tmp_path / "home" / "machines" / "mill-a.toml").read_text() == "events = []\n\n[axes]\n\n[tolerances]\n"
