@@ -21,10 +21,14 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.links import state as layout
 from dtwin.machine_record import events_of, keep_record, tolerances_of, with_event
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
+from dtwin.serve import safety
+from dtwin.serve._lease import lease
+from dtwin.serve.live_board import _PID, _SHOWN, live_board
 from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench import _connections
 from dtwin.workbench._access import Access
@@ -266,6 +270,37 @@ from dtwin.workbench import _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
 _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
 """
+
+
+def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    client = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+
+    def now() -> dict[str, Any]:
+        told: dict[str, Any] = client.get("/api/live/mill-a/now").json()
+        return told
+
+    with (
+        lease("127.0.0.9", "mill-a", home),
+        live_board("mill-a", home, clamp_um=90.0, period_s=0.01, started_s=0.0) as board,
+    ):
+        assert board is not None
+        for n in range(100):
+            state = np.zeros(layout.N)
+            # A stall of a minute before the newest second.
+            state[layout.TIMESTAMP] = 0.01 * n + (60.0 if n >= 50 else 0.0)
+            board.show(state, np.ones(3), safety.OK, (60.0 if n == 50 else 0.01, 0.001, 0.0), (0, 0), np.ones(3))
+        told = now()
+        assert (told["state"]["word"], told["ticks"]) == ("correcting", 100)
+        assert told["rate_hz"] == pytest.approx(100.0)
+        board._head[_SHOWN] -= 60.0
+        told = now()
+        assert (told["state"]["word"], told["ticks"]) == ("silent", 100)
+        assert not {"rate_hz", "correction_um", "age_ms"} & set(told)
+        board._head[_PID] += 1
+        assert now()["state"]["word"] == "starting"
+        assert client.get("/api/live/mill-a/correction").status_code == 400
+        assert "has shown no tick yet" in client.get("/live").text
 
 
 def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -> None:
