@@ -152,6 +152,17 @@ def test_the_history_of_a_machine_has_its_tests_in_their_order(home: Home) -> No
     assert unknown.exit_code != 0
 
 
+def test_a_pointer_that_cannot_be_followed_hides_no_test(home: Home) -> None:
+    said("machine", "add", "mill-a", "--serial", "7")
+    folder = home.bundles / "mill-a"
+    folder.mkdir(parents=True)
+    (folder / "champion.json").write_text("{}")
+    history = machine_history(home, "mill-a")
+    assert history["facts"] == {"serial": "7"}
+    assert "seal" in history["champion"]
+    assert str(said("machine", "show", "mill-a")["champion"]).startswith("none can be served")
+
+
 def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) -> None:
     folders = write_tests(home.root / "made", 8, steady(2.0), stepping(3.0, 5, 12.0))
     for folder in folders:
