@@ -90,6 +90,7 @@ def replace_bundle(path: Path, write: Callable[[], object]) -> None:
     if path.is_file():
         raw = read_bytes(path, MAX_BYTES)
         with whole_file(replaced(path, hashlib.sha256(raw).hexdigest()), "the bundle of before") as beside:
+            beside.touch(mode=0o600)
             beside.write_bytes(raw)
     write()
 

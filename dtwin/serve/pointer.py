@@ -189,8 +189,8 @@ def forget_replaced(folder: Path) -> None:
     """Remove bundles that were written anew, and that no pointer of the machine names any more."""
     with locked(folder), contextlib.suppress(InputError, GateRefusal):
         sealed = [read_sealed(folder, name) for name in _POINTERS.values()]
-        named = {replaced(folder / str(told["bundle"]), str(told["sha256"])) for told in sealed if told is not None}
-        for kept in set(folder.glob(f"*.{'[0-9a-f]' * 12}.json")) - named:
+        named = {named_file(folder, str(told["bundle"]), str(told["sha256"])) for told in sealed if told is not None}
+        for kept in set(folder.resolve().glob(f"*.{'[0-9a-f]' * 12}.json")) - named:
             kept.unlink(missing_ok=True)
 
 

@@ -63,7 +63,7 @@ def enter(
 def history(home: Home, machine: str) -> list[dict[str, Any]]:
     """Return everything that was promoted, refused or rolled back, oldest first; a line that a kill cut short says nothing."""
     path = machine_folder(machine, home) / _HISTORY
-    if not path.exists():
+    if not path.is_file():
         return []
     entries = []
     for line in path.read_bytes().splitlines():
