@@ -256,7 +256,7 @@ def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
 
 
 def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
-    if not path.exists():
+    if not path.is_file():
         return []
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
