@@ -8,6 +8,7 @@ import io
 import json
 import os
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -72,9 +73,7 @@ def _options(
 ) -> None:
     if {"--help", "-h"} & set(sys.argv):
         return
-    home().require_parts()
-    if context.invoked_subcommand in _FOLLOW_THEMSELVES:
-        return
+    _require_text(sys.argv[1:])
     told = os.environ.get("DTWIN_HOME", "")
     if "://" in told:
         raise InputError(
@@ -85,18 +84,33 @@ def _options(
             hint="a home on a shared store: dtwin home move --store ADDRESS, docs/how-to/share-a-home.md",
         )
     state = home()
+    state.require_parts()
     if state.root.exists() and not state.root.is_dir():
         raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
-    if state.file.store:
+    if state.file.store and context.invoked_subcommand not in _FOLLOW_THEMSELVES:
         from dtwin.shared_documents import followed_beside, following
 
         beside = context.invoked_subcommand == "serve"
         context.with_resource(followed_beside(state) if beside else following(state))
 
 
+def _require_text(words: Sequence[str]) -> None:
+    """Refuse words whose bytes are no text here: a table, page or name that they come into could not be written."""
+    odd = next((word for word in (*words, str(home().root)) if any("\ud800" <= c <= "\udfff" for c in word)), None)
+    if odd is not None:
+        raise InputError(
+            "a word of the command is no text in the encoding of this terminal",
+            code="command.encoding",
+            got=ascii(odd)[1:-1][:120],
+            allowed=sys.getfilesystemencoding(),
+            hint="rename what is not in UTF-8; in a terminal of ASCII: LC_ALL=C.UTF-8, and PYTHONUTF8 not 0",
+        )
+
+
 def main() -> None:
     """Run the command line; a user's mistake ends in a message, never a traceback."""
     quiet_environment()
+    _open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal of few letters has no µ; what it cannot show is told as on stderr.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -104,6 +118,13 @@ def main() -> None:
     with contextlib.ExitStack() as ending:
         ending.callback(home().tightened)
         _run()
+
+
+def _open_closed_streams() -> None:
+    """Open streams that were closed (``>&-``) to nowhere, in their order: the next file would get what is printed."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
 
 
 def _run() -> None:
@@ -141,20 +162,22 @@ def _run() -> None:
 
 
 def _is_of_database(error: Exception) -> bool:
-    """Tell whether a library says that a shared registry was lost; nothing is imported for it."""
+    """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
     raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
     libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    return bool(raised & libraries) and bool(home().file.registry)
+    return bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
 
 
 def _registry_away(error: Exception) -> StoreError:
-    """Say that the shared registry was lost while a command asked it."""
+    """Say that the registry was lost, or held by another, while a command asked it."""
     return StoreError(
         "the model registry was lost, or refused",
         code="registry.away",
-        where=home().file.registry,
+        where=home().file.registry or str(home().root / "mlflow"),
         got=str(error).split("\n")[0][:200],
-        hint="run this again when it is back: what is done already is not done twice",
+        hint="run this again when it is back: what is done already is not done twice"
+        if home().file.registry
+        else "run this again: another process may have held it; dtwin home check says whether it is damaged",
     )
 
 
@@ -181,6 +204,8 @@ def _missing_part(package: str) -> MissingPart:
 
 def _report(error: DtwinError) -> None:
     if "--json" in sys.argv:
-        print(json.dumps({"error": error.as_dict()}, indent=2))
-    else:
+        with contextlib.suppress(OSError):
+            print(json.dumps({"error": error.as_dict()}, indent=2), flush=True)
+            return
+    with contextlib.suppress(OSError):
         print(error.render(), file=sys.stderr)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,8 @@ _TELEMETRY_OFF = {
 }
 # Of what commands keep in a home, one is always among the first.
 _OURS = ("lake", "locks", "machines", "twins", "mlflow", "fleet", "home.toml")
+# Tables and databases take a path as an address: with a % or a # they lay elsewhere. SQLite's longest path is 512 bytes.
+_MISREAD, _LONGEST = re.compile(rb"[%?#\\\x00-\x1f\x7f]"), 450
 # Matrices are small: threads of BLAS cost more than they give, and ten times that beside other work.
 _THREADS = {"OMP_WAIT_POLICY": "passive", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -85,7 +88,20 @@ class Home:
         return self._closed()
 
     def require_parts(self) -> None:
-        """Refuse a home of which a part is a link that leads nowhere: it would look as if nothing was measured yet."""
+        """Refuse a home whose path the libraries read as another one, or of which a part is a link that leads nowhere.
+
+        It would look as if nothing was measured yet.
+        """
+        path = os.fsencode(self.root)
+        if len(path) > _LONGEST or _MISREAD.search(path):
+            raise InputError(
+                "the path of the home cannot be used",
+                code="home.path",
+                where="DTWIN_HOME",
+                got=repr(str(self.root))[:200] + (f", {len(path)} bytes" if len(path) > _LONGEST else ""),
+                allowed=f"at most {_LONGEST} bytes, without % ? # \\ and control characters",
+                hint="set DTWIN_HOME to another folder",
+            )
         for part in self.root.glob("*"):
             if part.is_symlink() and not part.exists():
                 raise InputError(

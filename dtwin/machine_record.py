@@ -127,17 +127,27 @@ def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineR
 def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineRecord:
     """Return the record of a machine with what is stated anew; axes and tolerances are joined.
 
+    An axis or a tolerance that is stated as None is taken back.
+
     Raises
     ------
     InputError
-        When a field is unknown or not usable.
+        When a field is unknown or not usable, or what is taken back was never stated.
     """
     for symbol, limit in stated.get("tolerances", {}).items():
         if is_number(limit) and limit <= 0 and "Fmin" not in symbol:
             raise _refused(f"{machine}: tolerances", f"{symbol}={limit:g}", "a largest value above 0 µm, or LOW:HIGH")
     document = (read_record(home, machine) or MachineRecord(machine)).as_dict()
     for key, value in stated.items():
-        document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
+        if not isinstance(value, Mapping):
+            document[key] = value
+            continue
+        taken_back = {name for name, told in value.items() if told is None}
+        if strange := sorted(taken_back - set(document[key])):
+            raise _refused(
+                f"{machine}: {key}", f"{strange[0]} taken back", ", ".join(document[key]) or "none is stated"
+            )
+        document[key] = {n: told for n, told in {**document[key], **value}.items() if n not in taken_back}
     return record_from(machine, document, machine)
 
 
@@ -162,6 +172,35 @@ def with_event(home: Home, machine: str, what: str, on: str, note: str) -> Machi
     with _alone(home, machine):
         known = read_record(home, machine) or MachineRecord(machine)
         return _written(home, replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on))))
+
+
+def without_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
+    """Take an event back; an empty day is today, and an empty note fits any that is the only one.
+
+    Raises
+    ------
+    InputError
+        When no such event is noted, or several that differ.
+    """
+    wanted = _event({"on": on or local_day().isoformat(), "what": what, "note": note}, "the event")
+    with _alone(home, machine):
+        known = read_record(home, machine) or MachineRecord(machine)
+        of_day = [e for e in known.events if (e.on, e.what) == (wanted.on, wanted.what)]
+        same = [e for e in of_day if e.note.strip() == note.strip()]
+        found = same or ([] if note.strip() else of_day)
+        if len(set(found)) != 1:
+            noted = [f"{e.on.isoformat()} {e.what} {e.note[:40]}".strip() for e in found or known.events]
+            raise InputError(
+                "several such events are noted" if found else "no such event is noted",
+                code="machine.event",
+                where=f"machine {machine}",
+                got=f"{wanted.on.isoformat()} {what} {note[:40]}".strip(),
+                allowed="; ".join(noted[-10:]) or "none is noted",
+                hint="name it with --on, and --note where several are of one day",
+            )
+        events = list(known.events)
+        events.remove(found[0])
+        return _written(home, replace(known, events=tuple(events)))
 
 
 def _alone(home: Home, machine: str) -> AbstractContextManager[bool]:

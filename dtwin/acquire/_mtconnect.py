@@ -190,7 +190,7 @@ class MTConnectRecorder(OpenAndClose):
         )
         try:
             with urllib.request.build_opener(NoRedirection).open(request, timeout=self._timeout_s) as answer:
-                return _bounded(answer.read(_MAX_BYTES + 1), address)
+                return _bounded(_whole(answer, time.monotonic() + self._patience_s), address)
         except urllib.error.HTTPError as error:
             # Newer agents put the reason into the body.
             with error:
@@ -216,6 +216,20 @@ class MTConnectRecorder(OpenAndClose):
         if self._held is None:
             raise DeviceError("the agent was not asked what it knows", code="mtconnect.closed", where=self.url)
         return self._held
+
+
+def _whole(answer: http.client.HTTPResponse, until_s: float) -> bytes:
+    """Read an answer to its end: one that comes byte by byte keeps every timeout, and would never end.
+
+    Raises ``TimeoutError`` when it is not there in time.
+    """
+    parts, size = [], 0
+    while size <= _MAX_BYTES and (part := answer.read1(1 << 16)):
+        parts.append(part)
+        size += len(part)
+        if time.monotonic() >= until_s:
+            raise TimeoutError(f"{size} bytes of an answer that did not end")
+    return b"".join(parts)
 
 
 def _bounded(data: bytes, where: str) -> bytes:

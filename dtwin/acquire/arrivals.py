@@ -42,7 +42,7 @@ class Arrival:
         digest = hashlib.sha256()
         for name, _, _ in self.stamp:
             file = self.path / name if name else self.path
-            digest.update(f"{name}\0".encode())
+            digest.update(os.fsencode(name) + b"\0")
             with file.open("rb") as handle:
                 while block := handle.read(1 << 20):
                     digest.update(block)

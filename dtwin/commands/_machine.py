@@ -35,7 +35,7 @@ def add(
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
-            help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10', of rotary axes in seconds of arc, 'rotary:A=8'; one number limits the size of D."
+            help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10', of rotary axes in seconds of arc, 'rotary:A=8'; one number limits the size of D. SYMBOL= takes it back."
         ),
     ] = None,
     test_every: Annotated[float | None, typer.Option(help="Days between two tests; 0 takes it back.")] = None,
@@ -65,14 +65,15 @@ def event(
     what: Annotated[str, typer.Argument(help="repair, crash, moved, compensated or other.")],
     on: Annotated[str, typer.Option(help="Day, such as 2026-11-02; else today.")] = "",
     note: Annotated[str, typer.Option(help="What was done or seen.")] = "",
+    take_back: Annotated[bool, typer.Option("--take-back", help="It did not happen: remove the note of it.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Note what happened to a machine, so that its history can be read."""
-    from dtwin.machine_record import with_event
+    """Note what happened to a machine, so that its history can be read; or take such a note back."""
+    from dtwin.machine_record import with_event, without_event
     from dtwin.pipeline.machine_history import require_machine
 
     require_machine(home(), name)
-    record = with_event(home(), name, what, on, note)
+    record = (without_event if take_back else with_event)(home(), name, what, on, note)
     emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
 
 
@@ -222,7 +223,7 @@ def _tolerance(text: str) -> tuple[str, Any]:
     symbol, _, bounds = text.rpartition("=")
     low, colon, high = bounds.partition(":")
     if not colon:
-        return symbol, _number(low, text)
+        return symbol, _number(low, text) if low.strip() or not symbol else None
     pairs = (("low", low), ("high", high))
     return symbol, {name: _number(value, text) for name, value in pairs if value.strip()}
 

@@ -105,7 +105,8 @@ def train(
 @app.command()
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
-    from dtwin.train.promotion import history, listed
+    from dtwin.train.promotion import listed
+    from dtwin.train.promotion_books import history
     from dtwin.train.registry import Registry
     from dtwin.twins.registration import log_waiting, waiting_text
 

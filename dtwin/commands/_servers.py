@@ -35,13 +35,14 @@ def up(
     as_json: Json = False,
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
+    from dtwin.serve.signals import ending_signals
     from dtwin.twins.registration import log_waiting, waiting_text
     from flows.servers import UpRequest, servers
 
     times = None if no_schedule else _checked(cron)
     request = UpRequest(prefect_port, mlflow_port, times, tuple(allow or ()))
     # Both, also where a shell has switched one off for background jobs.
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending_signals():
         signal.signal(number, _as_interrupt)
     try:
         print("starting; the first time takes half a minute", file=sys.stderr, flush=True)

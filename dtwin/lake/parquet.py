@@ -141,6 +141,9 @@ def content_of(path: Path) -> pa.Buffer:
     Not of Python: a thread of Arrow that frees the last reference to Python's while the process ends
     would abort it (seen about once in 5000 reads).
     """
+    if path.exists() and not path.is_file():
+        # A pipe would be waited for.
+        raise OSError("no regular file")
     with pa.OSFile(str(path)) as file:
         return file.read_buffer()
 

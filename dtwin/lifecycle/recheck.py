@@ -156,7 +156,7 @@ def _settled(
     record = checked.as_dict() | {"runs": [dict(run) for run in given]}
     withdrawn, restored = False, None
     if checked.verdict == "worse":
-        _, restored = withdraw(registry, home, champion.machine, checked.reason)
+        _, restored = withdraw(registry, home, champion, checked.reason)
         withdrawn = True
     if checked.verdict == "helps":
         proved = now.isoformat(timespec="seconds")

@@ -13,7 +13,7 @@ from typing import Any
 from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.documents import read_document
-from dtwin.errors import DtwinError
+from dtwin.errors import DtwinError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
 from dtwin.progress import Progress
@@ -109,6 +109,14 @@ def _databases(home: Home) -> Iterator[tuple[str, str]]:
                 said = "; ".join(row[0] for row in file.execute("PRAGMA integrity_check") if row[0] != "ok")
         except sqlite3.DatabaseError as error:
             said = str(error)
+            if error.sqlite_errorname.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+                raise StoreError(
+                    "another process holds a database",
+                    code="home.busy",
+                    where=str(path),
+                    got=said,
+                    hint="run this again when that has ended",
+                ) from error
         yield str(path.relative_to(home.root)), said[:300]
 
 

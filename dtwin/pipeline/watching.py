@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -144,6 +145,9 @@ class FolderWatch:
 
     def _judged(self, arrival: Arrival, digest: str) -> tuple[WatchEvent, str]:
         name = str(arrival.path)
+        if name != os.fsencode(name).decode(errors="replace"):
+            said = "its name is not in UTF-8, and could not be kept beside its runs: rename it"
+            return WatchEvent(name, "not accepted", said), ""
         for other, known in self._known.items():
             if known["sha256"] == digest and known["outcome"] in ("ingested", "unchanged"):
                 said = "nothing in it has changed" if other == name else f"the same as {other}"
@@ -210,7 +214,7 @@ def watch(
 
 def _state_file(home: Home, folder: Path) -> Path:
     resolved = str(folder.resolve())
-    digest = hashlib.sha256(resolved.encode()).hexdigest()[:16]
+    digest = hashlib.sha256(os.fsencode(resolved)).hexdigest()[:16]
     return home.root / "watch" / f"{digest}.json"
 
 

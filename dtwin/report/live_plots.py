@@ -51,7 +51,9 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
     told = "shaded: its uncertainty, k = 2" if known else "the model does not tell its uncertainty"
     figure.update_layout(
-        title=f"Correction of each axis; dashed: its limit; {told}", xaxis_title="s before now", yaxis_title="µm"
+        title=f"Correction of each axis; dashed: its limit; {told}",
+        xaxis_title="s before the newest tick",
+        yaxis_title="µm",
     )
     return styled(figure)
 

@@ -234,7 +234,7 @@ def _unresolved_lines(result: Mapping[str, Any]) -> list[str]:
 
 def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
     """Return the rungs of a twin for the terminal."""
-    head = ("version", "action", "before, µm", "after, µm", "floor, µm", "verdict", "group")
+    head = ("version", "action", "before, µm", "after, µm", "floor, µm", "verdict", "found")
     rows = [
         (
             r["version"],
@@ -243,7 +243,7 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
             micrometres(r["rms_after_um"]),
             number(r["noise_floor_um"]),
             r["verdict"] or "",
-            ", ".join(r["group"]),
+            "; ".join(" or ".join(group) for group in r["found"]),
         )
         for r in rungs
     ]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dtwin.atomic import whole_file
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.features.windows import WindowContract
 from dtwin.serve.band import Band
@@ -81,6 +83,21 @@ def save_bundle(bundle: Bundle, path: Path) -> Path:
     """
     write_json(path, bundle.to_dict())
     return path
+
+
+def replace_bundle(path: Path, write: Callable[[], object]) -> None:
+    """Write a bundle anew, and keep what was there under its checksum: a pointer names it until it names the new one."""
+    if path.is_file():
+        raw = read_bytes(path, MAX_BYTES)
+        with whole_file(replaced(path, hashlib.sha256(raw).hexdigest()), "the bundle of before") as beside:
+            beside.touch(mode=0o600)
+            beside.write_bytes(raw)
+    write()
+
+
+def replaced(path: Path, sha256: str) -> Path:
+    """Return where a bundle lies that was written anew, while a pointer may still name it."""
+    return path.with_name(f"{path.stem}.{sha256[:12]}{path.suffix}")
 
 
 def require_new(path: Path, *, force: bool = False) -> None:

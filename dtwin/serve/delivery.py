@@ -11,6 +11,7 @@ import hmac
 import json
 import secrets
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -21,9 +22,9 @@ from dtwin.errors import DtwinError, GateRefusal, InputError
 from dtwin.schema import require_name
 from dtwin.serve._fields import only_fields, text
 from dtwin.serve._machine_file import machine_folder
-from dtwin.serve.bundle_file import MAX_BYTES, load_bundle, parse_json, read_bytes
+from dtwin.serve.bundle_file import MAX_BYTES, load_bundle, parse_json, read_bytes, replace_bundle
 from dtwin.serve.interface import mapping
-from dtwin.serve.pointer import resolve
+from dtwin.serve.pointer import forget_replaced, named_file, resolve
 from dtwin.serve.sealed import BARRED, CHAMPION, MACHINE, TRIAL, locked, read_sealed, write_sealed
 
 KEY_FILE = "delivery-key"
@@ -101,8 +102,16 @@ def delivery(home: Home, machine: str) -> bytes:
         raise InputError("nothing is delivered of this machine", code="pull.machine", got=machine[:80])
     with locked(folder):
         sealed = {name: read_sealed(folder, name) for name in _IN_ORDER}
-        names = {str(sealed[name]["bundle"]) for name in _POINTERS if sealed[name] is not None}
-        bundles = {name: read_bytes(folder / require_name(name, "the bundle"), MAX_BYTES).decode() for name in names}
+        named: dict[str, str] = {}
+        for pointer in _POINTERS:
+            if (told := sealed[pointer]) is None:
+                continue
+            if named.setdefault(str(told["bundle"]), str(told["sha256"])) != told["sha256"]:
+                # A kill came before the trial of what became champion was cleared.
+                sealed[pointer] = None
+        bundles = {
+            name: read_bytes(named_file(folder, name, sha256), MAX_BYTES).decode() for name, sha256 in named.items()
+        }
     return json.dumps({"machine": machine, "sealed": sealed, "bundles": bundles}).encode()
 
 
@@ -138,12 +147,13 @@ def _write(home: Home, machine: str, sealed: Mapping[str, Any], bundles: Mapping
         for name, content in bundles.items():
             path = folder / name
             if not path.exists() or hashlib.sha256(read_bytes(path, MAX_BYTES)).digest() != _digest(content):
-                write_text(path, content, "the bundle")
+                replace_bundle(path, partial(write_text, path, content, "the bundle"))
                 new = True
         for name in _IN_ORDER:
             if _present(folder, name) != sealed[name]:
                 write_sealed(folder, name, sealed[name])
                 new = True
+        forget_replaced(folder)
     return new
 
 

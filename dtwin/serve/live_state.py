@@ -13,6 +13,8 @@ from dtwin.serve.safety import REASONS
 
 RECENT_S = 5.0
 """Controller time that a state is told of."""
+_NOW_S = 0.5
+"""Controller time that is now: what was before a pause, or in it, is no longer true."""
 _CORRECTS = (safety.OK, safety.SHRUNK, safety.CLAMPED, safety.SLEWED)
 _SILENT_S = 1.0
 
@@ -22,7 +24,7 @@ class _LiveState:
     """What a served machine is doing now.
 
     ``word``, one of "starting", "correcting", "outside", "held", "silent": ``starting``: no tick was seen yet;
-    ``outside``: mostly outside the model's range; ``held``: zeros are sent for another reason; ``silent``: the loop
+    ``outside``: mostly outside the model's range; ``held``: zeros are sent now for another reason; ``silent``: the loop
     shows no new ticks.
     ``said``: the same as the end of a sentence that begins with the machine.
     ``outside_share``: share of the newest ticks outside the model's range.
@@ -54,12 +56,12 @@ def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     reasons = seen.column("reason")[seen.newest(RECENT_S)].astype(int)
     outside = float(np.mean(reasons == safety.OUTSIDE))
     beyond = f"outside the model's range for {100 * outside:z.0f} % of the newest {RECENT_S:z.0f} s"
+    now = seen.column("reason")[seen.newest(_NOW_S)].astype(int)
+    held = now[~np.isin(now, (*_CORRECTS, safety.OUTSIDE))]
     # A latched guard stays so: what was before it is no longer true.
-    latched = bool(reasons[-1] == safety.LATCHED)
-    if not latched and np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
-        return _LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
-    if not latched and outside >= 0.5:
+    if now[-1] == safety.LATCHED or 2 * len(held) > len(now):
+        often = safety.LATCHED if now[-1] == safety.LATCHED else Counter(held.tolist()).most_common(1)[0][0]
+        return _LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)
+    if outside >= 0.5:
         return _LiveState("outside", f"is {beyond}, and is not corrected there", outside)
-    held = reasons[-1:] if latched else reasons[~np.isin(reasons, _CORRECTS)]
-    often = Counter(held.tolist()).most_common(1)[0][0]
-    return _LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)
+    return _LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)

@@ -232,6 +232,9 @@ class ServingLoop:
         self._segment = segment
         interval_s, step_s = now_s - self._last_s, stamp_s - self._last_stamp_s
         found = self._found(stamp_s, interval_s, engaged=engaged)
+        if self._stamps.jump_s:
+            # The clock was set: no state was missed for that.
+            step_s = interval_s
         self._heard_s = self.link.received_s
         self.decision.hold = self.watch.hold(state, now_s)
         row = self.timing.stages()

@@ -22,7 +22,7 @@ from dtwin.serve._fields import one_of, only_fields, text, whole
 from dtwin.serve._machine_file import MachineGeometry, machine_folder, read_machine, write_machine
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import MAX_BYTES, parse_json, read_bytes
+from dtwin.serve.bundle_file import MAX_BYTES, parse_json, read_bytes, replaced
 from dtwin.serve.interface import mapping
 from dtwin.serve.sealed import CHAMPION, TRIAL, locked, read_sealed, write_sealed
 
@@ -132,7 +132,9 @@ def write_pointer(
         "state": one_of(state, STATES, "state"),
         "proved": proved,
     }
-    return write_sealed(folder, _POINTERS["trial" if state == "trial" else "latest"], content)
+    pointer = write_sealed(folder, _POINTERS["trial" if state == "trial" else "latest"], content)
+    forget_replaced(folder)
+    return pointer
 
 
 def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
@@ -169,6 +171,27 @@ def clear_trial(machine: str, home: Home) -> None:
     """
     if (machine_folder(machine, home) / TRIAL).exists():
         write_sealed(machine_folder(machine, home), TRIAL, None)
+        forget_replaced(machine_folder(machine, home))
+
+
+def named_file(folder: Path, name: str, sha256: str) -> Path:
+    """Return the file of a bundle that a pointer names: what was kept of it when a kill came between bundle and pointer.
+
+    Its checksum is still to be compared.
+    """
+    path = _inside(folder, name)
+    kept = _inside(folder, replaced(path, sha256).name)
+    moved = kept.is_file() and hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest() != sha256
+    return kept if moved else path
+
+
+def forget_replaced(folder: Path) -> None:
+    """Remove bundles that were written anew, and that no pointer of the machine names any more."""
+    with locked(folder), contextlib.suppress(InputError, GateRefusal):
+        sealed = [read_sealed(folder, name) for name in _POINTERS.values()]
+        named = {named_file(folder, str(told["bundle"]), str(told["sha256"])) for told in sealed if told is not None}
+        for kept in set(folder.resolve().glob(f"*.{'[0-9a-f]' * 12}.json")) - named:
+            kept.unlink(missing_ok=True)
 
 
 def only_machine(home: Home, model: str = "latest") -> str:
@@ -281,7 +304,7 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
             "the file cannot be read", code="bundle.missing", where=str(pointer), hint="dtwin promote writes it"
         )
     fields = only_fields(sealed, _FIELDS, str(pointer))
-    path = _inside(folder, text(fields["bundle"], "bundle"))
+    path = named_file(folder, text(fields["bundle"], "bundle"), text(fields["sha256"], "sha256"))
     states = tuple(state for state in STATES if (state == "trial") == (model == "trial"))
     state = one_of(fields["state"], states, "state")
     version = whole(fields["version"], "version")

@@ -116,6 +116,8 @@ def prove(bundle: Bundle) -> None:
     vectors = bundle.vectors
     compiled = CompiledBundle(bundle, fades=False)
     told, halves = [], []
+    if len(vectors.inputs) != len(vectors.features):
+        raise _unproved("test vectors are missing", f"{len(vectors.inputs)}, {len(vectors.features)}")
     for given, windowed in zip(vectors.inputs, vectors.features, strict=True):
         if len(given) != len(bundle.tick_inputs) or len(windowed) != len(bundle.feature_inputs):
             raise _unproved("a test vector has the wrong length", f"{len(given)}, {len(windowed)}")
@@ -130,9 +132,10 @@ def prove(bundle: Bundle) -> None:
 
 
 def _prove_values(told: Sequence[Sequence[float]], values: Sequence[Sequence[float]], what: str) -> None:
-    expected, actual = np.array(told), np.array(values)
-    if not len(values) or actual.shape != expected.shape:
+    actual = np.array(values)
+    if not len(values) or list(map(len, told)) != list(map(len, values)):
         raise _unproved(f"the test vectors of the {what} are missing or of the wrong shape", str(actual.shape))
+    expected = np.array(told)
     error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
     if not (error <= _TOLERANCE).all():
         raise _unproved(f"the {what} gives other values here", f"difference {error.max():.3g}")

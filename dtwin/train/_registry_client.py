@@ -40,13 +40,7 @@ def client_of(home: Home) -> MlflowClient:
                 "the model registry cannot be written", code="registry.write", where=uri, got=str(error)
             ) from error
         except sqlite3.DatabaseError as error:
-            raise StoreError(
-                "the database of the model registry is damaged, or none",
-                code="registry.damaged",
-                where=str(database),
-                got=str(error),
-                hint="restore it from a backup; moved away, it begins anew, and dtwin repair logs the twins in it",
-            ) from error
+            raise _not_usable(database, error) from error
     if home.file.endpoint:
         # MLflow asks the environment only.
         os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
@@ -56,6 +50,34 @@ def client_of(home: Home) -> MlflowClient:
     alone = uri.startswith(("sqlite", "postgresql"))
     with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
         return MlflowClient(tracking_uri=uri, registry_uri=uri)
+
+
+def _not_usable(database: Path, error: sqlite3.DatabaseError) -> StoreError:
+    """Say why a database cannot be used: one that another process holds is not damaged."""
+    why = getattr(error, "sqlite_errorname", "")
+    if why.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return StoreError(
+            "another process holds the model registry",
+            code="registry.busy",
+            where=str(database),
+            got=str(error),
+            hint="run this again when that has ended",
+        )
+    if why and not why.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+        return StoreError(
+            "the model registry cannot be used",
+            code="registry.write",
+            where=str(database),
+            got=str(error),
+            hint="check permissions and free space",
+        )
+    return StoreError(
+        "the database of the model registry is damaged, or none",
+        code="registry.damaged",
+        where=str(database),
+        got=str(error),
+        hint="restore it from a backup; moved away, it begins anew, and dtwin repair logs the twins in it",
+    )
 
 
 def _require_answer(uri: str) -> None:

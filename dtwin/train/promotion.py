@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.kinds.registry import kind_of, machine_of_type
-from dtwin.people import acting, note, read_people
-from dtwin.serve.barred import allow, bar
+from dtwin.people import acting, read_people
+from dtwin.serve.barred import allow, bar, barred_why
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.bundle_file import replace_bundle, save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, proven_states, write_machine, write_pointer
 from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
+from dtwin.train.promotion_books import alone, by_pointer, enter, history, remember
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
-_HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
-_Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
 
 
 def check_version(registry: Registry, version: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
@@ -88,26 +86,24 @@ def promote(
         verdicts += _against(records(registry, version), despite)
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
-        _remember(home, version, "refused", comment, verdicts, despite)
+        remember(home, version, "refused", comment, verdicts, despite)
         raise _refusal(version, verdicts)
     _require_second_person(home, version, comment, verdicts)
     kind = evidence.kind if evidence else "none"
-    path = _freeze(home, version, bundle, verdicts, kind, valid_days)
     proved = _proved(evidence)
-    previous = registry.champion(version.machine)
-    _write_machine(version.machine, home, geometry)
-    allow(version.machine, home, int(version.version))
-    write_pointer(version.machine, home, path, int(version.version), "champion", proved)
-    if on_trial(version.machine, home) == int(version.version):
-        # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
-        clear_trial(version.machine, home)
-    # Another computer may have promoted at the same time: then nothing is written in the books.
-    follow_shared(home)
-    if previous is not None and previous.version != version.version:
-        registry.mark(previous, {"state": "previous"}, alias="previous")
-    tags = {"state": "champion", "evidence": kind, "proved": proved}
-    registry.mark(version, tags, alias="champion")
-    _remember(home, version, "champion", comment, verdicts, despite)
+    with alone(home, version.machine):
+        previous = by_pointer(registry, home, version.machine)
+        _write_machine(version.machine, home, geometry)
+        path = _freeze(home, version, bundle, verdicts, kind, valid_days)
+        allow(version.machine, home, int(version.version))
+        write_pointer(version.machine, home, path, int(version.version), "champion", proved)
+        if on_trial(version.machine, home) == int(version.version):
+            # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
+            clear_trial(version.machine, home)
+        # Another computer may have promoted at the same time: then nothing is written in the books.
+        follow_shared(home)
+        enter(registry, previous, version, kind, proved)
+        remember(home, version, "champion", comment, verdicts, despite)
     return path
 
 
@@ -124,17 +120,20 @@ def trial(
     bundle, verdicts = check_version(registry, version)
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
-        _remember(home, version, "refused", comment, verdicts)
+        remember(home, version, "refused", comment, verdicts)
         raise _refusal(version, verdicts)
     path = _bundle_path(home, version)
-    # What is champion, or may be again, keeps its bundle with the evidence: its pointer names the checksum.
-    if not (version.tags.get("evidence") and path.is_file()):
-        path = _freeze(home, version, bundle, verdicts, "none")
-    _write_machine(version.machine, home, geometry)
-    write_pointer(version.machine, home, path, int(version.version), "trial")
-    if version.tags.get("state") not in ("champion", "previous"):
-        registry.mark(version, {"state": "trial"})
-    _remember(home, version, "trial", comment, verdicts)
+    with alone(home, version.machine):
+        by_pointer(registry, home, version.machine)
+        version = registry.version(version.machine, version.version)
+        # What is champion, or may be again, keeps its bundle with the evidence: its pointer names the checksum.
+        if not (version.tags.get("evidence") and path.is_file()):
+            path = _freeze(home, version, bundle, verdicts, "none")
+        _write_machine(version.machine, home, geometry)
+        write_pointer(version.machine, home, path, int(version.version), "trial")
+        if version.tags.get("state") not in ("champion", "previous"):
+            registry.mark(version, {"state": "trial"})
+        remember(home, version, "trial", comment, verdicts)
     return path
 
 
@@ -146,7 +145,52 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     InputError
         When there is no previous champion.
     """
-    present = registry.champion(machine)
+    with alone(home, machine):
+        return _roll_back(registry, home, machine, comment)
+
+
+def withdraw(
+    registry: Registry, home: Home, judged: RegisteredVersion, reason: str
+) -> tuple[RegisteredVersion, RegisteredVersion | None]:
+    """Take a champion away: sessions that serve it release, and the one before it comes back.
+
+    Without a version to go back to, nothing is served any more. When another one became champion meanwhile, that stays.
+
+    Parameters
+    ----------
+    reason : str
+        Why; kept in the history, in the registry and beside the bundles.
+
+    Returns
+    -------
+    withdrawn, restored : tuple
+        The version that was barred, and the champion from now on, None when there is none.
+    """
+    machine = judged.machine
+    with alone(home, machine):
+        # First what moves the machine, then the books.
+        bar(machine, home, int(judged.version), reason)
+        champion = by_pointer(registry, home, machine)
+        if champion is not None and champion.version != judged.version:
+            registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
+            remember(home, judged, "rollback", reason, [])
+            return judged, champion
+        try:
+            restored = _roll_back(registry, home, machine, reason)
+        except (InputError, StoreError):
+            restored = judged
+        if restored.version != judged.version:
+            return judged, restored
+        path = _bundle_path(home, judged)
+        write_pointer(machine, home, path, int(judged.version), "barred")
+        registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
+        registry.client.delete_registered_model_alias(model_name(machine), "champion")
+        remember(home, judged, "rollback", reason, [])
+        return judged, None
+
+
+def _roll_back(registry: Registry, home: Home, machine: str, comment: str) -> RegisteredVersion:
+    present = by_pointer(registry, home, machine)
     try:
         previous = registry.version(machine, "previous")
     except InputError as error:
@@ -162,6 +206,14 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
             "the previous bundle is gone", code="rollback.bundle", where=str(path), hint="promote that version again"
         )
     replaced = present is not None and present.version != previous.version
+    if replaced and (why := barred_why(machine, home, int(previous.version))):
+        raise InputError(
+            "the previous champion was withdrawn, too",
+            code="rollback.barred",
+            where=f"machine {machine} version {previous.version}",
+            got=why,
+            hint="dtwin models shows the history; promote another version",
+        )
     proved = previous.tags.get("proved", "")
     write_pointer(machine, home, path, int(previous.version), "champion", proved)
     if present is not None and replaced:
@@ -169,47 +221,8 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     registry.mark(previous, {"state": "champion"}, alias="champion")
     if present is not None and replaced:
         registry.mark(present, {"state": "barred", "barred_why": comment[:500]})
-        _remember(home, present, "rollback", comment, [])
+        remember(home, present, "rollback", comment, [])
     return registry.version(machine, previous.version)
-
-
-def withdraw(
-    registry: Registry, home: Home, machine: str, reason: str
-) -> tuple[RegisteredVersion, RegisteredVersion | None]:
-    """Take the champion away: sessions that serve it release, and the one before it comes back.
-
-    Without a version to go back to, nothing is served any more.
-
-    Parameters
-    ----------
-    reason : str
-        Why; kept in the history, in the registry and beside the bundles.
-
-    Returns
-    -------
-    withdrawn, restored : tuple
-        The version that was barred, and the champion from now on, None when there is none.
-
-    Raises
-    ------
-    InputError
-        When there is no champion.
-    """
-    present = registry.version(machine, "champion")
-    # First what moves the machine, then the books.
-    bar(machine, home, int(present.version), reason)
-    try:
-        restored = rollback(registry, home, machine, reason)
-    except (InputError, StoreError):
-        restored = present
-    if restored.version != present.version:
-        return present, restored
-    path = _bundle_path(home, present)
-    write_pointer(machine, home, path, int(present.version), "barred")
-    registry.mark(present, {"state": "barred", "barred_why": reason[:500]})
-    registry.client.delete_registered_model_alias(model_name(machine), "champion")
-    _remember(home, present, "rollback", reason, [])
-    return present, None
 
 
 def _require_second_person(home: Home, version: RegisteredVersion, comment: str, verdicts: Sequence[Verdict]) -> None:
@@ -225,7 +238,7 @@ def _require_second_person(home: Home, version: RegisteredVersion, comment: str,
     if any(e.get("who") not in (None, acting()) for e in proposed):
         return
     if not proposed:
-        _remember(home, version, "proposed", comment, verdicts)
+        remember(home, version, "proposed", comment, verdicts)
     raise GateRefusal(
         f"version {version.version} of {version.machine} passed, and waits for a second person",
         code="promote.second",
@@ -251,14 +264,6 @@ def _states(versions: Sequence[RegisteredVersion], home: Home) -> list[str]:
     tagged = {int(v.version): v.tags.get("state", "candidate") for v in versions}
     states = proven_states(versions[0].machine, tagged, home) if versions else {}
     return [states[number] for number in tagged]
-
-
-def history(home: Home, machine: str) -> list[dict[str, Any]]:
-    """Return everything that was promoted, refused or rolled back, oldest first."""
-    path = machine_folder(machine, home) / _HISTORY
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
 
 
 def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
@@ -313,7 +318,8 @@ def _freeze(
     frozen = dataclasses.replace(bundle, model_version=int(version.version), provenance=provenance)
     path = _bundle_path(home, version)
     path.parent.mkdir(parents=True, exist_ok=True)
-    return save_bundle(frozen, path)
+    replace_bundle(path, partial(save_bundle, frozen, path))
+    return path
 
 
 def _record_verdicts(registry: Registry, version: RegisteredVersion, verdicts: Sequence[Verdict]) -> None:
@@ -340,29 +346,3 @@ def _proved(evidence: Evidence | None) -> str:
     real = evidence.runs if evidence is not None and evidence.kind == "real" else ()
     started = [run["started"] for run in real if run["way"] == "with" and run["started"]]
     return max(started, default=datetime.now(UTC).isoformat(timespec="seconds"))
-
-
-def _remember(
-    home: Home,
-    version: RegisteredVersion,
-    action: _Action,
-    comment: str,
-    verdicts: Sequence[Verdict],
-    despite: Sequence[str] = (),
-) -> None:
-    path = machine_folder(version.machine, home) / _HISTORY
-    entry = {
-        "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "version": version.version,
-        "action": action,
-        "who": acting(),
-        "comment": comment,
-        "failed": [v.gate for v in verdicts if not v.passed],
-    } | ({"despite": list(despite)} if despite else {})
-    try:
-        append_line(path, json.dumps(entry).encode())
-        note(home, f"{action}: version {version.version} of {version.machine}", comment, "done")
-    except OSError as error:
-        raise StoreError(
-            "the promotion history cannot be written", code="store.write", where=str(path), got=str(error)
-        ) from error

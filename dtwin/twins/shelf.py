@@ -184,13 +184,17 @@ class TwinShelf:
             self._tell(document["twin"], at_once=at_once)
 
     def history(self, name: str) -> list[dict[str, Any]]:
-        """Return every rung of a twin, oldest first."""
+        """Return every rung of a twin, oldest first.
+
+        ``group``: what its diagnosis names first; ``found``: all that it names, what cannot be told apart together.
+        """
         folder = self.folder(name)
         out = []
         for path in version_paths(folder):
             document = read_document(path)
             diagnosis = path.with_suffix(".diagnosis.json")
             verdict = read_document(diagnosis) if diagnosis.exists() else {}
+            group = [_label(c) for c in verdict.get("candidates", []) if c["in_group"]]
             out.append(
                 {
                     "version": document["version"],
@@ -201,11 +205,8 @@ class TwinShelf:
                     ),
                     **document["figures"],
                     "verdict": verdict.get("verdict"),
-                    "group": [
-                        c.get("label", f"{c['effect']} {c['axis']}".strip())
-                        for c in verdict.get("candidates", [])
-                        if c["in_group"]
-                    ],
+                    "group": group,
+                    "found": [[_label(c) for c in one] for one in verdict.get("found", [])] or [[one] for one in group],
                     "lack_of_fit_p": verdict.get("lack_of_fit_p"),
                     "mlflow": place_of(path, document),
                 }
@@ -246,3 +247,7 @@ def kind_of(home: Home, name: str) -> str:
     require_name(name, "the twin")
     paths = version_paths(home.root / "twins" / name)
     return str(read_document(paths[-1]).get("kind", DEFAULT_KIND)) if paths else DEFAULT_KIND
+
+
+def _label(candidate: Mapping[str, Any]) -> str:
+    return str(candidate.get("label") or f"{candidate['effect']} {candidate['axis']}".strip())

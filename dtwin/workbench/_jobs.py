@@ -135,6 +135,7 @@ def _left_behind(folder: Path) -> list[Job]:
         try:
             document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             jobs.append(Job(**document))
-        except (OSError, ValueError, TypeError):
-            path.unlink(missing_ok=True)
+        except (OSError, ValueError, TypeError, RecursionError):
+            with contextlib.suppress(OSError):
+                path.unlink()
     return sorted(jobs, key=lambda job: job.begun)

@@ -61,7 +61,7 @@ def live_page(request: Request) -> Response:
         title="Live",
         serving=serving,
         dead=_dead(home, {s.machine for s in serving}),
-        states={s.machine: live_state(read_board(s.machine, home), time.monotonic()) for s in serving},
+        states={s.machine: live_state(_board(s, home), time.monotonic()) for s in serving},
         seen=_seen(home),
         sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
@@ -85,28 +85,36 @@ def _seen(home: Home) -> dict[str, Any]:
 def now(request: Request, machine: str) -> dict[str, Any]:
     """Return what a machine that is served does now, and the figures of the newest seconds when its loop shows them."""
     home = bench_of(request).home
-    if machine not in {s.machine for s in _servings(home)}:
+    serving = _serving(home, machine)
+    if serving is None:
         raise _none(machine)
-    seen = read_board(machine, home)
-    state = live_state(seen, time.monotonic()).as_dict()
+    seen = _board(serving, home)
+    state = live_state(seen, time.monotonic())
     if seen is None or not seen.ticks:
-        return {"state": state, "ticks": 0}
-    interval, age = seen.column("interval_s"), seen.column("age_s")
-    recent = seen.newest(RECENT_S)
-    interval, age = interval[recent & np.isfinite(interval)], age[recent]
-    answered = seen.ticks + seen.missed
-    rate_hz = 1.0 / float(interval.mean()) if len(interval) and interval.mean() > 0.0 else None
+        return {"state": state.as_dict(), "ticks": 0}
     return {
-        "state": state,
+        "state": state.as_dict(),
         "ticks": seen.ticks,
-        "rate_hz": rate_hz,
-        "late_or_missed": (seen.late + seen.missed) / answered,
+        "late_or_missed": (seen.late + seen.missed) / (seen.ticks + seen.missed),
+        "clamp_um": seen.clamp_um,
+        "reasons": {n: c for n, c in seen.reasons.items() if n not in ("ok", "disabled")},
+        # Of a loop that shows no new tick they were true once.
+        **({} if state.word == "silent" else _newest_figures(seen)),
+    }
+
+
+def _newest_figures(seen: Seen) -> dict[str, Any]:
+    """Return the figures of the newest seconds, and the correction of the newest tick."""
+    recent = seen.newest(RECENT_S)
+    # The interval of the first tick was before: with it, a stall of a minute made a rate of nothing.
+    interval, age = seen.column("interval_s")[recent][1:], seen.column("age_s")[recent]
+    interval = interval[np.isfinite(interval)]
+    return {
+        "rate_hz": 1.0 / float(interval.mean()) if len(interval) and interval.mean() > 0.0 else None,
         "age_ms": [1e3 * float(v) for v in np.percentile(age, (50, 99))],
         "jitter_us_p99": 1e6 * float(np.percentile(np.abs(interval - seen.period_s), 99)) if len(interval) else None,
         "correction_um": seen.rows[-1, _CORRECTION].tolist(),
         "band_um": [v if math.isfinite(v) else None for v in seen.rows[-1, _BAND].tolist()],
-        "clamp_um": seen.clamp_um,
-        "reasons": {n: c for n, c in seen.reasons.items() if n not in ("ok", "disabled")},
     }
 
 
@@ -141,7 +149,8 @@ def _moving(request: Request, machine: str, draw: Callable[[Seen], go.Figure]) -
     bench = bench_of(request)
 
     def make() -> bytes:
-        seen = read_board(machine, bench.home)
+        serving = _serving(bench.home, machine)
+        seen = None if serving is None else _board(serving, bench.home)
         if seen is None or not seen.ticks:
             raise _none(machine)
         return bytes(drawn(draw(seen)).body)
@@ -175,11 +184,22 @@ def _outside_share(session: Mapping[str, Any]) -> float:
 @router.post("/api/live/{machine}/stop")
 def stop(request: Request, machine: str) -> JSONResponse:
     """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
-    for serving in _servings(bench_of(request).home):
-        if serving.machine == machine:
-            os.kill(serving.pid, signal.SIGINT)
-            return JSONResponse({"stopped": serving.pid})
+    serving = _serving(bench_of(request).home, machine)
+    if serving is not None:
+        os.kill(serving.pid, signal.SIGINT)
+        return JSONResponse({"stopped": serving.pid})
     raise InputError("nothing serves this machine now", code="live.none", got=machine[:80], hint="reload the page")
+
+
+def _serving(home: Home, machine: str) -> _Serving | None:
+    """Return the process that holds the lease of a machine."""
+    return next((s for s in _servings(home) if s.machine == machine), None)
+
+
+def _board(serving: _Serving, home: Home) -> Seen | None:
+    """Return what a process shows; a board that one before it left behind, when it was killed, is none of its own."""
+    seen = read_board(serving.machine, home)
+    return seen if seen is not None and seen.pid == serving.pid else None
 
 
 def _servings(home: Home) -> list[_Serving]:
@@ -236,7 +256,7 @@ def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
 
 
 def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
-    if not path.exists():
+    if not path.is_file():
         return []
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)

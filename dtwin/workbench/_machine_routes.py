@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.local_time import local_day
-from dtwin.machine_record import EVENTS, keep_record, record_with, with_event
+from dtwin.machine_record import EVENTS, keep_record, record_with, with_event, without_event
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
@@ -41,10 +41,21 @@ class EventTold(BaseModel):
     note: str = Field("", max_length=400)
 
 
-class ToleranceTold(BaseModel):
-    """The largest value that a figure may have, in µm."""
+class NotedEvent(EventTold):
+    """An event as it is noted; a command may have noted more than the page takes."""
+
+    note: str = Field("", max_length=2000)
+
+
+class SymbolTold(BaseModel):
+    """A figure of a test sheet."""
 
     symbol: str = Field(max_length=40)
+
+
+class ToleranceTold(SymbolTold):
+    """The largest value that a figure may have, in µm."""
+
     high_um: float
 
 
@@ -185,6 +196,25 @@ def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
     return accepted(bench.jobs.start(f"Note for {name}", work))
 
 
+@router.post("/api/machines/{name}/event/drop")
+def drop_event(request: Request, name: str, told: NotedEvent) -> JSONResponse:
+    """Take back the note of an event."""
+    bench = bench_of(request)
+    bench.history(name)
+
+    def work(tell: Tell) -> str:
+        without_event(bench.home, name, told.what, told.on, told.note)
+        return f"/machines/{name}"
+
+    return accepted(bench.jobs.start(f"Note taken back for {name}", work))
+
+
+@router.post("/api/machines/{name}/tolerance/drop")
+def drop_tolerance(request: Request, name: str, told: SymbolTold) -> JSONResponse:
+    """Take back what is stated of a figure."""
+    return _stated(bench_of(request), name, "Tolerance taken back", {"tolerances": {told.symbol: None}})
+
+
 @router.post("/api/machines/{name}/tolerance")
 def tell_tolerance(request: Request, name: str, told: ToleranceTold) -> JSONResponse:
     """State the largest value that a figure may have."""
@@ -199,7 +229,8 @@ def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONRespon
 
 
 def _worked_out(bench: Bench, name: str, what: str, make: Callable[..., Any]) -> JSONResponse:
-    """Do what takes a diagnosis of each test as work of its own, and go to its page."""
+    """Do what takes a diagnosis of each test as work of its own, and go to its page; of no machine there is none."""
+    bench.history(name)
 
     def work(tell: Tell) -> str:
         tell("diagnose the newest test of each sort")

@@ -35,7 +35,8 @@ def model_list(request: Request) -> Response:
     versions: list[Any] = []
     past: dict[str, list[dict[str, Any]]] = {}
     if registry is not None:
-        from dtwin.train.promotion import history, listed
+        from dtwin.train.promotion import listed
+        from dtwin.train.promotion_books import history
 
         versions = listed(registry, home)
         past = {m: history(home, m) for m in dict.fromkeys(version.machine for version, _ in versions)}

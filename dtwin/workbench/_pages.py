@@ -22,7 +22,7 @@ from dtwin.workbench._bench import bench_of
 from dtwin.workbench._jobs import Job
 from dtwin.workbench._roles import NEEDED, OTHERWISE
 
-_UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "page.unknown", "model.unknown")
+_UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
 _WORDS = {
     "missing_effect": "An effect is missing",
     "ambiguous": "Several effects would explain it",

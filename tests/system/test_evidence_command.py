@@ -16,7 +16,7 @@ from dtwin.errors import DtwinError
 from dtwin.schema import Run
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.pointer import resolve
-from dtwin.train.promotion import history
+from dtwin.train.promotion_books import history
 from dtwin.train.registry import RegisteredVersion, Registry
 
 pytestmark = pytest.mark.system

@@ -32,7 +32,8 @@ from dtwin.plan import EvidencePlan
 from dtwin.serve.pointer import resolve
 from dtwin.train.candidate_runs import training_candidates
 from dtwin.train.dataset import load_ticks
-from dtwin.train.promotion import history, promote, rollback
+from dtwin.train.promotion import promote, rollback
+from dtwin.train.promotion_books import history
 from dtwin.train.registry import Registry
 from dtwin.train.rows import gather
 from dtwin.train.symbolic import OperonEngine

@@ -194,11 +194,17 @@ def test_a_restarted_controller_is_found_again_and_corrected_from_zero(home: Hom
         again.do("clock_jump", seconds=-5.0)
         wait_for(lambda: bool(noted(home, "clock_jump")), "the jump was not noted")
         wait_until_corrected(again)
+        before = len(noted(home, "clock_jump"))
+        again.do("clock_jump", seconds=3600.0)
+        wait_for(lambda: len(noted(home, "clock_jump")) > before, "the jump was not noted")
+        wait_until_corrected(again)
         server.interrupt()
         code, out, _ = server.end()
         again.do("offset_log", path=str(tmp_path / "log.npz"))
     status = json.loads(out)
     assert (code, status["ended"], status["reconnects"]) == (0, "stopped", 2)
+    # At 500 Hz an hour that nobody missed would be 1.8 million.
+    assert status["timing"]["missed_states"] < 900_000
     assert [line["event"] for line in events(home) if "link" in line["event"]] == ["link_lost"] * 2
     assert len(noted(home, "reconnected")) == 2
     with np.load(tmp_path / "log.npz") as log:

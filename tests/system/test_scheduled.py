@@ -27,7 +27,8 @@ from dtwin.pipeline.measuring import ingest
 from dtwin.plan import EvidencePlan, training_plan
 from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
-from dtwin.train.promotion import check_version, history
+from dtwin.train.promotion import check_version
+from dtwin.train.promotion_books import history
 from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry
 from dtwin.train.symbolic import OperonEngine

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
+import os
+import pty
 import socket
+import subprocess
+import sys
+import termios
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +122,28 @@ def test_interrupt_releases(robot: VirtualRobot, home: Home, options: tuple[str,
     status = json.loads(out)
     assert (code, status["ended"], status["released"]) == (expected, "stopped", True)
     wait_until_released(robot)
+
+
+def test_a_closed_terminal_releases(robot: VirtualRobot, home: Home) -> None:
+    """As a connection to the serving computer that drops: its terminal hangs up, and takes no more text."""
+    promote(home)
+    master, terminal = pty.openpty()
+    command = [sys.executable, "-m", "dtwin", "serve", "--priority=0", f"--host={robot.host}"]
+    own = partial(fcntl.ioctl, 0, termios.TIOCSCTTY, 0)
+    server = subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True, preexec_fn=own
+    )
+    os.close(terminal)
+    try:
+        wait_until_corrected(robot)
+        os.close(master)
+        server.wait(300)
+    finally:
+        server.kill()
+        server.wait()
+    wait_until_released(robot)
+    (session,) = logged(home)
+    assert (session["ended"], session["released"]) == ("stopped", True)
 
 
 def test_killed_server_is_released_by_the_robot(robot: VirtualRobot, home: Home) -> None:

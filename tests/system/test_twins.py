@@ -150,6 +150,8 @@ def test_the_missing_effect_is_named_added_and_the_error_falls(twins: Twins) -> 
     assert [r["action"] for r in history] == ["fit", "add backlash X"]
     assert [r["verdict"] for r in history] == ["missing_effect", "nothing_missing"]
     assert history[0]["group"] == ["backlash X"]
+    assert history[0]["found"] == [["backlash X"]]
+    assert history[1]["found"] == []
 
 
 def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None:

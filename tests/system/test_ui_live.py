@@ -132,6 +132,31 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     assert figure["data"][0]["x"] == ["<10", ">=10"]
 
 
+def test_a_page_that_is_not_answered_says_so(tmp_path: Path, artifacts: Path) -> None:
+    """As when the computer of the workbench is held up: what is served may have changed since."""
+    with running_workbench(tmp_path) as workbench, chromium() as browser:
+        page = browser.new_page(viewport={"width": 820, "height": 900})
+        page.goto(workbench.address)
+        serving = subprocess.Popen([sys.executable, "-c", SERVES, str(tmp_path)], stdout=subprocess.PIPE)
+        try:
+            page.goto(f"{workbench.base}/live")
+            heading, said = page.locator("#live h2"), page.locator("#unanswered")
+            expect(heading).to_contain_text("has shown no tick yet", timeout=60_000)
+            expect(said).to_be_hidden()
+            workbench.process.send_signal(signal.SIGSTOP)
+            expect(heading).to_have_text("mill-a does not answer this page", timeout=60_000)
+            expect(said).to_be_visible(timeout=60_000)
+            page.screenshot(path=artifacts / "live-unanswered.png")
+            serving.kill()
+            workbench.process.send_signal(signal.SIGCONT)
+            expect(page.get_by_text("Nothing is being served")).to_be_visible(timeout=60_000)
+            expect(said).to_be_hidden(timeout=60_000)
+        finally:
+            workbench.process.send_signal(signal.SIGCONT)
+            serving.kill()
+            serving.communicate()
+
+
 def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
     tmp_path: Path, artifacts: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import shlex
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -210,6 +212,13 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     def lost() -> None:
         raise OperationalError("SELECT 1", {}, Exception("server closed the connection"))
 
+    def held() -> None:
+        raise OperationalError("SELECT 1", {}, sqlite3.OperationalError("database is locked"))
+
+    monkeypatch.setattr("dtwin.cli.app", held)
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert "database is locked" in capsys.readouterr().err
     monkeypatch.setattr("dtwin.cli.app", lost)
     with pytest.raises(OperationalError):
         cli.main()
@@ -249,15 +258,16 @@ def test_what_makes_no_sense_is_refused_and_nothing_hangs(
     assert f"error[{code}]" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("where", ["home", "s3://name:secret@bucket/dtwin"])
+@pytest.mark.parametrize("words", [["runs"], ["ui", "--no-browser"], ["up"], ["home", "show"]])
+@pytest.mark.parametrize("where", ["home", "s3://name:secret%2F@bucket/dtwin"])
 def test_a_home_that_is_a_file_or_an_address_is_refused(
-    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    where: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "home"
     file.write_text("")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DTWIN_HOME", where)
-    monkeypatch.setattr(sys, "argv", ["dtwin", "runs"])
+    monkeypatch.setattr(sys, "argv", ["dtwin", *words])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code not in (0, None)
@@ -265,6 +275,21 @@ def test_a_home_that_is_a_file_or_an_address_is_refused(
     assert "error[home.folder]" in said
     assert "secret" not in said
     assert [path.name for path in tmp_path.iterdir()] == ["home"]
+
+
+@pytest.mark.parametrize(
+    ("words", "where"), [(["check", "a\udcff.b5r"], "home"), (["machine", "add", "m"], "home-\udcc3")]
+)
+def test_words_that_are_no_text_are_refused_before_something_is_written(
+    words: list[str], where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / where))
+    monkeypatch.setattr(sys, "argv", ["dtwin", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "error[command.encoding]" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_terminal_of_few_letters_gets_no_traceback() -> None:
@@ -300,3 +325,22 @@ def test_a_branch_alone_knows_every_command_of_the_whole_tree_and_says_the_same(
         with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
             whole()
         assert command_here(*words) == (ended.value.code, out.getvalue(), err.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("streams", "code"),
+    [
+        ("<&- >&- 2>&-", 0),
+        (">&-", 0),
+        ("--json >&-", 0),
+        (">/dev/full", 1),
+        ("--json >/dev/full", 1),
+        ("2>/dev/full", 0),
+    ],
+)
+def test_closed_and_full_streams_end_in_no_traceback(streams: str, code: int, tmp_path: Path) -> None:
+    where = {**os.environ, "DTWIN_HOME": str(tmp_path / "home")}
+    command = f"{shlex.quote(sys.executable)} -m dtwin machine add mill-a {streams}"
+    done = subprocess.run(["sh", "-c", command], env=where, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+    assert (tmp_path / "home" / "machines" / "mill-a.toml").read_text() == "events = []\n\n[axes]\n\n[tolerances]\n"

@@ -89,12 +89,13 @@ def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
     )
     rungs = [
         {"version": n, "action": "add", "rms_before_um": 4.0, "rms_after_um": um, "noise_floor_um": 0.3}
-        | {"systematic_rms_um": um, "verdict": None, "group": []}
+        | {"systematic_rms_um": um, "verdict": None, "found": [["squareness XY"], ["lateral_play X", "backlash X"]]}
         for n, um in enumerate((4.0, 1.0, 0.02), start=1)
     ]
     groups = [["squareness XY"], ["servo_lag", "scale_mismatch XY"]]
     payload = {"twin": "t", "groups": groups, "history": rungs, "final": said.as_dict()}
     lines = [line.strip() for line in discovery_text(payload, 0.02).splitlines()]
+    assert lines[2].endswith("squareness XY; lateral_play X or backlash X")
     at = lines.index("found")
     assert lines[at + 1 : at + 3] == ["squareness XY", "servo_lag or scale_mismatch XY"]
     assert lines[at + 3].endswith("µm are left (0 %)")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import sqlite3
 import tarfile
 from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -124,6 +127,19 @@ def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> 
         Registry(lived_in)
 
 
+def test_a_database_that_another_holds_is_not_called_damaged(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    Registry(lived_in)
+    at_once = partial(sqlite3.connect, timeout=0.0)
+    with closing(sqlite3.connect(lived_in.root / "mlflow" / "mlflow.db")) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        monkeypatch.setattr(sqlite3, "connect", at_once)
+        for asked in (Registry, check_home):
+            with pytest.raises(StoreError, match="another process holds") as refused:
+                asked(lived_in)
+            assert "restore" not in (refused.value.hint or "")
+    assert check_home(lived_in).wrong == {}
+
+
 def test_a_file_of_settings_that_states_nothing_is_in_no_backup(lived_in: Home, tmp_path: Path) -> None:
     (lived_in.root / "home.toml").write_text("# all is here\n", encoding="utf-8")
     backup(lived_in, tmp_path / "home.tar")
@@ -203,3 +219,19 @@ def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypa
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "again"))
     assert "are back in" in shell.invoke(app, ["home", "restore", str(out)]).stdout
     assert shell.invoke(app, ["home", "check"]).exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["a%41", "a#b", "a?b", "a\\b", "a\nb", "/".join(["x" * 200] * 3)])
+def test_a_path_that_tables_or_databases_read_as_another_is_refused(tmp_path: Path, name: str) -> None:
+    asked = CliRunner().invoke(app, ["runs"], env={"DTWIN_HOME": str(tmp_path / name)}).exception
+    assert isinstance(asked, InputError)
+    assert asked.code == "home.path"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unusual_path_is_used_as_it_is(tmp_path: Path) -> None:
+    root = tmp_path / "Größe µ'\"&;$HOME~ {b}"
+    for words in (["machine", "add", "mill-a"], ["home", "check"], ["models"]):
+        asked = CliRunner().invoke(app, words, env={"DTWIN_HOME": str(root)})
+        assert asked.exit_code == 0, asked.output
+    assert list(tmp_path.iterdir()) == [root]

@@ -54,6 +54,28 @@ def test_what_is_told_stays_until_it_is_told_anew(home: Home) -> None:
     assert [(e.on.isoformat(), e.what) for e in known.events] == [("2026-01-02", "repair"), ("2026-03-04", "crash")]
 
 
+def test_what_was_mistyped_is_taken_back(home: Home) -> None:
+    said("machine", "add", "mill-a", "--tolerance", "G(b)=10", "--tolerance", "D=100")
+    for note in ("vice", "", "table"):
+        said("machine", "event", "mill-a", "crash", "--on", "2026-03-04", "--note", note)
+    said("machine", "event", "mill-a", "repair", "--on", "2026-01-02", "--note", "spindle")
+    said("machine", "add", "mill-a", "--tolerance", "D=")
+    said("machine", "event", "mill-a", "repair", "--on", "2026-01-02", "--take-back")
+    said("machine", "event", "mill-a", "crash", "--on", "2026-03-04", "--take-back")
+    for words in (
+        ("add", "mill-a", "--tolerance", "D="),
+        ("add", "mill-a", "--tolerance", "="),
+        ("event", "mill-a", "crash", "--on", "2026-03-04", "--take-back"),
+        ("event", "mill-a", "crash", "--on", "2026-03-05", "--take-back"),
+        ("event", "mill-a", "crash", "--on", "2026-03-04", "--note", "wall", "--take-back"),
+    ):
+        assert isinstance(CliRunner().invoke(app, ["machine", *words]).exception, InputError), words
+    known = read_record(home, "mill-a")
+    assert known is not None
+    assert known.tolerances == {"G(b)": Limits(None, 10.0)}
+    assert [e.note for e in known.events] == ["vice", "table"]
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -128,6 +150,17 @@ def test_the_history_of_a_machine_has_its_tests_in_their_order(home: Home) -> No
     assert test["value_um"] == largest
     unknown = CliRunner().invoke(app, ["machine", "show", "nix"])
     assert unknown.exit_code != 0
+
+
+def test_a_pointer_that_cannot_be_followed_hides_no_test(home: Home) -> None:
+    said("machine", "add", "mill-a", "--serial", "7")
+    folder = home.bundles / "mill-a"
+    folder.mkdir(parents=True)
+    (folder / "champion.json").write_text("{}")
+    history = machine_history(home, "mill-a")
+    assert history["facts"] == {"serial": "7"}
+    assert "seal" in history["champion"]
+    assert str(said("machine", "show", "mill-a")["champion"]).startswith("none can be served")
 
 
 def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) -> None:

@@ -179,6 +179,10 @@ def test_a_read_notices_a_missing_file(tmp_path: Path) -> None:
     (tmp_path / "lake" / "samples" / row["samples_file"]).unlink()
     with pytest.raises(StoreError, match="missing or damaged"):
         lake.load(row)
+    # A pipe of that name would be waited for.
+    os.mkfifo(tmp_path / "lake" / "samples" / row["samples_file"])
+    with pytest.raises(StoreError, match="missing or damaged"):
+        lake.load(row)
 
 
 def test_two_writers_at_once_lose_nothing_and_double_nothing(tmp_path: Path) -> None:

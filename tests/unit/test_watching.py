@@ -51,6 +51,17 @@ def test_a_file_is_ingested_once(home: Home, inbox: Path) -> None:
     assert [row["campaign"] for row in Lake(home.lake).runs()] == ["first", "first"]
 
 
+def test_a_name_that_is_no_text_is_left_where_it_is_and_the_watch_goes_on(home: Home, inbox: Path) -> None:
+    ball_bar(inbox / "a.b5r").rename(inbox / os.fsdecode(b"Pr\xfcf.b5r"))
+    (inbox / "camp").mkdir()
+    (inbox / "camp" / "campaign.toml").write_text("")
+    (inbox / "camp" / os.fsdecode(b"\xfc.jpg")).write_bytes(b"")
+    ball_bar(inbox / "z.b5r", seed=1)
+    seen = FolderWatch(inbox, home, ["mill-a"], settle_s=0.0)
+    assert [outcome for _, outcome in looked(seen)] == ["not accepted", "not accepted", "ingested"]
+    assert looked(FolderWatch(inbox, home, ["mill-a"], settle_s=0.0)) == []
+
+
 def test_a_pipe_or_a_device_is_never_opened(home: Home, inbox: Path) -> None:
     os.mkfifo(inbox / "pipe.b5r")
     (inbox / "endless.csv").symlink_to("/dev/zero")

@@ -317,6 +317,10 @@ async function watchJobs() {
   }
 }
 
+// A workbench that is held up, or a computer that slept, answers nothing: for so long what is shown stays.
+const ANSWER_MS = 4000;
+const askNow = (address) => ask(address, { signal: AbortSignal.timeout(ANSWER_MS) }).catch(() => null);
+
 async function watchLive() {
   const followed = document.querySelector("[data-live]");
   if (!followed) return;
@@ -325,7 +329,8 @@ async function watchLive() {
   const seen = JSON.stringify(JSON.parse(followed.dataset.seen));
   for (;;) {
     await pause(1500);
-    const now = await ask(followed.dataset.live).catch(() => null);
+    const now = await askNow(followed.dataset.live);
+    byId("unanswered").hidden = Boolean(now);
     if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
   }
 }
@@ -336,16 +341,18 @@ const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(dig
 
 function tellNow(list, now) {
   const said = {
-    rate: plain(now.rate_hz, 4),
     ticks: String(now.ticks),
     late: (100 * now.late_or_missed).toFixed(2),
+    limits: Object.entries(now.reasons).map(([name, n]) => `${name.replaceAll("_", " ")} ${n}`).join(", ") || "none",
+  };
+  if (now.age_ms) Object.assign(said, {
+    rate: plain(now.rate_hz, 4),
     age: now.age_ms.map((ms) => plain(ms, 2)).join(" / "),
     jitter: plain(now.jitter_us_p99, 3),
     correction: now.correction_um.map((um) => fixed(um, 1)).join("  "),
     band: now.band_um.map((um) => (um === null ? "–" : fixed(um, 2))).join("  "),
-    limits: Object.entries(now.reasons).map(([name, n]) => `${name.replaceAll("_", " ")} ${n}`).join(", ") || "none",
-  };
-  for (const field of all("[data-key]", list)) field.textContent = said[field.dataset.key];
+  });
+  for (const field of all("[data-key]", list)) field.textContent = said[field.dataset.key] || "–";
 }
 
 async function watchNow(list) {
@@ -353,15 +360,18 @@ async function watchNow(list) {
   const figures = all("[data-moving] figure", section);
   for (;;) {
     if (!document.hidden) {
-      const now = await ask(list.dataset.now).catch(() => null);
+      const now = await askNow(list.dataset.now);
       const shown = Boolean(now && now.ticks);
-      section.querySelector("[data-silent]").hidden = shown;
+      section.querySelector("[data-silent]").hidden = !now || shown;
       section.querySelector("[data-moving]").hidden = !shown;
       section.querySelector("h2").textContent = `${section.dataset.machineState} ${now ? now.state.said : "does not answer this page"}`;
       section.className = `verdict live-${now ? now.state.word : "silent"}`;
       if (shown) {
         tellNow(list, now);
-        await Promise.all(figures.map(draw));
+        await Promise.race([Promise.all(figures.map(draw)), pause(ANSWER_MS)]);
+      } else {
+        // What was true a moment ago need not be true now.
+        for (const field of all("[data-key]", list)) field.textContent = "–";
       }
     }
     await pause(1000);

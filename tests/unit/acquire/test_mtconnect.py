@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -217,6 +220,34 @@ def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
         with pytest.raises(DeviceError) as caught:
             until(device, 5.0)
     assert caught.value.code == "mtconnect.absent"
+
+
+def test_an_answer_that_never_ends_is_given_up() -> None:
+    """As of an agent that hangs in its answer: each byte comes before the timeout."""
+    over = threading.Event()
+
+    class Dripping(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            with contextlib.suppress(OSError):
+                while not over.wait(0.05):
+                    self.wfile.write(b"<")
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Dripping) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+        thread.start()
+        try:
+            with pytest.raises(DeviceError, match="does not answer") as caught:
+                recorder(f"http://127.0.0.1:{server.server_address[1]}", patience_s=0.5).open()
+            assert "did not end" in (caught.value.got or "")
+        finally:
+            over.set()
+            server.shutdown()
+            thread.join()
 
 
 def test_programs_and_alarms_become_intervals_with_the_run(agent: Agent, url: str, tmp_path: Path) -> None:

@@ -107,6 +107,22 @@ def test_bundle_without_test_vectors_is_not_proved(tmp_path: Path) -> None:
         load_bundle(path)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda v: v["inputs"].pop(),
+        lambda v: v["features"].clear(),
+        lambda v: v["outputs"].__setitem__(0, []),
+        lambda v: v["outputs"][0].append(1.0),
+    ],
+)
+def test_test_vectors_of_another_shape_are_not_proved(tmp_path: Path, change: Any) -> None:
+    path = saved(tmp_path, path_bundle())
+    resealed(path, lambda content: change(content["vectors"]))
+    with pytest.raises(GateRefusal, match="not proved"):
+        load_bundle(path)
+
+
 def test_other_machine_and_other_contract_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path, sensor_bundle())
     with pytest.raises(GateRefusal, match="another machine") as refusal:

@@ -38,6 +38,9 @@ def told(home: Home, reasons: list[int], later_s: float = 0.0, restarted: int = 
         ([safety.STALE] * 30 + [safety.LATCHED] * 70, "held", "latched"),
         ([safety.OUTSIDE] * 900 + [safety.OK] * 501, "correcting", "is being corrected"),
         ([safety.OK] * 400 + [safety.STALE] * 90 + [safety.LATCHED], "held", "latched"),
+        ([safety.OK] * 440 + [safety.DEVICE] * 60, "held", "device stopped"),
+        ([safety.DEVICE] * 440 + [safety.OK] * 60, "correcting", "is being corrected"),
+        ([safety.OUTSIDE] * 435 + [safety.OK] * 65, "outside", "for 87 %"),
     ],
 )
 def test_what_is_said_is_what_the_newest_seconds_show(tmp_path: Path, reasons: list[int], word: str, said: str) -> None:

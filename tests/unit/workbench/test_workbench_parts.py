@@ -10,6 +10,7 @@ import threading
 import time
 import tomllib
 import zipfile
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,14 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.machine_record import keep_record, tolerances_of
+from dtwin.links import state as layout
+from dtwin.machine_record import events_of, keep_record, tolerances_of, with_event
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
+from dtwin.serve import safety
+from dtwin.serve._lease import lease
+from dtwin.serve.live_board import _PID, _SHOWN, live_board
 from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench import _connections
 from dtwin.workbench._access import Access
@@ -203,6 +208,10 @@ def test_a_job_that_was_cut_off_is_known_at_the_next_start(tmp_path: Path) -> No
         let_go.wait(10)
         return ""
 
+    # What is left of notes that were damaged keeps no workbench from its start.
+    for name, damaged in (("deep", "[" * 200_000), ("list", "[1]"), ("cut", '{"id": "')):
+        (tmp_path / f"{name}.json").write_text(damaged)
+    (tmp_path / "folder.json").mkdir()
     job = Jobs(tmp_path).start("long", long)
     assert entered.wait(10)
     again = Jobs(tmp_path).get(job.id)
@@ -231,6 +240,32 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
 
 
+def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is_done(tmp_path: Path) -> None:
+    bench = Bench(Home(tmp_path), Access("127.0.0.1", 8765))
+    keep_record(bench.home, "mill-a", {"tolerances": {"H": 3.0, "G(CW)": 4.0}})
+    note = "hit <b>\n the vice "
+    with_event(bench.home, "mill-a", "crash", "2026-01-02", note)
+    client = TestClient(
+        application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
+    )
+    client.get("/", params={"token": bench.access.token})
+    for what in ("next", "together", "event", "event/drop"):
+        event = {"what": "crash", "on": "2026-01-02", "note": note.strip()}
+        assert client.post(f"/api/machines/nobody/{what}", json=event).status_code == 404, what
+    assert client.get("/machines/nobody").status_code == 404
+    page = client.get("/machines/mill-a").text
+    assert page.count("/tolerance/drop") == 2
+    assert f'name="note" value="{escape(note)}"' in page
+    assert client.post("/api/machines/mill-a/tolerance/drop", json={"symbol": "D"}).status_code == 400
+    told = (("tolerance", {"symbol": "H"}), ("event", event))
+    jobs = [client.post(f"/api/machines/mill-a/{what}/drop", json=one).json()["job"] for what, one in told]
+    deadline = time.monotonic() + 300.0
+    while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
+        time.sleep(0.01)
+    assert set(tolerances_of(bench.home, "mill-a")) == {"G(CW)"}
+    assert events_of(bench.home, "mill-a") == ()
+
+
 _BEGUN = """
 import socket, sys, threading
 from pathlib import Path
@@ -239,6 +274,37 @@ from dtwin.workbench import _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
 _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
 """
+
+
+def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    client = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+
+    def now() -> dict[str, Any]:
+        told: dict[str, Any] = client.get("/api/live/mill-a/now").json()
+        return told
+
+    with (
+        lease("127.0.0.9", "mill-a", home),
+        live_board("mill-a", home, clamp_um=90.0, period_s=0.01, started_s=0.0) as board,
+    ):
+        assert board is not None
+        for n in range(100):
+            state = np.zeros(layout.N)
+            # A stall of a minute before the newest second.
+            state[layout.TIMESTAMP] = 0.01 * n + (60.0 if n >= 50 else 0.0)
+            board.show(state, np.ones(3), safety.OK, (60.0 if n == 50 else 0.01, 0.001, 0.0), (0, 0), np.ones(3))
+        told = now()
+        assert (told["state"]["word"], told["ticks"]) == ("correcting", 100)
+        assert told["rate_hz"] == pytest.approx(100.0)
+        board._head[_SHOWN] -= 60.0
+        told = now()
+        assert (told["state"]["word"], told["ticks"]) == ("silent", 100)
+        assert not {"rate_hz", "correction_um", "age_ms"} & set(told)
+        board._head[_PID] += 1
+        assert now()["state"]["word"] == "starting"
+        assert client.get("/api/live/mill-a/correction").status_code == 400
+        assert "has shown no tick yet" in client.get("/live").text
 
 
 def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -> None:

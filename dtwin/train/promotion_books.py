@@ -1,0 +1,101 @@
+"""What is written of promotions: the registry's aliases and tags, and a history beside the bundles.
+
+Serving follows the pointer alone. It is moved first, so that a kill leaves books that are behind, never ahead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from dtwin.atomic import append_line
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.locks import locked
+from dtwin.people import acting, note
+from dtwin.schema import require_name
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import MAX_BYTES, read_json
+from dtwin.serve.pointer import machine_folder, resolve
+from dtwin.train.gates import Verdict
+from dtwin.train.registry import RegisteredVersion, Registry
+
+_HISTORY = "promotions.jsonl"
+_ENTRY = {"time", "version", "action", "comment", "failed"}
+_Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
+
+
+def alone(home: Home, machine: str) -> contextlib.AbstractContextManager[bool]:
+    """Wait for others that promote or roll back: pointer and books of one come before those of the next."""
+    return locked(home.root / "locks" / f"promote-{require_name(machine, 'the machine')}.lock", wait=True)
+
+
+def by_pointer(registry: Registry, home: Home, machine: str) -> RegisteredVersion | None:
+    """Return the champion. Serving follows the pointer: a promotion that a kill cut off after it is entered in the books."""
+    present = registry.champion(machine)
+    try:
+        served = resolve("latest", machine, home, harmless=True)
+        version = registry.version(machine, str(served.version))
+        kind = Bundle.from_dict(read_json(served.path, MAX_BYTES)).provenance.evidence
+    except (InputError, GateRefusal):
+        return present
+    same = present is not None and present.version == version.version
+    # Of a rollback that was cut off the books say the same as before it: it is done again.
+    if served.state != "champion" or same or "previous" in version.aliases:
+        return present
+    enter(registry, present, version, kind, served.proved)
+    remember(home, version, "champion", "entered later: the promotion was cut off", [])
+    return registry.champion(machine)
+
+
+def enter(
+    registry: Registry, previous: RegisteredVersion | None, version: RegisteredVersion, kind: str, proved: str
+) -> None:
+    """Enter a champion in the books, and the one before it."""
+    if previous is not None and previous.version != version.version:
+        registry.mark(previous, {"state": "previous"}, alias="previous")
+    registry.mark(version, {"state": "champion", "evidence": kind, "proved": proved}, alias="champion")
+
+
+def history(home: Home, machine: str) -> list[dict[str, Any]]:
+    """Return everything that was promoted, refused or rolled back, oldest first; a line that a kill cut short says nothing."""
+    path = machine_folder(machine, home) / _HISTORY
+    if not path.is_file():
+        return []
+    entries = []
+    for line in path.read_bytes().splitlines():
+        with contextlib.suppress(ValueError, RecursionError):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and entry.keys() >= _ENTRY:
+                entries.append(entry)
+    return entries
+
+
+def remember(
+    home: Home,
+    version: RegisteredVersion,
+    action: _Action,
+    comment: str,
+    verdicts: Sequence[Verdict],
+    despite: Sequence[str] = (),
+) -> None:
+    """Append an entry to the history of a machine."""
+    path = machine_folder(version.machine, home) / _HISTORY
+    entry = {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "version": version.version,
+        "action": action,
+        "who": acting(),
+        "comment": comment,
+        "failed": [v.gate for v in verdicts if not v.passed],
+    } | ({"despite": list(despite)} if despite else {})
+    try:
+        append_line(path, json.dumps(entry).encode())
+        note(home, f"{action}: version {version.version} of {version.machine}", comment, "done")
+    except OSError as error:
+        raise StoreError(
+            "the promotion history cannot be written", code="store.write", where=str(path), got=str(error)
+        ) from error

@@ -1,0 +1,165 @@
+"""Promotions that a kill cuts off anywhere, or that another one meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from bundles import path_bundle
+
+import dtwin.train.promotion as promoting
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.serve.barred import barred_why
+from dtwin.serve.bundle_file import load_bundle
+from dtwin.serve.delivery import delivery, install
+from dtwin.serve.pointer import machine_folder, resolve
+from dtwin.train.gates import Verdict
+from dtwin.train.promotion import promote, rollback, trial, withdraw
+from dtwin.train.promotion_books import history
+from dtwin.train.registry import RegisteredVersion, Registry, model_name
+
+GEOMETRY = {"virtual": True}
+NEVER = 10**6
+STEPS = range(1, 60)
+
+
+class Killed(BaseException):
+    """Nobody catches it, as a kill."""
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
+    return Registry(Home(tmp_path_factory.mktemp("home")))
+
+
+@pytest.fixture(autouse=True)
+def _gates_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    def checked(_: Registry, version: RegisteredVersion) -> tuple[Any, list[Verdict]]:
+        return path_bundle(machine=version.machine), [Verdict("gate", True, "")]
+
+    monkeypatch.setattr(promoting, "check_version", checked)
+    monkeypatch.setattr(promoting, "evidence_gate", lambda *_, **__: [])
+    monkeypatch.setattr(promoting, "records", lambda *_: [])
+
+
+@pytest.fixture
+def kill_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Kill before a step of what is written: a file that gets its name or goes away, an entry of the registry."""
+    left = [NEVER]
+
+    def counted(function: Any) -> Any:
+        def write(*given: Any, **named: Any) -> Any:
+            left[0] -= 1
+            if not left[0]:
+                raise Killed
+            return function(*given, **named)
+
+        return write
+
+    monkeypatch.setattr(Path, "replace", counted(Path.replace))
+    monkeypatch.setattr(Path, "unlink", counted(Path.unlink))
+    monkeypatch.setattr(Registry, "mark", counted(Registry.mark))
+    return lambda step: left.__setitem__(0, step)
+
+
+def versions(registry: Registry, machine: str, count: int) -> list[RegisteredVersion]:
+    registry.ensure_model(model_name(machine), "a correction")
+    with registry.open_run("r", {}) as run:
+        pass
+    for _ in range(count):
+        registry.client.create_model_version(model_name(machine), source="file:nowhere", run_id=run)
+    return registry.versions(machine)[::-1]
+
+
+def champion(registry: Registry, version: RegisteredVersion, valid_days: float = 0.0) -> None:
+    version = registry.version(version.machine, version.version)
+    evidence: Any = SimpleNamespace(kind="virtual", runs=())
+    promote(registry, registry.home, version, geometry=GEOMETRY, evidence=evidence, valid_days=valid_days)
+
+
+def test_a_champion_that_is_promoted_again_stands_wherever_a_kill_comes(
+    registry: Registry, kill_at: Callable[[int], None], tmp_path: Path
+) -> None:
+    home = registry.home
+    for step in STEPS:
+        machine, ended = f"again-{step}", True
+        (version,) = versions(registry, machine, 1)
+        champion(registry, version)
+        trial(registry, home, registry.version(machine, "1"), geometry=GEOMETRY)
+        kill_at(step)
+        try:
+            champion(registry, version, valid_days=9.0)
+        except Killed:
+            ended = False
+        kill_at(NEVER)
+        found = resolve("latest", machine, home)
+        load_bundle(found.path, machine)
+        other = Home(tmp_path / f"served-{step}")
+        assert install(other, machine, delivery(home, machine))
+        assert resolve("latest", machine, other).sha256 == found.sha256
+        champion(registry, version, valid_days=8.0)
+        assert load_bundle(resolve("latest", machine, home).path).bundle.provenance.valid_days == 8.0
+        assert [p.name for p in machine_folder(machine, home).glob("v*")] == ["v0001.json"]
+        # The same content once more leaves nothing beside it, either.
+        champion(registry, version, valid_days=8.0)
+        assert [p.name for p in machine_folder(machine, home).glob("v*")] == ["v0001.json"]
+        if ended:
+            return
+    pytest.fail("it never came to its end")
+
+
+def test_a_rollback_after_a_promotion_that_was_cut_off_bars_what_was_served(
+    registry: Registry, kill_at: Callable[[int], None]
+) -> None:
+    home = registry.home
+    for step in STEPS:
+        machine, ended = f"cut-{step}", True
+        first, second, third = versions(registry, machine, 3)
+        champion(registry, first)
+        champion(registry, second)
+        kill_at(step)
+        try:
+            champion(registry, third)
+        except Killed:
+            ended = False
+        kill_at(NEVER)
+        served = resolve("latest", machine, home).version
+        assert served in (2, 3)
+        assert rollback(registry, home, machine, "it hummed").version == str(served - 1)
+        assert resolve("latest", machine, home).version == served - 1
+        barred = [n for n in (1, 2, 3) if barred_why(machine, home, n)]
+        assert barred == [served]
+        told = [entry["version"] for entry in history(home, machine) if entry["action"] == "champion"]
+        assert told == ["1", "2", "3"][:served]
+        if ended:
+            return
+    pytest.fail("it never came to its end")
+
+
+def test_what_was_judged_is_withdrawn_and_not_what_became_champion_meanwhile(registry: Registry) -> None:
+    home = registry.home
+    first, second = versions(registry, "judged", 2)
+    champion(registry, first)
+    champion(registry, second)
+    withdrawn, left = withdraw(registry, home, first, "worse than nothing")
+    assert left is not None
+    assert (withdrawn.version, left.version) == ("1", "2")
+    assert barred_why("judged", home, 1)
+    assert resolve("latest", "judged", home).version == 2
+    with pytest.raises(InputError, match="withdrawn, too"):
+        rollback(registry, home, "judged")
+    assert resolve("latest", "judged", home).version == 2
+    assert withdraw(registry, home, second, "worse, too")[1] is None
+
+
+def test_a_line_of_the_history_that_was_cut_short_says_nothing(registry: Registry) -> None:
+    (version,) = versions(registry, "line", 1)
+    champion(registry, version)
+    path = machine_folder("line", registry.home) / "promotions.jsonl"
+    path.write_bytes(path.read_bytes() + b'{"time": "2026\xff\n[1]\n{}')
+    champion(registry, version)
+    assert [entry["action"] for entry in history(registry.home, "line")] == ["champion", "champion"]
