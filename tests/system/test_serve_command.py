@@ -7,6 +7,7 @@ import fcntl
 import json
 import os
 import pty
+import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +15,6 @@ import termios
 import threading
 import time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +129,12 @@ def test_a_closed_terminal_releases(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     master, terminal = pty.openpty()
     command = [sys.executable, "-m", "dtwin", "serve", "--priority=0", f"--host={robot.host}"]
-    own = partial(fcntl.ioctl, 0, termios.TIOCSCTTY, 0)
+
+    def own() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        # Tests that nohup began would have it ignored here, too.
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
     server = subprocess.Popen(
         command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True, preexec_fn=own
     )
