@@ -106,8 +106,9 @@ def _smooth(moved: Floats, of_mean: float) -> Floats:
     """Return the widest moving average that is as near to the readings as they scatter; themselves where none is."""
     calm, half = moved, 1
     while 2 * half < moved.size:
-        around = np.pad(moved, half, mode="reflect", reflect_type="odd")
-        wider = np.convolve(around, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+        # Sums up to each reading: a log of a day has many, and half of them may be averaged.
+        sums = np.cumsum(np.pad(moved - moved[0], (half + 1, half), mode="reflect", reflect_type="odd"))
+        wider = moved[0] + (sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1)
         if rms(moved - wider) > of_mean:
             break
         calm, half = wider, 2 * half
