@@ -11,6 +11,9 @@ from scipy import special
 
 from dtwin.schema import Floats
 
+_K2 = 0.97725
+"""Share of a normal distribution below two standard deviations."""
+
 
 def rms(values: ArrayLike) -> float:
     """Return the root of the mean square, in the unit of the values; NaN of none."""
@@ -35,6 +38,11 @@ def gain_tail(before: Floats, after: Floats) -> float:
 def t_quantile(probability: float, dof: float) -> float:
     """Return where Student's t has this probability below it."""
     return float(special.stdtrit(dof, probability))
+
+
+def k2_factor(dof: float) -> float:
+    """Return the factor of Student's t that covers what k = 2 covers of a normal distribution."""
+    return t_quantile(_K2, dof)
 
 
 def t_tail(t: float, dof: float) -> float:

@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dtwin.errors import InputError
-from dtwin.statistics import t_quantile
+from dtwin.statistics import k2_factor
 from dtwin.units import shown_unit
 
 REPEATABILITY = "repeatability"
-_COVERED = 0.9545
-"""What k = 2 covers of a normal distribution."""
 _MANY_DOF = 1e6
 _LARGEST = 1e6
 _REFERENCE_C = 20.0
@@ -108,7 +106,7 @@ def combined(contributions: Sequence[Contribution]) -> Budget:
     standard = math.sqrt(sum(c.standard_um**2 for c in counted))
     spread = sum(c.standard_um**4 / c.dof for c in counted if c.standard_um)
     dof = standard**4 / spread if spread else math.inf
-    factor = t_quantile(0.5 + _COVERED / 2, max(1.0, min(dof, _MANY_DOF)))
+    factor = k2_factor(max(1.0, min(dof, _MANY_DOF)))
     return Budget(tuple(counted), standard, dof, factor)
 
 

@@ -186,27 +186,13 @@ def control_chart(request: Request, name: str, of: str) -> Response:
 @router.post("/api/machines/{name}/event")
 def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
     """Note what happened to a machine."""
-    bench = bench_of(request)
-    bench.history(name)
-
-    def work(tell: Tell) -> str:
-        with_event(bench.home, name, told.what, told.on, told.note)
-        return f"/machines/{name}"
-
-    return accepted(bench.jobs.start(f"Note for {name}", work))
+    return _noted(bench_of(request), name, "Note for", with_event, told)
 
 
 @router.post("/api/machines/{name}/event/drop")
 def drop_event(request: Request, name: str, told: NotedEvent) -> JSONResponse:
     """Take back the note of an event."""
-    bench = bench_of(request)
-    bench.history(name)
-
-    def work(tell: Tell) -> str:
-        without_event(bench.home, name, told.what, told.on, told.note)
-        return f"/machines/{name}"
-
-    return accepted(bench.jobs.start(f"Note taken back for {name}", work))
+    return _noted(bench_of(request), name, "Note taken back for", without_event, told)
 
 
 @router.post("/api/machines/{name}/tolerance/drop")
@@ -255,6 +241,18 @@ def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JS
         return f"/machines/{name}"
 
     return accepted(bench.jobs.start(f"{what} of {name}", work))
+
+
+def _noted(
+    bench: Bench, name: str, title: str, change: Callable[..., object], told: EventTold | NotedEvent
+) -> JSONResponse:
+    bench.history(name)
+
+    def work(tell: Tell) -> str:
+        change(bench.home, name, told.what, told.on, told.note)
+        return f"/machines/{name}"
+
+    return accepted(bench.jobs.start(f"{title} {name}", work))
 
 
 def _series(history: Mapping[str, Any], name: str) -> Mapping[str, Any]:

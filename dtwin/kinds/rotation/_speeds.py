@@ -15,7 +15,7 @@ from dtwin.kinds.rotation._laws import Law, groups_of, law_of
 from dtwin.kinds.rotation._orders import Order, orders_of
 from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, one_way, turns_of
 from dtwin.schema import Floats, Run
-from dtwin.statistics import t_quantile, t_tail
+from dtwin.statistics import k2_factor, t_tail
 
 _FORM = np.arange(2, 41)
 _REACH_DEG = 25.0
@@ -23,7 +23,6 @@ _ALIKE = 0.9
 _CHANCE = 0.01
 _LEAST_DEG = 0.2
 _OF_A_STEP = 0.25
-_COVERED = 0.97725
 _ONE = "s1"
 """The set-up that is not told."""
 
@@ -195,7 +194,7 @@ def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
     slope = float(coefficients[1])
     if abs(slope) * float(np.ptp(speed)) < _LEAST_DEG or 2.0 * t_tail(abs(slope) / max(error, 1e-12), dof) > _CHANCE:
         return None
-    return Delay(-slope / 6e-3, t_quantile(_COVERED, dof) * error / 6e-3, abs(slope) * float(speed.max()))
+    return Delay(-slope / 6e-3, k2_factor(dof) * error / 6e-3, abs(slope) * float(speed.max()))
 
 
 def next_speed(speed_rpm: Floats) -> float:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from dtwin.kinds.rotation._features import Feature, features_of
 from dtwin.kinds.rotation._heads import AXIAL
 from dtwin.schema import Floats, Run
-from dtwin.statistics import t_quantile
+from dtwin.statistics import k2_factor
 
 _TURN = 360.0
 _BINS = (360, 180, 120, 90, 72, 60, 36, 24, 16)
@@ -24,7 +24,6 @@ _BACK_DEG = 20.0
 _MOST_BLOCKS = 6
 _FEWEST_PARTED, _FEW_TURNS, _PARTS = 4, 6, 60
 _AT_ONCE = 500_000
-_COVERED = 0.97725
 KEEP = "keep"
 """What the condition of a run states as ``features`` when local features are not to be left out."""
 
@@ -72,7 +71,7 @@ class Value:
         """Half width that covers 95 %, by what differs from block to block; NaN of one block."""
         if self.blocks < 2:
             return float("nan")
-        return t_quantile(_COVERED, self.blocks - 1.0) * self.block_um / float(np.sqrt(self.blocks))
+        return k2_factor(self.blocks - 1.0) * self.block_um / float(np.sqrt(self.blocks))
 
 
 @dataclass(frozen=True)
