@@ -45,6 +45,7 @@ GERMAN = {
     "set-up": "Ausrichtung",
     "instrument's scale": "Maßstab des Messgeräts",
     "calibrated length": "kalibrierte Länge",
+    "probe's sensitivity": "Empfindlichkeit des Tasters",
     "combined": "zusammen",
     "range of the drift": "Spanne der Verlagerung",
     "range in one hour": "Spanne in einer Stunde",
