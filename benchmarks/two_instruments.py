@@ -56,44 +56,6 @@ Groups = list[set[str]]
 Drawn = tuple[dict[str, float], dict[str, float], float, float, float, list[set[str]]]
 
 
-def _signed(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
-
-
-def _scale(rng: np.random.Generator) -> Drawn:
-    ppm = _signed(rng, 5.0, 40.0)
-    return {"scale_ppm": ppm}, {}, ppm, 0.0, 0.0, [SCALES["X"]]
-
-
-def _alike(rng: np.random.Generator) -> Drawn:
-    ppm = _signed(rng, 5.0, 40.0)
-    return {"scale_ppm": ppm}, {"scale_ppm": ppm}, ppm, ppm, 0.0, [SCALES["X"], SCALES["Y"]]
-
-
-def _mode(rng: np.random.Generator) -> Drawn:
-    faults = {"mode_share": rng.uniform(0.2, 0.8), "mode_hz": rng.uniform(18.0, 35.0)}
-    return faults, {}, 0.0, 0.0, 0.0, [MODES]
-
-
-def _lost_motion(rng: np.random.Generator) -> Drawn:
-    um = rng.uniform(1.0, 6.0)
-    return {"play_um": um}, {}, 0.0, 0.0, um, [{"backlash X"}]
-
-
-def _friction(rng: np.random.Generator) -> Drawn:
-    return {"friction_mm_s2": rng.uniform(30.0, 300.0)}, {}, 0.0, 0.0, 0.0, [{"friction X"}]
-
-
-def _both(rng: np.random.Generator) -> Drawn:
-    um = rng.uniform(1.0, 6.0)
-    faults = {"friction_mm_s2": rng.uniform(30.0, 300.0), "play_um": um}
-    return faults, {}, 0.0, 0.0, um, [{"friction X"}, {"backlash X"}]
-
-
-def _nothing(rng: np.random.Generator) -> Drawn:
-    return {}, {}, 0.0, 0.0, 0.0, []
-
-
 # Tests of one instrument, tests of all, and names, one set for each cause.
 Tests = tuple[list[Observations], list[Observations], list[set[str]]]
 NOISE_UM = 0.1
@@ -122,6 +84,65 @@ def visible_um(mill: MillParameters, radii_mm: Sequence[float] = (100.0,)) -> fl
 def _sized(k: float, usual: float, mill_of: Callable[[float], MillParameters]) -> float:
     """Return the size of a cause whose mark on the circles of one radius is ``k`` times the noise; the usual one for 0."""
     return usual if k == 0.0 else k * NOISE_UM / visible_um(mill_of(1.0))
+
+
+def _signed(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+
+
+def _of_axes(axes: str, **faults: float) -> MillParameters:
+    made = MillParameters()
+    for axis in axes:
+        made = made.with_axis(axis, **faults)
+    return made
+
+
+def _scaled(rng: np.random.Generator, k: float, axes: str) -> float:
+    usual = _signed(rng, 5.0, 40.0)
+    return float(np.sign(usual)) * _sized(k, abs(usual), lambda ppm: _of_axes(axes, scale_ppm=ppm))
+
+
+def _scale(rng: np.random.Generator, k: float) -> Drawn:
+    ppm = _scaled(rng, k, "X")
+    return {"scale_ppm": ppm}, {}, ppm, 0.0, 0.0, [SCALES["X"]]
+
+
+def _alike(rng: np.random.Generator, k: float) -> Drawn:
+    # A scale of both is a longer bar, and shows on no circle: its size is that of one.
+    ppm = _scaled(rng, k, "X")
+    return {"scale_ppm": ppm}, {"scale_ppm": ppm}, ppm, ppm, 0.0, [SCALES["X"], SCALES["Y"]]
+
+
+def _mode(rng: np.random.Generator, k: float) -> Drawn:
+    share, hz = rng.uniform(0.2, 0.8), rng.uniform(18.0, 35.0)
+    share = _sized(k, share, lambda size: _of_axes("X", mode_share=size, mode_hz=hz))
+    return {"mode_share": share, "mode_hz": hz}, {}, 0.0, 0.0, 0.0, [MODES]
+
+
+def _lost(rng: np.random.Generator, k: float) -> float:
+    return _sized(k, rng.uniform(1.0, 6.0), lambda um: _of_axes("X", play_um=um))
+
+
+def _rubs(rng: np.random.Generator, k: float) -> float:
+    return _sized(k, rng.uniform(30.0, 300.0), lambda mm_s2: _of_axes("X", friction_mm_s2=mm_s2))
+
+
+def _lost_motion(rng: np.random.Generator, k: float) -> Drawn:
+    um = _lost(rng, k)
+    return {"play_um": um}, {}, 0.0, 0.0, um, [{"backlash X"}]
+
+
+def _friction(rng: np.random.Generator, k: float) -> Drawn:
+    return {"friction_mm_s2": _rubs(rng, k)}, {}, 0.0, 0.0, 0.0, [{"friction X"}]
+
+
+def _both(rng: np.random.Generator, k: float) -> Drawn:
+    um = _lost(rng, k)
+    return {"friction_mm_s2": _rubs(rng, k), "play_um": um}, {}, 0.0, 0.0, um, [{"friction X"}, {"backlash X"}]
+
+
+def _nothing(rng: np.random.Generator, k: float) -> Drawn:
+    return {}, {}, 0.0, 0.0, 0.0, []
 
 
 def _long_wave(rng: np.random.Generator, case: int, k: float) -> Tests:
@@ -175,7 +196,7 @@ FURTHER: dict[str, Callable[[np.random.Generator, int, float], Tests]] = {
     "three lobes of the bar, three radii": partial(_lobes, radii_mm=ALL_RADII_MM),
     "drift of the bar, three radii": partial(_drift, radii_mm=ALL_RADII_MM),
 }
-STORIES: dict[str, Callable[[np.random.Generator], Drawn]] = {
+STORIES: dict[str, Callable[[np.random.Generator, float], Drawn]] = {
     "a scale of X": _scale,
     "X and Y scaled alike": _alike,
     "X gives way in a mode": _mode,
@@ -250,10 +271,10 @@ def further(story: str, case: int, k: float) -> dict[str, Any]:
     }
 
 
-def told(story: str, case: int) -> dict[str, Any]:
+def told(story: str, case: int, k: float) -> dict[str, Any]:
     """Return what tests say alone and in one twin, and how the sizes that they share compare."""
     rng = np.random.default_rng([case, list(STORIES).index(story)])
-    of_x, of_y, lead_x, lead_y, lost_um, right = STORIES[story](rng)
+    of_x, of_y, lead_x, lead_y, lost_um, right = STORIES[story](rng, k)
     mill = MillParameters().with_axis("X", **of_x).with_axis("Y", **of_y)
     campaigns = [circles(mill, case), laser("X", lead_x, lost_um, 2 * case), laser("Y", lead_y, 0.0, 2 * case + 1)]
     alone = [_alone(obs) for obs in campaigns]
@@ -284,7 +305,7 @@ def _where(term: Term) -> tuple[str, str]:
 
 def row(story: str, cases: range, k: float = 0.0) -> dict[str, Any]:
     """Return how often one story is not told by the ball bar alone, and is named in one twin."""
-    found = [further(story, case, k) if story in FURTHER else told(story, case) for case in cases]
+    found = [further(story, case, k) if story in FURTHER else told(story, case, k) for case in cases]
     unclear, shown = [f for f in found if f["unclear"]], [f for f in found if f["shown"]]
     covered = [c for f in found for c in f["covered"]]
     return {
@@ -308,9 +329,7 @@ def main() -> None:
     parser.add_argument("--short", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--first", type=int, default=0, help="seed of the first machine")
-    parser.add_argument(
-        "--k", type=float, default=0.0, help="size of further causes on the circles, in RMS of the noise"
-    )
+    parser.add_argument("--k", type=float, default=0.0, help="size of each cause on the circles, in RMS of the noise")
     parser.add_argument("--only", default="", help="stories that have this in their name")
     asked = parser.parse_args()
     stories = [story for story in (*STORIES, *FURTHER) if asked.only in story]

@@ -16,7 +16,10 @@ Truths = Callable[[float], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that is wrong with the machine, with its size still open."""
+    """One thing that is wrong with the machine, with its size still open.
+
+    ``also``: names beside its label that are right.
+    """
 
     label: str
     start: float
@@ -26,6 +29,7 @@ class Cause:
     design: str = "full"
     in_time: bool = False
     signed: bool = True
+    also: tuple[str, ...] = ()
 
 
 def _axis(label: str, axis: str, start: float, name: str, **options: object) -> Cause:
@@ -285,7 +289,9 @@ def foreign(kind: str, rng: np.random.Generator) -> Cause:
     if kind in shapes:
         return Cause(kind, 1.0, disturbance=_law(shapes[kind]), in_time=kind == "heat_times_feed")
     if kind == "quartic_scale":
-        return replace(_axis("", axis, 1.0, "scale_cubic_um"), label=kind)
+        # An axis that is off by a cube of its place has a smooth pitch error, and a scale that is off.
+        also = (f"pitch_error {axis}", "scale_mismatch XY")
+        return replace(_axis("", axis, 1.0, "scale_cubic_um"), label=kind, also=also)
     if kind == "play_curve":
         return replace(_axis("", axis, 1.0, "play_curve_um"), label=kind)
     if kind == "hysteretic_heat":

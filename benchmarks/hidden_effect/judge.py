@@ -74,7 +74,7 @@ def answer(case: Case) -> dict[str, Any]:
 def accepted(case: Case) -> list[set[str]]:
     """Return, for each hidden effect, the labels that are right."""
     also = SAME.get(case.row.kind, {})
-    return [{cause.label} | also.get(cause.label, set()) for cause in case.hidden]
+    return [{cause.label, *cause.also} | also.get(cause.label, set()) for cause in case.hidden]
 
 
 def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
@@ -86,7 +86,7 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
         "absorbed": found.verdict not in ALARMS,
         "name": found.verdict in NAMING and all(names & group for names in accepted(case)),
         "all": all(any(t in named for named in out.get("rungs", ())) for t in truths),
-        "unknown": found.verdict == "unknown_effect",
+        "unknown": found.verdict == "unknown_effect" or _is_known_otherwise(case, found),
         "lagging": found.verdict == "unknown_effect" or _is_growth(case, found),
         "channel": found.verdict == "unknown_effect" and _channel(case) in out["channels"],
         "group": {"squareness", "servo_mismatch"} <= effects and found.verdict == "ambiguous",
@@ -110,8 +110,16 @@ def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
         return False
     if case.row.right == "lagging":
         return not _is_growth(case, found)
+    if case.row.right == "unknown":
+        return not _is_known_otherwise(case, found)
     group = {s.label for s in found.group}
     return not any(group & names for names in accepted(case))
+
+
+def _is_known_otherwise(case: Case, found: Diagnosis) -> bool:
+    """Tell whether nothing is named but what is right, too, of a cause that no effect of the library is made for."""
+    also = {name for cause in case.hidden for name in cause.also}
+    return bool(found.found) and all(also & {s.label for s in group} for group in found.found)
 
 
 def _is_growth(case: Case, found: Diagnosis) -> bool:
@@ -155,7 +163,7 @@ def marked(
     truths = {
         cause.label: names
         for cause, names in zip(case.hidden, accepted(case), strict=True)
-        if not names & set(case.row.unknown)
+        if cause.label not in case.row.unknown
     }
     small = [group for group in groups if _small(group, case.row.everyday)]
     missed = [name for name, n in truths.items() if not any(n & set(g) for g in small)]
@@ -168,7 +176,7 @@ def marked(
         "of": len(truths),
         "false": len(false),
         "false_groups": false,
-        "unresolved": found.unresolved is not None,
+        "unresolved": found.unresolved is not None or any(set(c.also) & set(g) for c in case.hidden for g in groups),
     }
     if case.row.kind != "circular":
         return out | {"covered": []}

@@ -53,11 +53,10 @@ class Condensed:
         rows, of = (
             self.candidates.harmonics(term) if keep else self.problem.obs.distinct_harmonics(term.instance, term.shape)
         )
-        weighted = rows * self.problem.weights[:, None]
-        if len(rows) == len(self.root) < len(of):
-            cells = (weighted * self.root[:, None, None]).reshape(-1, rows.shape[2])
+        if len(rows) == len(self.root) < len(of) and self.problem.zero_weight == 1.0:
+            cells = (rows * self.problem.weights[:, None] * self.root[:, None, None]).reshape(-1, rows.shape[2])
             return np.concatenate([cells, np.zeros((len(self.y) - len(cells), cells.shape[1]))])
-        return self._condensed(weighted[of])
+        return self._condensed(self.problem.weighted(rows, of))
 
     def given(self, terms: Iterable[Term]) -> Condensed:
         """Return the same with further effects known."""

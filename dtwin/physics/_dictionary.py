@@ -30,6 +30,16 @@ class Entry:
         """Name with axis."""
         return self.term.label
 
+    @property
+    def width(self) -> int:
+        """Number of its columns."""
+        return self.columns.stop - self.columns.start
+
+    @property
+    def parity(self) -> str:
+        """How it depends on the direction."""
+        return self.term.instance.effect.law.direction or ""
+
 
 class Dictionary:
     """Effects in the shapes of their grids, beside what is known.
@@ -159,7 +169,7 @@ class Dictionary:
     def _by_size(self) -> list[tuple[_Index, _Index, Floats]]:
         """Return, for each number k of columns, the entries with k, their columns and what is too little to see."""
         if self._sizes is None:
-            sizes = np.array([e.columns.stop - e.columns.start for e in self.entries], dtype=int)
+            sizes = np.array([e.width for e in self.entries], dtype=int)
             starts = np.array([e.columns.start for e in self.entries], dtype=int)
             least = np.array([least_visible(e.term) for e in self.entries])
             self._sizes = [

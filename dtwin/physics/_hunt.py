@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -32,6 +33,8 @@ _NEAR_REVERSAL_DEG = 2.6
 _SHARP = 1.5
 # A law without a name is one of hundreds, and can do what two effects do.
 _NAMELESS = 3.0
+# Of the targets of an axis: more numbers than this share would draw any curve through them, of the same both ways or not.
+_CARRIED = 2.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,7 @@ class Hunt:
         self._per_number = level * float(np.log(runs))
         self._per_effect = 2.0 * level * float(np.log(max(2, len(candidates.instances))))
         self._noise = level * float(problem.obs.mask.sum())
+        self._most = _CARRIED * problem.obs.n_bins if problem.obs.there_and_back else np.inf
         self._prices: list[float] = []
 
     def left(self, chosen: Sequence[Entry]) -> float:
@@ -150,10 +154,21 @@ class Hunt:
         gains = self.dictionary.gains(chosen)
         worth = gains - np.array(self._prices)
         worth[self.dictionary.numbers_of({entry.label for entry in chosen})] = -np.inf
+        worth[self._too_many(chosen)] = -np.inf
         if not np.isfinite(worth).any():
             return None
         number = len(worth) - 1 - int(np.argmax(worth[::-1]))
         return entries[number], float(gains[number])
+
+    def _too_many(self, chosen: Sequence[Entry]) -> list[int]:
+        """Return the numbers of the entries that have, with a set, more columns of one parity than targets carry."""
+        if not np.isfinite(self._most):
+            return []
+        numbers = Counter[str]()
+        for entry in chosen:
+            numbers[entry.parity] += entry.width
+        entries = enumerate(self.dictionary.entries)
+        return [n for n, entry in entries if numbers[entry.parity] + entry.width > self._most]
 
     def _grown(self, chosen: list[Entry]) -> list[Entry]:
         while True:

@@ -189,7 +189,7 @@ def _of(lagging: Observations, problem: Problem, candidate: Candidate, amplitude
     """Return what the candidate would be with late channels, whitened, shape (rows, n)."""
     term = candidate.term
     columns = to_harmonics(lagging.regressors(term.instance, term.shape))
-    return np.asarray((columns * problem.weights[:, None]) @ amplitude)
+    return np.asarray(problem.weighted(columns, np.arange(len(columns))) @ amplitude)
 
 
 def _amplitude(problem: Problem, columns: Floats) -> Floats:

@@ -14,7 +14,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, setup_columns, weighted_like
 from dtwin.physics.score import NoiseLevel, misfit, noise_level
 from dtwin.physics.solve import Solution, in_blocks, solve_blocks
-from dtwin.physics.whitening import condition_sums, within_condition
+from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import t_quantile
 
@@ -177,7 +177,7 @@ def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Fl
     clustered = (runs**2).sum(axis=0) * obs.n_rows / (count > 1).sum()
     level, misses = part.noise_level
     of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
-    coloured = influence / noise.weights[:, None]
+    coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
     foretold = level.ratio * np.einsum("n,nqk,nqk->k", of_condition[obs.condition_of], coloured, coloured)
     dof = float(noise.dof) + level.prior_dof
     variance = np.asarray((noise.dof * clustered + level.prior_dof * foretold) / dof)

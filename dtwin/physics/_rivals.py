@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.physics._dictionary import Dictionary, Entry
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
-from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.cross_validation import left_out_gain, left_out_places
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.physics.score import NoiseLevel, misfit, noise_level, score_test
 from dtwin.schema import Floats
@@ -102,7 +102,12 @@ def described(
         group += tuple(c for c in tested if c is not None)
         group += _sets(problem, candidates, terms, term, rivals, group, level)
         group += _two_instead(given, candidates, top, rivals, group, level)
+        names = {c.term.instance.effect.name for c in group}
+        group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
+        if term.instance.effect.stated:
+            # A curve along the axis may be drawn through its targets; what is said to turn with the screw must foretell them.
+            gain = min(gain, left_out_places(bare, everywhere.whitened(bare, term)))
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = everywhere.size_um(bare, term)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dtwin.physics.candidates import probes
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.score import misfit, noise_level
-from dtwin.physics.whitening import condition_sums, within_condition
+from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import t_quantile
 
@@ -52,7 +52,8 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     white = weighted_like(obs, terms, problem.noise)
     level = noise_level(white, probes(white))
     variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
-    coloured = influence / problem.noise.weights[:, None]
+    noise = problem.noise
+    coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
     foretold = level.ratio * np.einsum("n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured)
     dof = float(problem.noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from dtwin.physics._condensed import Condensed, condensed
 from dtwin.physics.effect import Effect, Instance
-from dtwin.physics.gridding import Indices, bin_angle_rad
+from dtwin.physics.gridding import CIRCLE, Indices, bin_angle_rad
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import INVISIBLE, Problem, Term, least_visible, squares
@@ -147,7 +147,7 @@ class Candidates:
     def whitened(self, problem: Problem, term: Term) -> Floats:
         """Return the whitened columns of a term, shape (rows * n, k)."""
         rows, of = self.harmonics(term)
-        return np.asarray((rows * problem.weights[:, None])[of].reshape(-1, rows.shape[2]))
+        return problem.weighted(rows, of).reshape(-1, rows.shape[2])
 
     def harmonics(self, term: Term) -> tuple[Floats, Indices]:
         """Return the different rows of a term's columns, and which of them each row is."""
@@ -175,11 +175,14 @@ class Candidates:
 
     def grid(self, instance: Instance) -> list[Mapping[str, float]]:
         """Return every combination of the shape parameters' grids."""
-        effect, several = instance.effect, self.obs.several_speeds
+        effect, several, on_circles = instance.effect, self.obs.several_speeds, self.obs.grid is CIRCLE
         grid: list[Mapping[str, float]] = [
             dict(zip((s.name for s in effect.shapes), values, strict=True))
             for values in itertools.product(
-                *((s.start,) if s.by_speed and not several else s.grid for s in effect.shapes)
+                *(
+                    (s.start,) if s.by_speed and not several else s.grid[:: s.step_on_circles if on_circles else 1]
+                    for s in effect.shapes
+                )
             )
         ]
         return [*grid, *(s for s in effect.also_tried if several or effect.is_told_at_one_speed(s))]

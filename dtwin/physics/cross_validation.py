@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.physics.problem import Problem
+from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 _RIDGE = 1e-9
+_MOST_PLACES = 150
 
 
 def left_out_gain(problem: Problem, whitened: Floats) -> float:
@@ -49,6 +51,35 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
             left.append(_without_setup(rest, columns[groups == group][:, :, :n_setup][:, :, new]))
         gains.append((left[0] - left[1]) / max(left[0], 1e-300))
     return float(np.mean(gains))
+
+
+def left_out_places(problem: Problem, whitened: Floats) -> float:
+    """Return the relative gain on places along an axis that were left out one after the other; infinite for many places.
+
+    What has almost as many numbers as there are places draws a curve through them, and foretells none of them.
+
+    Parameters
+    ----------
+    problem : Problem
+        Campaign without weights, with everything known.
+    whitened : ndarray, shape (rows * n, k)
+        Columns of the candidate, without weights.
+    """
+    obs = problem.obs
+    if not obs.there_and_back or obs.n_bins > _MOST_PLACES:
+        return np.inf
+    size = np.sqrt((whitened**2).sum(axis=0))
+    both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
+    columns = from_harmonics(both.reshape(obs.n_rows, obs.n_bins, -1))
+    y = from_harmonics(problem.y.reshape(obs.n_rows, obs.n_bins))
+    grams = np.einsum("nqj,nqk->qjk", columns, columns)
+    rights = np.einsum("nqj,nq->qj", columns, y)
+    left = []
+    for k in (problem.raw.shape[1], columns.shape[2]):
+        gram, right = grams.sum(axis=0)[:k, :k], rights.sum(axis=0)[:k]
+        fitted = [_solved(gram - own[:k, :k], right - side[:k]) for own, side in zip(grams, rights, strict=True)]
+        left.append(float(((y - np.einsum("nqk,qk->nq", columns[:, :, :k], np.array(fitted))) ** 2).sum()))
+    return (left[0] - left[1]) / max(left[0], 1e-300)
 
 
 def _gram(a: Floats, b: Floats) -> Floats:

@@ -19,7 +19,6 @@ from dtwin.physics import localise
 from dtwin.physics._doubts import LACK_OF_FIT, SPOKEN_OF, Tests, doubted, hidden_by, is_dwarfed, standing_alone
 from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
-from dtwin.physics._long_waves import with_long_waves
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import nameless
@@ -238,9 +237,8 @@ def _concluded(
     withdrawn = [
         replace(suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])) for f in others
     ]
-    grouped = [with_long_waves(f, tests) for f in kept]
-    likely = [members(f, tests[f.label], found, candidates, known) for f in grouped]
-    groups = sized(obs, [*known, *unknown], grouped, likely)
+    likely = [members(f, tests[f.label], found, candidates, known) for f in kept]
+    groups = sized(obs, [*known, *unknown], kept, likely)
     blank = replace(
         blank, suspects=suspects(found, candidates, known, groups, withdrawn), unresolved=unresolved, laws=laws
     )

@@ -71,6 +71,8 @@ class ShapeParameter:
         Whether only runs at several speeds tell it: at one speed it stays at its start.
     smooth : bool
         Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
+    step_on_circles : int
+        A circle is shorter than an axis: every so-manieth value of the grid is tried on it.
     """
 
     name: str
@@ -83,6 +85,7 @@ class ShapeParameter:
     vanishes: bool = False
     by_speed: bool = False
     smooth: bool = False
+    step_on_circles: int = 1
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -146,6 +149,8 @@ class Effect:
         its confusables, what to do about it, where it is described.
     confusables : tuple of str
         Effects that it can be mistaken for.
+    special_cases : tuple of str
+        Effects that it becomes at an end of its shapes: where one of them is enough, it is no other explanation.
     cause : str
         What of the machine its size measures, where tests of other kinds can see that too: effects with the same cause
         on the same axis have the same size.
@@ -171,6 +176,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     stated: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()
+    special_cases: tuple[str, ...] = ()
     cause: str = ""
     correctable: str = ""
     setup: bool = False

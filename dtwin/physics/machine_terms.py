@@ -9,6 +9,7 @@ from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.library import instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
+from dtwin.physics.screw import PITCH
 from dtwin.physics.state import AXES_OF, has_joints
 from dtwin.physics.twin import acts
 
@@ -91,7 +92,7 @@ def machine_terms(
         places = _places(effect, library, campaigns)
         where = own or axis
         chosen = [i for i in places if not where or i.axis == where or i.axis in AXES_OF.get(where, ())]
-        terms = [Term(i, i.effect.start_shape) for i in chosen]
+        terms = [Term(i, i.effect.start_shape | _stated_pitch(i, campaigns)) for i in chosen]
         terms = [t for t in terms if any(seen_by(t, obs, library) is not None for obs in campaigns)]
         if not where and effect.per == "machine_and_axis":
             terms = terms[:1]
@@ -100,6 +101,14 @@ def machine_terms(
         for term in terms:
             out.setdefault(key_of(term), term)
     return list(out.values())
+
+
+def _stated_pitch(instance: Instance, campaigns: Sequence[Observations]) -> dict[str, float]:
+    """Return the pitch that a campaign of the axis states, where an effect does not seek it by itself: circles must not guess it."""
+    if PITCH not in instance.effect.stated:
+        return {}
+    stated = (obs.campaign.machine_geometry.get(PITCH) for obs in campaigns if obs.axes == (instance.axis,))
+    return next(({"pitch_mm": float(mm)} for mm in stated if isinstance(mm, int | float) and mm > 0.0), {})
 
 
 def _places(effect: Effect, library: Mapping[str, Effect], campaigns: Sequence[Observations]) -> list[Instance]:

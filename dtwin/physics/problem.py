@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.effect import Instance
+from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.whitening import PureError, condition_sums, pure_error, to_harmonics
+from dtwin.physics.whitening import PureError, condition_sums, pure_error, to_harmonics, zero_weighted
 from dtwin.schema import Floats
 
 INVISIBLE = 0.01
@@ -46,6 +47,8 @@ class Problem:
         What repeats disagree by; None without repeats.
     weights : ndarray, shape (n,)
         Whitening.
+    zero_weight : float
+        Whitening of the zero that rows of a run share, as of :class:`dtwin.physics.whitening.PureError`.
     raw : ndarray, shape (rows * n, q)
         Columns that the basis spans: those of every set-up, then the known effects.
     """
@@ -56,6 +59,7 @@ class Problem:
     noise: PureError | None
     weights: Floats
     raw: Floats
+    zero_weight: float = 1.0
 
     @property
     def residual(self) -> Floats:
@@ -65,7 +69,14 @@ class Problem:
 
     def whitened(self, columns: Floats) -> Floats:
         """Return columns of shape (rows, n, k) as shape (rows * n, k)."""
-        return (to_harmonics(columns) * self.weights[:, None]).reshape(-1, columns.shape[2])
+        return self.weighted(to_harmonics(columns), np.arange(len(columns))).reshape(-1, columns.shape[2])
+
+    def weighted(self, rows: Floats, of: Indices) -> Floats:
+        """Return different rows of coefficients, shape (different, n, k), whitened and as all rows, shape (rows, n, k).
+
+        ``of``, (rows,): which of them each row is.
+        """
+        return zero_weighted((rows * self.weights[:, None])[of], self.obs.run_of, self.zero_weight)
 
     def visible(self, whitened: Floats, given: Floats | None = None, least: float = INVISIBLE) -> tuple[Floats, Floats]:
         """Return the part of columns that the known effects cannot imitate.
@@ -168,9 +179,9 @@ def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) ->
     ``known``: effects that the twin has, without set-up terms.
     """
     columns = [setup_columns(obs)] + [obs.regressors(t.instance, t.shape) for t in known]
-    y = to_harmonics(obs.y_um) * noise.weights
+    y = zero_weighted(to_harmonics(obs.y_um) * noise.weights, obs.run_of, noise.zero_weight)
     empty = np.empty((obs.y_um.size, 0))
-    made = Problem(obs, y.ravel(), empty, noise, noise.weights, empty)
+    made = Problem(obs, y.ravel(), empty, noise, noise.weights, empty, noise.zero_weight)
     raw = _scaled(made.whitened(np.concatenate(columns, axis=2)))
     return replace(made, basis=orthonormal(raw), raw=raw)
 
@@ -207,6 +218,7 @@ def _scaled(columns: Floats) -> Floats:
 def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
     obs = plain.obs
     share = float(obs.mask.mean())
+    run_of = obs.run_of if obs.there_and_back else None
     if within:
         columns = np.concatenate([obs.regressors(t.instance, t.shape) for t in within], axis=2)
         rows = plain.whitened(columns).reshape(obs.n_rows, obs.n_bins, -1)
@@ -218,10 +230,10 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
         residual = _inside(plain.residual, obs.condition_of)
         left = residual.ravel() - basis @ (basis.T @ residual.ravel())
         fitted = basis.reshape(obs.n_rows, obs.n_bins, -1)
-        found = pure_error(left.reshape(residual.shape), obs.condition_of, share, fitted)
+        found = pure_error(left.reshape(residual.shape), obs.condition_of, share, fitted, run_of)
         if found is not None:
             return found
-    return pure_error(plain.residual, obs.condition_of, share)
+    return pure_error(plain.residual, obs.condition_of, share, run_of=run_of)
 
 
 def _inside(rows: Floats, condition_of: NDArray[np.int64]) -> Floats:

@@ -10,6 +10,8 @@ from dtwin.schema import Floats
 
 ORDERS = 4
 _GRAIN = 360
+# Of each order: angles that show it, places that tell it from chance.
+_ANGLES, _PLACES = 3, 6
 PITCH = "screw_pitch_mm"
 
 
@@ -17,17 +19,18 @@ def screw_waves(state: State, axis: str) -> Floats:
     """Return cosine and sine of the first orders of a turn, where the pitch is known.
 
     ``state``: ``geometry`` holds ``screw_pitch_mm``.
-    Returns (n, 2 * ORDERS): zero where the axis stands, the pitch is not stated, or the points of the path meet the
-    screw at too few angles to show an order.
+    Returns (n, 2 * ORDERS): zero where the axis stands, the pitch is not stated, the points of the path meet the
+    screw at too few angles to show an order, or are so few that a screw of so many orders would meet any error there.
     """
     pitch_mm = state.geometry.get(PITCH)
     if not moves(state, axis) or not isinstance(pitch_mm, int | float) or pitch_mm <= 0.0:
         return np.zeros((state.n, 2 * ORDERS))
     position_mm = state.position_mm[axis]
     turn = 2.0 * np.pi * position_mm / pitch_mm
-    angles = _angles(np.unique(position_mm), pitch_mm)
+    places_mm = np.unique(position_mm)
+    most = min(_angles(places_mm, pitch_mm) / _ANGLES, len(places_mm) / _PLACES)
     waves = [
-        wave(order * turn) * state.sensitivity[axis] if 3 * order < angles else np.zeros(state.n)
+        wave(order * turn) * state.sensitivity[axis] if order < most else np.zeros(state.n)
         for order in range(1, ORDERS + 1)
         for wave in (np.cos, np.sin)
     ]

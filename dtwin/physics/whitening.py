@@ -8,11 +8,14 @@ import numpy as np
 
 from dtwin.physics.gridding import Indices
 from dtwin.schema import Floats
+from dtwin.statistics import f_tail
 
 _SEPARATE = 5
 _FLOOR = 1e-4
 # Of the largest: less differs by rounding only.
 _ROUNDING = 1e-20
+# A zero that wanders between runs by more than their rows differ by, at this level of an F test.
+_WANDERS = 0.05
 
 
 def to_harmonics(values: Floats) -> Floats:
@@ -75,12 +78,30 @@ class PureError:
         Variance of a whitened coefficient in each condition, NaN without repeats.
     dof : int
         Runs minus conditions, over conditions that were repeated.
+    zero_weight : float
+        Factor, beside its weight, of the part of coefficient 0 that all rows of a run share: below one where the zero of
+        the instrument wanders from run to run by more than rows of a run differ.
     """
 
     floor_um: float
     weights: Floats
     variance: Floats
     dof: int
+    zero_weight: float = 1.0
+
+
+def zero_weighted(rows: Floats, run_of: Indices, factor: float) -> Floats:
+    """Return coefficients in which what the rows of a run share of coefficient 0 is multiplied by a factor.
+
+    ``rows``, (rows, n, ...): coefficients of harmonics.
+    ``run_of``, (rows,): run of each row.
+    """
+    if factor == 1.0:
+        return rows
+    out = rows.copy()
+    shared = condition_sums(rows[:, :1], run_of)[:, 0] / np.bincount(run_of).reshape(-1, *[1] * (rows.ndim - 2))
+    out[:, 0] += (factor - 1.0) * shared[run_of]
+    return out
 
 
 def condition_sums(rows: Floats, condition_of: Indices) -> Floats:
@@ -106,7 +127,11 @@ def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indic
 
 
 def pure_error(
-    residual: Floats, condition_of: Indices, mask_share: float, fitted: Floats | None = None
+    residual: Floats,
+    condition_of: Indices,
+    mask_share: float,
+    fitted: Floats | None = None,
+    run_of: Indices | None = None,
 ) -> PureError | None:
     """Estimate the noise from repeats.
 
@@ -121,6 +146,8 @@ def pure_error(
     fitted : ndarray, shape (rows, n, k), optional
         Orthonormal columns that were fitted: inside conditions they have used up degrees of
         freedom, each in the harmonics that it touches.
+    run_of : ndarray of int, shape (rows,), optional
+        Run of each row, where runs have several rows in different conditions.
 
     Returns
     -------
@@ -138,12 +165,32 @@ def pure_error(
         return None
     power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / (full_dof - lost)
     floor_um = float(np.sqrt(power.sum() / (n_bins * mask_share)))
+    zero_weight = 1.0 if run_of is None or not repeated.all() else _zero_weight(deviation[:, 0], run_of)
+    if run_of is not None:
+        deviation = zero_weighted(deviation, run_of, zero_weight)
+        power[0] = (deviation[repeated, 0] ** 2).mean() * full_dof / (full_dof - lost[0])
     weights = inverse_root(smoothed(power))
     white = deviation * weights
     variance = np.full(int(condition_of.max()) + 1, np.nan)
     for condition in sorted(set(condition_of[repeated].tolist())):
         variance[condition] = (white[condition_of == condition] ** 2).mean()
-    return PureError(floor_um, weights, variance, dof)
+    return PureError(floor_um, weights, variance, dof, zero_weight)
+
+
+def _zero_weight(zero: Floats, run_of: Indices) -> float:
+    """Return the factor that makes what rows of a run share of their zero vary like what they do not share.
+
+    ``zero``, (rows,): deviations from the mean of the condition.
+    """
+    members = np.bincount(run_of)
+    shared = np.bincount(run_of, zero) / members
+    own = zero - shared[run_of]
+    free_shared, free_own = len(members) - 1, len(zero) - len(members) - 1
+    between, within = float(members @ shared**2), float(own @ own)
+    if min(free_shared, free_own) < 1 or within <= 0.0:
+        return 1.0
+    ratio = (between / free_shared) / (within / free_own)
+    return ratio**-0.5 if f_tail(ratio, (free_shared, free_own)) < _WANDERS else 1.0
 
 
 def _used_up(fitted: Floats, condition_of: Indices) -> Floats:

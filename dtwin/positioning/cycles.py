@@ -279,8 +279,9 @@ _SAID = {
     "every cycle; not warming, which would settle and stretch",
     "jump": "from {where} on all readings lie {size} {fine} off, alike at all targets: lost steps, or something that moved "
     "once; not backlash, which is the same in every cycle",
-    "jumps": "from {where} all readings move by {steps} {fine}, alike at all targets, neither steadily nor settling: lost steps, "
-    "a coupling that slips now and then; not backlash, which is the same in every cycle",
+    "jumps": "from {where} all readings move by {steps} {fine}, alike at all targets, neither steadily nor settling: the zero "
+    "of the instrument or of the axis wanders (air, mounting), or a coupling slips or steps are lost now and then; not "
+    "backlash, which is the same in every cycle",
     "warming": "readings settle with a time constant of about {where} cycles, by {size} {fine} in the middle and {more} {fine} more from "
     "one end to the other: warming, or cooling",
     "settling": "readings settle with a time constant of about {where} cycles, by {size} {fine} in the middle and {more} {fine} more from "

@@ -23,13 +23,19 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
         return stacked(*wave, *curve)
     position_mm, along = state.position_mm[axis], state.sensitivity[axis]
     travel_mm = max(float(np.ptp(position_mm)), 1e-9)
+    if state.plane and shape["half_waves"] > 0.0:
+        # A circle meets each place twice, with another sensitivity: a curve of many numbers would follow any error.
+        return stacked(*wave, *curve)
     if shape["half_waves"] > 0.0:
         turn = np.pi * (position_mm - position_mm.min()) / travel_mm
         # Half of the targets: more numbers would follow any error.
         most = min(shape["half_waves"], len(np.unique(position_mm)) / 2)
         return stacked(*wave, *(along * np.cos(k * turn) if k <= most else nothing for k in _HALF_WAVES))
-    # What does not turn back within the travel is no wave but a bow.
-    phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], _MOST * travel_mm)
+    # Along an axis, what does not turn back within the travel is no wave but a bow, and targets show no wave of two steps.
+    longest_mm = np.inf if state.plane else _MOST * travel_mm
+    if not state.plane and shape["wave_mm"] < 2.0 * travel_mm / max(len(np.unique(position_mm)) - 1, 1):
+        return stacked(*wave, *curve)
+    phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], longest_mm)
     return stacked(along * np.cos(phase), along * np.sin(phase), *curve)
 
 
@@ -40,7 +46,7 @@ EFFECT = Effect(
         Parameter(name, "um", 5.0) for name in ("cosine", "sine", *(f"half_wave_{k}" for k in _HALF_WAVES))
     ),
     regressors=_columns,
-    law=Law(None, None, "even"),
+    law=Law(0.0, None, "even"),
     meaning=(
         "The position is off by a wave or a smooth curve along the travel: the lead of the screw wanders, or the slide "
         "tilts on its guideway and is measured at a distance from the scale (Abbe)."
@@ -53,12 +59,13 @@ EFFECT = Effect(
     ),
     remedy="Pitch error table of the control; where a tilt makes it, the guideway.",
     reference="ISO 230-2",
-    kinds=("linear",),
+    kinds=("circular", "linear"),
     shapes=(
-        ShapeParameter("wave_mm", "mm", _START_MM, _WAVES_MM),
+        ShapeParameter("wave_mm", "mm", _START_MM, _WAVES_MM, (20.0, 1000.0), step_on_circles=2),
         ShapeParameter("half_waves", "1", 0.0, (0.0,), (0.0, 20.0), refined=False),
     ),
     also_tried=tuple({"wave_mm": _START_MM, "half_waves": n} for n in (4.0, 7.0, 10.0)),
-    confusables=("lead_error", "cyclic_error"),
+    confusables=("lead_error", "cyclic_error", "guideway_shape", "scale_mismatch"),
+    special_cases=("lead_error", "scale_mismatch"),
     correctable="Pitch error table of the control.",
 )

@@ -13,6 +13,8 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term, set_up
 from dtwin.physics.score import NoiseLevel, score_test
+from dtwin.physics.twin import chosen_terms
+from dtwin.physics.whitening import pure_error
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 
 LIBRARY = Library()
@@ -75,7 +77,7 @@ def test_channels_that_do_nothing_are_not_named() -> None:
     assert not any(named)
 
 
-@pytest.mark.parametrize("name", ["thermal_drift", "lead_error", "backlash_taper"])
+@pytest.mark.parametrize("name", ["thermal_drift", "lead_error", "backlash_taper", "backlash"])
 def test_noise_of_five_runs_is_called_significant_as_often_as_stated(name: str) -> None:
     rng = np.random.default_rng(5)
     axis = "" if name == "thermal_drift" else "X"
@@ -90,6 +92,35 @@ def test_noise_of_five_runs_is_called_significant_as_often_as_stated(name: str) 
         p_values.append(tested.score.p_value)
     # Of 150 a twentieth, 3.3 times the standard error either way.
     assert 0 < np.mean(np.array(p_values) < 0.05) < 0.11
+
+
+def test_a_zero_that_wanders_between_runs_does_not_hide_what_differs_within_them() -> None:
+    backlash = np.array([-0.2, 0.2])[:, None]
+    found, inside, named = [], [], []
+    for n in range(20):
+        # The zero of each run is off by 0.6 µm, the backlash is 0.4 µm.
+        obs = campaign(backlash, np.random.default_rng(n), 0.3)
+        (size,) = fit(obs, chosen_terms(["backlash:X"], LIBRARY, obs)).estimates
+        found.append(abs(size.value - 0.4) / size.uncertainty)
+        inside.append(size.uncertainty)
+        named.append(diagnose(obs, [], LIBRARY).found)
+    # Of 330 readings each way, noise alone leaves ±0.047 µm (k = 2).
+    assert np.median(inside) == pytest.approx(2.0 * 0.3 * np.sqrt(2.0 / (RUNS * TARGETS)), rel=0.3)
+    assert sum(f > 1.0 for f in found) <= 3
+    assert sum("backlash X" in {s.label for group in groups for s in group} for groups in named) >= 18
+
+
+def test_runs_whose_zero_does_not_wander_are_weighted_as_before() -> None:
+    rng = np.random.default_rng(3)
+    rows, run_of = rng.standard_normal((10, TARGETS)), np.repeat(np.arange(5), 2)
+    made = pure_error(rows, np.tile([0, 1], 5), 1.0, run_of=run_of)
+    assert made is not None
+    assert made.zero_weight == 1.0
+    wandering = rows + 30.0 * rng.standard_normal(5)[run_of, None] * (np.arange(TARGETS) == 0)
+    moved = pure_error(wandering, np.tile([0, 1], 5), 1.0, run_of=run_of)
+    assert moved is not None
+    assert moved.zero_weight < 0.1
+    assert moved.weights == pytest.approx(made.weights, rel=0.5)
 
 
 def test_what_the_sweeps_have_in_common_is_no_drift() -> None:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mill_and_laser
 import numpy as np
 import pytest
 
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
+from dtwin.physics.fit import fit
 from dtwin.physics.joint import Joint, MachineTest, Settled, Size, _said, joint
 from dtwin.physics.library import Library
+from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
+from dtwin.physics.several import fit_several
 
 LIBRARY = Library()
 
@@ -113,7 +118,33 @@ def test_growth_of_two_axes_together_is_judged_together() -> None:
     assert {"thermal_growth X", "thermal_growth Y"} <= {j.label for j in settled.judged if j.said == "refuted"}
 
 
-def test_a_long_wave_of_an_axis_is_no_shape_of_a_guideway_alone() -> None:
-    mill = MillParameters().with_axis("X", pitch_error_um=0.3, pitch_mm=220.0, pitch_phase_rad=0.5)
-    found = circles(mill).found.found
-    assert [{s.label for s in group} for group in found] == [{"guideway_shape Y", "cyclic_error X"}]
+@pytest.mark.parametrize("radii_mm", [(100.0,), (50.0, 100.0, 150.0)])
+@pytest.mark.parametrize(("axis", "wave_mm"), [("X", 220.0), ("Y", 150.0), ("X", 370.0)])
+def test_a_wave_longer_than_the_circles_is_a_pitch_error(
+    axis: str, wave_mm: float, radii_mm: tuple[float, ...]
+) -> None:
+    mill = MillParameters().with_axis(axis, pitch_error_um=2.0, pitch_mm=wave_mm, pitch_phase_rad=0.5)
+    found = judged("bar", mill_and_laser.circles(mill, radii_mm=radii_mm)).found
+    assert [{s.label for s in group} for group in found.found] == [{f"pitch_error {axis}"}]
+    assert found.unresolved is None or found.unresolved.systematic_rms_um < 0.05
+
+
+def test_a_pitch_error_is_one_name_for_a_ball_bar_and_a_laser() -> None:
+    mill = MillParameters().with_axis("X", pitch_error_um=2.0, pitch_mm=220.0, pitch_phase_rad=0.5)
+    laser = mill_and_laser.warmed("X", 1, wave=(2.0, 220.0, 0.5))
+    bar = mill_and_laser.circles(mill)
+    twin = fit_several([bar, laser], machine_terms(["pitch_error:X"], LIBRARY, [bar, laser]), LIBRARY)
+    (size,) = twin.estimates
+    assert size.name == "amplitude"
+    assert size.value == pytest.approx(2.0, abs=0.1)
+
+
+def test_circles_take_the_pitch_that_a_laser_states() -> None:
+    mill = MillParameters().with_axis("X", pitch_error_um=2.0, pitch_mm=6.0)
+    bar, laser = mill_and_laser.circles(mill), mill_and_laser.laser("X", 0.0, 0.0)
+    laser = replace(laser, campaign=replace(laser.campaign, machine_geometry={"screw_pitch_mm": 6.0}))
+    (term,) = machine_terms(["screw_error:X"], LIBRARY, [bar, laser])
+    seen = seen_by(term, bar, LIBRARY)
+    assert seen is not None
+    assert (seen.label, seen.shape["pitch_mm"]) == ("cyclic_error X", 6.0)
+    assert fit(bar, [seen]).rms_after_um < 0.2

@@ -37,7 +37,7 @@ def test_sizes_are_those_of_the_machine_and_better_known_than_by_one_campaign() 
     sizes = {f"{e.effect} {e.axis}": e for e in found.estimates}
     for label, truth in (("scale_mismatch X", 30.0), ("scale_mismatch Y", 0.0), ("backlash X", 3.0)):
         assert sizes[label].value == pytest.approx(truth, abs=1.5 * sizes[label].uncertainty)
-    alone = fit(campaigns[1], found.fits[1].terms).estimates
+    alone = fit(campaigns[0], found.fits[0].terms).estimates
     assert sizes["backlash X"].uncertainty < min(e.uncertainty for e in alone if e.effect == "backlash")
 
 
@@ -202,9 +202,9 @@ def test_a_contradiction_is_explained_by_what_one_campaign_takes_for_another_eff
 
 
 def test_a_name_by_chance_in_one_campaign_is_not_told_where_another_denies_it() -> None:
-    # In this draw the noise of the laser looks like 0.2 µm of lost motion; the circles show none.
+    # The laser reads 0.13 µm of lost motion; the circles show none.
     scaled = MillParameters().with_axis("X", scale_ppm=13.29)
-    campaigns = [circles(scaled, 3), laser("X", 13.29, 0.0, 317), laser("Y", 0.0, 0.0, 7)]
+    campaigns = [circles(scaled, 3), laser("X", 13.29, 0.13, 317), laser("Y", 0.0, 0.0, 7)]
     twin = twin_of_all(campaigns, "lead_error:X")
     alone = diagnose(campaigns[1], twin.on("laser-X").terms, LIBRARY)
     assert [[s.label for s in group] for group in alone.found] == [["backlash X"]]
