@@ -36,7 +36,7 @@ AXIS = re.compile(
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
 _OF_AXIS = re.compile(
-    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|table|rundtisch|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
@@ -44,8 +44,8 @@ _CONDITION = re.compile(
     r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
 )
 """Head of a column of numbers that, where each has all targets, parts tests."""
-_NAMED = re.compile(r"([XYZUVWABCJ])\d(?=[\s_]+[a-z])")
-"""At the begin of a head: the name of one of several axes that go the same way."""
+_NAMED = re.compile(r"([XYZUVWABCJM])\d(?=[\s_]+[a-z])")
+"""At the begin of a head: the name of one of several axes that go the same way, or of a machine."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")

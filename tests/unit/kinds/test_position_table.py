@@ -1371,7 +1371,7 @@ def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(
 
 
 @pytest.mark.parametrize(
-    "names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2"), ("robot 1", "robot 2"), ("J1", "J2")]
+    "names", [(f"{name}1", f"{name}2") for name in ("blade ", "Jaw ", "X", "robot ", "J", "M", "table ")]
 )
 def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tuple[str, str]) -> None:
     path = tmp_path / "a.csv"
