@@ -19,7 +19,7 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError, StoreError
-from dtwin.lake.parquet import columns_of, read_encoded, table_of, write_parquet
+from dtwin.lake.parquet import NUMBERS, columns_of, read_encoded, table_of, write_parquet
 from dtwin.schema import Encoded, SignalGroup, require_name
 from dtwin.units import require_units
 
@@ -60,6 +60,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
             "the signal file cannot be read", code="signals.unreadable", where=str(path), got=error.got, hint=error.hint
         ) from error
     header = (table.schema.metadata or {}).get(_KEY)
+    _require_types(table.schema, path)
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
     columns = columns_of(table)
     if header is not None:
@@ -137,6 +138,22 @@ def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryvi
         start_s=start_s,
         encoded=None if data is None else Encoded(data, columns),
     )
+
+
+def _require_types(schema: pa.Schema, path: Path) -> None:
+    """Refuse columns that are no numbers, switches or words: days, lists, records; and a clock that is no number."""
+    for field in schema:
+        kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+        words = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_boolean(kind)
+        if field.type not in NUMBERS and (field.name == "t_s" or not words):
+            raise InputError(
+                "a column of signals has a type that is not read",
+                code="signals.type",
+                where=f"{path} {field.name}"[:200],
+                got=str(field.type)[:80],
+                allowed=", ".join(map(str, NUMBERS)) + (", bool, string" if field.name != "t_s" else ""),
+                hint="write it as double; t_s in seconds",
+            )
 
 
 def _is_float(table: pa.Table, name: str) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from dtwin.acquire.signal_files import read_signals
@@ -55,3 +57,20 @@ def test_a_table_that_tells_no_unit_or_clock_is_refused(tmp_path: Path, text: st
     with pytest.raises(InputError) as refused:
         read_signals(path)
     assert refused.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("name", "column"),
+    [
+        ("bed_c", pa.array([[1.0], [2.0]])),
+        ("bed_c", pa.array([0, 1], pa.timestamp("us"))),
+        ("t_s", pa.array(["0", "1"])),
+        ("t_s", pa.array([False, True])),
+    ],
+)
+def test_a_type_that_is_no_number_switch_or_word_is_refused(tmp_path: Path, name: str, column: pa.Array) -> None:
+    path = tmp_path / "c000.thermocouples.parquet"
+    pq.write_table(pa.table({"t_s": pa.array([0.0, 1.0]), "on": pa.array([True, False]), name: column}), path)
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == "signals.type"
