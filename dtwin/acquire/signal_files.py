@@ -111,8 +111,29 @@ def _group(columns: dict[str, NDArray[Any]], path: Path) -> SignalGroup:
     span = float(t_s[-1] - t_s[0])
     if not 0 < span < math.inf:
         raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
+    _require_even(t_s, path)
     name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
     return SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))
+
+
+def _require_even(t_s: NDArray[Any], path: Path) -> None:
+    """Refuse a clock that jumps, or has lost readings: of signals the first time and a rate are kept.
+
+    Rows that have one stamp, as those of a coarse clock, may be off by as many of them.
+    """
+    even_s = np.linspace(t_s[0], t_s[-1], len(t_s))
+    step_s, steps_s = even_s[1] - even_s[0], np.diff(t_s)
+    most_s = 2.0 * step_s * np.unique(t_s, return_counts=True)[1].max()
+    if not (steps_s >= 0.0).all() or not (np.abs(t_s - even_s) <= most_s).all():
+        at = int(np.argmax(np.abs(steps_s - step_s)))
+        raise InputError(
+            "the readings of the signals do not follow each other evenly: the clock jumps, or readings are lost",
+            code="signals.clock",
+            where=f"{path} reading {at + 2}",
+            got=f"{t_s[at + 1]:g} s after {t_s[at]:g} s; a reading every {step_s:.4g} s on average",
+            allowed="readings at a fixed rate, in the order of their times",
+            hint="interpolate lost readings; where t_s is when a block arrived, write when each reading was taken",
+        )
 
 
 def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path) -> SignalGroup:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -74,3 +75,27 @@ def test_a_type_that_is_no_number_switch_or_word_is_refused(tmp_path: Path, name
     with pytest.raises(InputError) as refused:
         read_signals(path)
     assert refused.value.code == "signals.type"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "even"),
+    [
+        (lambda t: t, True),
+        (lambda t: np.round(t, 1), True),
+        (lambda t: t + np.where(np.arange(t.size) < 300, 0.0, 3.0), False),
+        (lambda t: np.where(np.arange(t.size) == 100, t[90], t), False),
+        (lambda t: np.where(np.arange(t.size) == 100, np.nan, t), False),
+        (lambda t: t[np.arange(t.size) % 100 != 99], True),
+        (lambda t: np.concatenate([t[:200], t[210:]]), False),
+    ],
+)
+def test_a_clock_that_jumps_or_lost_readings_is_refused(tmp_path: Path, spoil: Any, even: bool) -> None:
+    path = tmp_path / "r1.accelerometers.parquet"
+    t_s = spoil(0.01 * np.arange(700))
+    pq.write_table(pa.table({"t_s": t_s, "wrist_x_g": np.sin(t_s)}), path)
+    if even:
+        assert read_signals(path)[0].rate_hz == pytest.approx(100.0, rel=0.02)
+        return
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == "signals.clock"
