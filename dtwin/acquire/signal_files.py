@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dtwin.acquire._readings import usable
 from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -60,12 +61,21 @@ def read_signals(path: Path) -> list[SignalGroup]:
             "the signal file cannot be read", code="signals.unreadable", where=str(path), got=error.got, hint=error.hint
         ) from error
     header = (table.schema.metadata or {}).get(_KEY)
-    _require_types(table.schema, path)
+    _require_numbers(table.schema, path)
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
     columns = columns_of(table)
-    if header is not None:
-        return [_from_header(header, columns, data, path)]
-    return [_group(columns, path)]
+    group = _group(columns, path) if header is None else _from_header(header, columns, data, path)
+    beyond = next((name for name, values in columns.items() if not (usable(values) | np.isnan(values)).all()), "")
+    if beyond or not group.n_samples:
+        raise InputError(
+            "signals hold numbers that cannot be computed with" if beyond else "the signal file holds no reading",
+            code="signals.values",
+            where=str(path),
+            got=beyond or "no rows, or t_s alone",
+            allowed="a column of finite numbers beside t_s; NaN where nothing was read",
+            hint="write NaN for what is none" if beyond else "take the file out of signals",
+        )
+    return [group]
 
 
 def _from_text(path: Path) -> dict[str, NDArray[Any]]:
@@ -161,20 +171,19 @@ def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryvi
     )
 
 
-def _require_types(schema: pa.Schema, path: Path) -> None:
-    """Refuse columns that are no numbers, switches or words: days, lists, records; and a clock that is no number."""
-    for field in schema:
-        kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
-        words = pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_boolean(kind)
-        if field.type not in NUMBERS and (field.name == "t_s" or not words):
-            raise InputError(
-                "a column of signals has a type that is not read",
-                code="signals.type",
-                where=f"{path} {field.name}"[:200],
-                got=str(field.type)[:80],
-                allowed=", ".join(map(str, NUMBERS)) + (", bool, string" if field.name != "t_s" else ""),
-                hint="write it as double; t_s in seconds",
-            )
+def _require_numbers(schema: pa.Schema, path: Path) -> None:
+    """Refuse columns that hold no numbers, or have one name."""
+    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
+    strange = [f"{field.name}: {field.type}" for field in schema if field.type not in NUMBERS]
+    if twice or strange:
+        raise InputError(
+            "two columns of signals have one name" if twice else "a column of signals does not hold numbers",
+            code="signals.columns",
+            where=str(path),
+            got=", ".join(twice or strange)[:120],
+            allowed="a name for each column" if twice else ", ".join(map(str, NUMBERS)),
+            hint="leave words and switches out, and write numbers as double; t_s in seconds",
+        )
 
 
 def _is_float(table: pa.Table, name: str) -> bool:

@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dtwin.acquire.signal_files import read_signals
+from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import InputError
+from dtwin.schema import SignalGroup
 
 
 @pytest.mark.parametrize(
@@ -60,21 +61,31 @@ def test_a_table_that_tells_no_unit_or_clock_is_refused(tmp_path: Path, text: st
     assert refused.value.code == code
 
 
+@pytest.mark.parametrize("name", ["bed_c", "t_s"])
 @pytest.mark.parametrize(
-    ("name", "column"),
-    [
-        ("bed_c", pa.array([[1.0], [2.0]])),
-        ("bed_c", pa.array([0, 1], pa.timestamp("us"))),
-        ("t_s", pa.array(["0", "1"])),
-        ("t_s", pa.array([False, True])),
-    ],
+    "column",
+    [pa.array([[1.0], [2.0]]), pa.array([0, 1], pa.timestamp("us")), pa.array(["0", "1"]), pa.array([True, False])],
 )
-def test_a_type_that_is_no_number_switch_or_word_is_refused(tmp_path: Path, name: str, column: pa.Array) -> None:
+def test_a_column_that_holds_no_numbers_is_refused(tmp_path: Path, name: str, column: pa.Array) -> None:
     path = tmp_path / "c000.thermocouples.parquet"
-    pq.write_table(pa.table({"t_s": pa.array([0.0, 1.0]), "on": pa.array([True, False]), name: column}), path)
+    pq.write_table(pa.table({"t_s": pa.array([0.0, 1.0]), name: column}), path)
     with pytest.raises(InputError) as refused:
         read_signals(path)
-    assert refused.value.code == "signals.type"
+    assert refused.value.code == "signals.columns"
+
+
+def test_signals_of_one_name_or_without_a_reading_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r1.accelerometers.parquet"
+    numbers = pa.array([0.0, 1.0])
+    pq.write_table(pa.table([numbers, numbers, numbers], ["t_s", "wrist_x_g", "wrist_x_g"]), path)
+    with pytest.raises(InputError, match="one name"):
+        read_signals(path)
+    write_signals(path, SignalGroup("accelerometers", 100.0, {"wrist_x_g": np.zeros(0)}))
+    with pytest.raises(InputError, match="no reading"):
+        read_signals(path)
+    write_signals(path, SignalGroup("accelerometers", 100.0, {"wrist_x_g": np.array([0.0, np.inf])}))
+    with pytest.raises(InputError, match="computed with"):
+        read_signals(path)
 
 
 @pytest.mark.parametrize(

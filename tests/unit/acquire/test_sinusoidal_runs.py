@@ -14,6 +14,7 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._check import followed
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
@@ -62,6 +63,15 @@ def test_check_prints_amplitude_and_lag_of_each_run(folder: Path) -> None:
     text = render_check(result)
     assert "amplitude error µm" in text
     assert "does not hear 1 µm at 5 Hz" in text
+
+
+def test_an_encoder_that_stands_still_lags_by_nothing_that_is_known() -> None:
+    run = loud()
+    stood = replace(run, samples=dict(run.samples) | {"act_z_mm": np.zeros(len(run.samples["t_s"]))})
+    told = followed(stood)
+    assert told is not None
+    assert np.isnan(told.encoder_lag_deg)
+    assert "reading.clipped" in codes(stood)
 
 
 def test_a_grid_with_holes_is_told(folder: Path) -> None:
