@@ -235,8 +235,9 @@ def report(
         raise InputError(
             "only a ball-bar file can be reported on by itself",
             code="report.source",
-            got=source.suffix or "no ending",
+            got=str(source)[:80],
             allowed=".b5r",
+            hint="dtwin certificate CAMPAIGN makes a page of a campaign, dtwin twin compare NAME --html FILE of a twin",
         )
     result = check_source(source)
     section = recording_section(source, result)

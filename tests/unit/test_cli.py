@@ -202,6 +202,17 @@ def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> No
     assert (out / "hidden-effect" / "campaign.toml").read_text(encoding="utf-8") == "mine"
 
 
+def test_examples_that_cannot_be_copied_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "a.csv").write_text("t_s", encoding="utf-8")
+    (source / "b.csv").symlink_to("nowhere")
+    monkeypatch.setattr("dtwin.config.example_campaigns", lambda: source)
+    done = here("examples", "--out", str(tmp_path / "examples"))
+    assert (done.returncode, "examples.copy" in done.stderr, "[(" in done.stderr) == (1, True, False)
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
+
+
 def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_not_spoil_the_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
