@@ -192,6 +192,19 @@ def test_a_missing_part_is_named_without_a_traceback(blocked: str) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    "place",
+    [
+        ["--bar-zero-deg", "-90"],
+        ["--robot-centre-mm", "nan", "0", "75"],
+        ["--robot-centre-mm", "1", "0", "75", "--bar-zero-deg", "inf"],
+    ],
+)
+def test_a_place_of_the_bar_that_is_none_is_refused(place: list[str]) -> None:
+    done = here("twin", "recording", "data/samples/ur10e_xy_r100_f5000.b5r", *place)
+    assert (done.returncode, "recording.place" in done.stderr) == (1, True)
+
+
 def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> None:
     out = tmp_path / "examples"
     copied = json.loads(here("examples", "--out", str(out), "--json").stdout)["campaigns"]
