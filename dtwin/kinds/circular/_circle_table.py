@@ -146,6 +146,14 @@ def read_circle_runs(
         raise _wrong(
             "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
         )
+    told = stated.get("direction")
+    if told and any(run.meta.direction != told for run in runs):
+        raise _wrong(
+            "the table goes another way round than is told",
+            path,
+            f"direction {told}, runs {', '.join(str(run.meta.direction) for run in runs)}",
+            "no direction told; cw [µm] or ccw [µm] as head of deviations over an angle that runs the other way",
+        )
     return _counted(runs, int(stated.get("repeat", 1))), rejects
 
 
