@@ -122,7 +122,8 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     def text() -> str:
         last = [waiting_text(left)] if left else []
         if not listing:
-            none = "no model is registered yet; make one with: dtwin train CAMPAIGN"
+            of = f" of machine {machine}" if machine else ""
+            none = f"no model{of} is registered yet; make one with: dtwin train CAMPAIGN"
             return "\n".join([none, *last])
         rows = [
             [

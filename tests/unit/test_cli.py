@@ -205,6 +205,10 @@ def test_a_place_of_the_bar_that_is_none_is_refused(place: list[str]) -> None:
     assert (done.returncode, "recording.place" in done.stderr) == (1, True)
 
 
+def test_models_of_a_machine_without_any_are_told_of_that_machine() -> None:
+    assert "no model of machine nope is registered" in here("models", "--machine", "nope").stdout
+
+
 def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> None:
     out = tmp_path / "examples"
     copied = json.loads(here("examples", "--out", str(out), "--json").stdout)["campaigns"]
