@@ -54,10 +54,13 @@ def generic_inputs(rows: Rows) -> GenericInputs:
 
 
 def _contract_of(rows: Rows) -> WindowContract | None:
-    """Return the window contract of a campaign's accelerometers, None when a run has none."""
+    """Return the window contract of a campaign's accelerometers, None when a run has none, or lacks a channel of the first."""
     groups = [run.accelerometers for run in rows.runs]
     first = groups[0]
     if first is None or any(g is None or abs(g.rate_hz - first.rate_hz) > 1e-6 for g in groups):
+        return None
+    channels = {name for name in first.columns if name.endswith("_g")}
+    if not channels or not all(g is not None and channels <= {*g.columns} for g in groups):
         return None
     return WindowContract(
         rate_hz=first.rate_hz,

@@ -105,6 +105,11 @@ def saturated(run: Run) -> Run:
     return replace(run, signals=(replace(group, columns={"tool_z_g": limited}),))
 
 
+def in_volts(run: Run) -> Run:
+    group = run.signals[0]
+    return replace(run, signals=(replace(group, columns={"tool_z_v": group.columns["tool_z_g"]}),))
+
+
 def without(name: str) -> Callable[[Run], Run]:
     def change(run: Run) -> Run:
         return replace(run, samples={k: v for k, v in run.samples.items() if k != name})
@@ -125,6 +130,7 @@ def cut_short(run: Run) -> Run:
         (conditioned(amplitude_um=5.0), "sinusoidal.not_the_tone", "error"),
         (clipped, "reading.clipped", "error"),
         (saturated, "sensor.saturated", "error"),
+        (in_volts, "sensor.unit", "warning"),
         (without("tool_z_mm"), "sinusoidal.no_reference", "warning"),
         (cut_short, "sinusoidal.short", "warning"),
     ],
