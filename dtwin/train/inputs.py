@@ -77,6 +77,15 @@ def _window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     """Return the features of every window of a run's accelerometers."""
     if run.accelerometers is None:
         raise InputError("the run has no accelerometers", code="train.signals", where=run.meta.run_id)
+    if run.accelerometers.n_samples < contract.n_samples:
+        raise InputError(
+            "the accelerometers hold less than a window",
+            code="train.signals",
+            where=run.meta.run_id,
+            got=f"{run.accelerometers.n_samples} readings",
+            allowed=f"{contract.n_samples} at least",
+            hint="dtwin leave-out CAMPAIGN RUN --because TEXT",
+        )
     block = np.stack([run.accelerometers.columns[name] for name in contract.channels])
     return batch_features(block, contract)
 
