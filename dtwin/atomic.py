@@ -38,8 +38,6 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
         partial.replace(path)
         sync(path.parent)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise StoreError(
             f"{what} cannot be written",
             code="store.write",
@@ -47,6 +45,10 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
             got=str(error),
             hint="check free space and permissions; nothing was left half-written",
         ) from error
+    finally:
+        # Also when the work was refused, or interrupted.
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def make_folder(folder: Path, *, private: bool = False) -> None:

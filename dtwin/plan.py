@@ -16,6 +16,11 @@ from dtwin.plan_file import read_plan_file
 from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
 from dtwin.units import is_number
 
+_SETTINGS = {
+    "plan": ("kind", "name", "machine", "seed", "calibrated_length"),
+    "grid": ("plane", "radius_mm", "feed_mm_min", "directions", "repeats"),
+    "limits": ("max_feed_mm_min", "max_radius_mm"),
+}
 _MAX_TESTS = 100_000
 # Of mm and of mm/min.
 _SMALLEST = 1e-3
@@ -139,14 +144,33 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
     Feeds and repeats are crossed inside a set-up and shuffled there; plane and radius change
     only with the set-up.
     """
+    _require_known(document, where)
     head, grid = _table(document, "plan", where), _table(document, "grid", where)
     planes = [standard_plane(str(p), "CCW")[0] for p in _listed(grid, "plane", where)]
     radii = _numbers(grid, "radius_mm", where)
     feeds = _numbers(grid, "feed_mm_min", where)
+    for name, values in (("plane", planes), ("radius_mm", radii), ("feed_mm_min", feeds)):
+        if len({*values}) < len(values):
+            raise InputError(
+                f"{name} holds a value twice",
+                code="plan.grid",
+                where=f"{where} grid.{name}",
+                got=", ".join(map(str, values))[:80],
+                allowed="each once",
+                hint="repeats counts how often a condition is measured",
+            )
     repeats = _whole("repeats", grid.get("repeats", 1), f"{where} grid", 1, 1000)
     if len(planes) * len(radii) * len(feeds) * repeats > _MAX_TESTS:
         raise InputError("the grid is absurdly large", code="plan.size", where=where, allowed=f"{_MAX_TESTS} tests")
     seed = _whole("seed", head.get("seed", 1), f"{where} plan", 0)
+    calibrated = head.get("calibrated_length", False)
+    if not isinstance(calibrated, bool):
+        raise InputError(
+            "calibrated_length is true or false",
+            code="plan.calibrated_length",
+            where=f"{where} plan",
+            got=repr(calibrated)[:40],
+        )
     tests = _ordered(planes, radii, feeds, repeats, seed)
     plan = Plan(
         name=require_name(head.get("name"), "plan.name"),
@@ -156,7 +180,7 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
         seed=seed,
         max_feed_mm_min=_limit(document, "max_feed_mm_min", 15_000.0, where),
         max_radius_mm=_limit(document, "max_radius_mm", 350.0, where),
-        calibrated_length=bool(head.get("calibrated_length", False)),
+        calibrated_length=calibrated,
     )
     _check_limits(plan, where)
     return plan
@@ -229,6 +253,21 @@ def _check_limits(plan: Plan, where: str) -> None:
                 )
 
 
+def _require_known(document: Mapping[str, Any], where: str) -> None:
+    """Refuse what is not read: a limit that is mistyped would hold nothing back."""
+    told = {name: table if isinstance(table, dict) else {} for name, table in document.items()}
+    unknown = [f"[{name}]" for name in told if name not in _SETTINGS]
+    unknown += [f"{name}.{key}" for name, keys in _SETTINGS.items() for key in told.get(name, {}) if key not in keys]
+    if unknown:
+        raise InputError(
+            "unknown setting of a plan",
+            code="plan.setting",
+            where=where,
+            got=", ".join(unknown)[:80],
+            allowed="; ".join(f"[{name}] {', '.join(keys)}" for name, keys in _SETTINGS.items()),
+        )
+
+
 def _table(document: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
     value = document.get(name)
     if not isinstance(value, dict):
@@ -276,7 +315,7 @@ def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
 
 def _directions(grid: Mapping[str, Any], where: str) -> list[Direction]:
     stated = grid.get("directions", ["CCW", "CW"])
-    if not isinstance(stated, list) or not stated or set(stated) - {"CCW", "CW"}:
+    if not isinstance(stated, list) or sorted(map(str, stated)) not in (["CCW"], ["CW"], ["CCW", "CW"]):
         raise InputError(
             "unknown direction",
             code="plan.grid",

@@ -93,11 +93,16 @@ def plan_settings(document: Mapping[str, Any], where: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When it has no such table.
+        When it has no such table, or another one, which would not be read.
     """
     table = document.get("plan")
-    if not isinstance(table, dict):
-        raise InputError("the plan needs a [plan] table", code="plan.table", where=where)
+    if not isinstance(table, dict) or len(document) > 1:
+        raise InputError(
+            "a plan of this kind is a table [plan], and nothing else",
+            code="plan.table",
+            where=where,
+            got=", ".join(document)[:80],
+        )
     return {name: value for name, value in table.items() if name != "kind"}
 
 

@@ -19,6 +19,8 @@ Direction = Literal["CCW", "CW"]
 Plane = Literal["XY", "YZ", "ZX"]
 
 DEFAULT_KIND = "circular"
+ALONG_KIND = "linear"
+"""Of positioning tests of axes that move along."""
 MIXED_CORRECTION = "mixed"
 """Correction of a run that was corrected during a part of it only, or by several models."""
 PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")

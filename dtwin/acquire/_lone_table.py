@@ -46,7 +46,9 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
             + " ".join(f"--{name.split('_')[0]} {examples[name]}" for name in needed)
             + " --machine NAME",
         )
-    stray = [] if kind_named(kind).goes_round else [n for n in ("plane", "radius_mm") if told.get(n) is not None]
+    round_ = kind_named(kind).goes_round
+    foreign = ("axis", "screw_pitch_mm") if round_ else ("plane", "radius_mm", "direction")
+    stray = [name for name in foreign if told.get(name) is not None]
     if told.get("instrument") is not None and "condition.instrument" not in kind_named(kind).read_with:
         stray.append("instrument")
     if stray:
@@ -55,8 +57,10 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
             code="ingest.kind",
             where=str(path),
             got=", ".join(f"{name} {told[name]}" for name in stray),
-            allowed=f"a {kind} test without them, or a table of a circle",
-            hint="columns that belong to no circle, such as temperatures beside coordinates, may have to be left away",
+            allowed=f"a {kind} test without them" + ("" if round_ else ", or a table of a circle"),
+            hint="leave them away; another test has other heads"
+            if round_
+            else "columns that belong to no circle, such as temperatures beside coordinates, may have to be left away",
         )
     run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
     if kind_named(kind).goes_round and "direction" not in run and kind_named(kind).reader_of(path) is None:

@@ -8,6 +8,8 @@ import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from queue import Empty, Queue
+from threading import Thread
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
@@ -183,6 +185,25 @@ class MTConnectRecorder(OpenAndClose):
                 time.sleep(self._poll_s)
 
     def _answer(self, what: str, query: dict[str, Any] | None = None) -> bytes:
+        """Return an answer: one whose head or body comes byte by byte keeps every timeout, and would never end."""
+        answered: Queue[bytes | BaseException] = Queue()
+
+        def ask() -> None:
+            try:
+                answered.put(self._asked(what, query))
+            except BaseException as error:
+                answered.put(error)
+
+        Thread(target=ask, daemon=True).start()
+        try:
+            answer = answered.get(timeout=self._patience_s + self._timeout_s)
+        except Empty:
+            answer = self._absent("an answer that did not end")
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def _asked(self, what: str, query: dict[str, Any] | None) -> bytes:
         path = f"/{quote(self._device, safe='')}/{what}" if self._device else f"/{what}"
         address = f"{self.url}{path}" + (f"?{urlencode(query)}" if query else "")
         request = urllib.request.Request(
@@ -190,7 +211,7 @@ class MTConnectRecorder(OpenAndClose):
         )
         try:
             with urllib.request.build_opener(NoRedirection).open(request, timeout=self._timeout_s) as answer:
-                return _bounded(_whole(answer, time.monotonic() + self._patience_s), address)
+                return _bounded(answer.read(_MAX_BYTES + 1), address)
         except urllib.error.HTTPError as error:
             # Newer agents put the reason into the body.
             with error:
@@ -204,32 +225,21 @@ class MTConnectRecorder(OpenAndClose):
                 got=f"HTTP {error.code}",
             ) from error
         except (OSError, http.client.HTTPException) as error:
-            raise DeviceError(
-                "the agent does not answer",
-                code="mtconnect.absent",
-                where=self.url,
-                got=str(error)[:200],
-                hint="its address and port; whether it runs: open the address in a browser",
-            ) from error
+            raise self._absent(str(error)[:200]) from error
+
+    def _absent(self, got: str) -> DeviceError:
+        return DeviceError(
+            "the agent does not answer",
+            code="mtconnect.absent",
+            where=self.url,
+            got=got,
+            hint="its address and port; whether it runs: open the address in a browser",
+        )
 
     def _sink(self) -> Held:
         if self._held is None:
             raise DeviceError("the agent was not asked what it knows", code="mtconnect.closed", where=self.url)
         return self._held
-
-
-def _whole(answer: http.client.HTTPResponse, until_s: float) -> bytes:
-    """Read an answer to its end: one that comes byte by byte keeps every timeout, and would never end.
-
-    Raises ``TimeoutError`` when it is not there in time.
-    """
-    parts, size = [], 0
-    while size <= _MAX_BYTES and (part := answer.read1(1 << 16)):
-        parts.append(part)
-        size += len(part)
-        if time.monotonic() >= until_s:
-            raise TimeoutError(f"{size} bytes of an answer that did not end")
-    return b"".join(parts)
 
 
 def _bounded(data: bytes, where: str) -> bytes:

@@ -185,6 +185,8 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
         words = np.array(coded.dictionary.to_pylist(), dtype=object)
         return words[coded.indices.to_numpy()]
     try:
+        if pa.types.is_boolean(column.type):
+            raise ValueError("true and false")
         return column.cast(pa.float64()).to_numpy()
     except (pa.ArrowException, ValueError) as error:
         raise _not_numeric(f"{path} {name[:60]}", error) from error

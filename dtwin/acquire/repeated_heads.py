@@ -1,10 +1,10 @@
-"""Heads that stand in a text again, below titles that tell its tables apart: those of several machines would be taken for one."""
+"""Heads that stand in a text again, and numbers in heads: what is of several machines would be taken for repeats on one."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
@@ -18,6 +18,13 @@ _COUNTED = re.compile(
     re.I,
 )
 """What a title says of which there are several on one machine."""
+_LEFT_OUT = 5
+"""Numbers of repeats that may be left out, beside as many as there are."""
+
+
+def counts_repeats(numbers: Collection[int], first: int = 1) -> bool:
+    """Return whether different numbers of heads, or rows, may count repeats from ``first``: temperatures, years and serial numbers do not."""
+    return max(numbers, default=first) - first < 2 * len(numbers) + _LEFT_OUT
 
 
 def require_one_block(

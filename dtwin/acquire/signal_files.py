@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from dtwin.acquire._readings import usable
 from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -19,7 +20,7 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS, seconds_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError, StoreError
-from dtwin.lake.parquet import columns_of, read_encoded, table_of, write_parquet
+from dtwin.lake.parquet import NUMBERS, columns_of, read_encoded, table_of, write_parquet
 from dtwin.schema import Encoded, SignalGroup, require_name
 from dtwin.units import require_units
 
@@ -60,11 +61,21 @@ def read_signals(path: Path) -> list[SignalGroup]:
             "the signal file cannot be read", code="signals.unreadable", where=str(path), got=error.got, hint=error.hint
         ) from error
     header = (table.schema.metadata or {}).get(_KEY)
+    _require_numbers(table.schema, path)
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
     columns = columns_of(table)
-    if header is not None:
-        return [_from_header(header, columns, data, path)]
-    return [_group(columns, path)]
+    group = _group(columns, path) if header is None else _from_header(header, columns, data, path)
+    beyond = next((name for name, values in columns.items() if not (usable(values) | np.isnan(values)).all()), "")
+    if beyond or not group.n_samples:
+        raise InputError(
+            "signals hold numbers that cannot be computed with" if beyond else "the signal file holds no reading",
+            code="signals.values",
+            where=str(path),
+            got=beyond or "no rows, or t_s alone",
+            allowed="a column of finite numbers beside t_s; NaN where nothing was read",
+            hint="write NaN for what is none" if beyond else "take the file out of signals",
+        )
+    return [group]
 
 
 def _from_text(path: Path) -> dict[str, NDArray[Any]]:
@@ -110,8 +121,29 @@ def _group(columns: dict[str, NDArray[Any]], path: Path) -> SignalGroup:
     span = float(t_s[-1] - t_s[0])
     if not 0 < span < math.inf:
         raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
+    _require_even(t_s, path)
     name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
     return SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))
+
+
+def _require_even(t_s: NDArray[Any], path: Path) -> None:
+    """Refuse a clock that jumps, or has lost readings: of signals the first time and a rate are kept.
+
+    Rows that have one stamp, as those of a coarse clock, may be off by as many of them.
+    """
+    even_s = np.linspace(t_s[0], t_s[-1], len(t_s))
+    step_s, steps_s = even_s[1] - even_s[0], np.diff(t_s)
+    most_s = 2.0 * step_s * np.unique(t_s, return_counts=True)[1].max()
+    if not (steps_s >= 0.0).all() or not (np.abs(t_s - even_s) <= most_s).all():
+        at = int(np.argmax(np.abs(steps_s - step_s)))
+        raise InputError(
+            "the readings of the signals do not follow each other evenly: the clock jumps, or readings are lost",
+            code="signals.clock",
+            where=f"{path} reading {at + 2}",
+            got=f"{t_s[at + 1]:g} s after {t_s[at]:g} s; a reading every {step_s:.4g} s on average",
+            allowed="readings at a fixed rate, in the order of their times",
+            hint="interpolate lost readings; where t_s is when a block arrived, write when each reading was taken",
+        )
 
 
 def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path) -> SignalGroup:
@@ -137,6 +169,21 @@ def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryvi
         start_s=start_s,
         encoded=None if data is None else Encoded(data, columns),
     )
+
+
+def _require_numbers(schema: pa.Schema, path: Path) -> None:
+    """Refuse columns that hold no numbers, or have one name."""
+    twice = sorted({name for name in schema.names if schema.names.count(name) > 1})
+    strange = [f"{field.name}: {field.type}" for field in schema if field.type not in NUMBERS]
+    if twice or strange:
+        raise InputError(
+            "two columns of signals have one name" if twice else "a column of signals does not hold numbers",
+            code="signals.columns",
+            where=str(path),
+            got=", ".join(twice or strange)[:120],
+            allowed="a name for each column" if twice else ", ".join(map(str, NUMBERS)),
+            hint="leave words and switches out, and write numbers as double; t_s in seconds",
+        )
 
 
 def _is_float(table: pa.Table, name: str) -> bool:

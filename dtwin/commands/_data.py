@@ -47,6 +47,7 @@ def examples(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("examples"), as_json: Json = False
 ) -> None:
     """Copy small example campaigns here: with and without a hidden fault, and one spoilt run."""
+    import os
     import shutil
 
     from dtwin.config import example_campaigns
@@ -55,12 +56,18 @@ def examples(
         raise InputError(
             "the folder is there already", code="examples.exists", where=str(out), hint="dtwin examples --out ANOTHER"
         )
+    beside = out.with_name(f".{out.name}.{os.getpid()}.partial")
     try:
-        shutil.copytree(example_campaigns(), out)
+        shutil.copytree(example_campaigns(), beside)
+        beside.rename(out)
     except OSError as error:
+        # Of several files that cannot be copied, each with its reason.
+        reason = error.args[0][0][2] if isinstance(error, shutil.Error) else error
         raise InputError(
-            "the examples cannot be copied", code="examples.copy", where=str(out), got=str(error)
+            "the examples cannot be copied", code="examples.copy", where=str(out), got=str(reason)
         ) from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
     folders = sorted(str(p.parent) for p in out.glob("*/campaign.toml"))
     emit(
         {"campaigns": folders},

@@ -45,7 +45,7 @@ def export(
 ) -> None:
     """Write a registered correction as code, table or compensated program."""
     from dtwin.atomic import write_text
-    from dtwin.lifecycle.export import FORMATS, Request, export_twin, source_of
+    from dtwin.lifecycle.export import FORMATS, Request, export_twin, require_used, source_of
     from dtwin.lifecycle.export import export as write
     from dtwin.physics.library import Library
 
@@ -63,6 +63,7 @@ def export(
         program=program,
         tolerance_um=tolerance_um,
     )
+    require_used(request)
     made = export_twin(home(), source, form, machine)
     if made is not None:
         name, version, state = source, str(made.twin_version), "twin"

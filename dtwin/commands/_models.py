@@ -122,7 +122,8 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     def text() -> str:
         last = [waiting_text(left)] if left else []
         if not listing:
-            none = "no model is registered yet; make one with: dtwin train CAMPAIGN"
+            of = f" of machine {machine}" if machine else ""
+            none = f"no model{of} is registered yet; make one with: dtwin train CAMPAIGN"
             return "\n".join([none, *last])
         rows = [
             [
@@ -235,8 +236,9 @@ def report(
         raise InputError(
             "only a ball-bar file can be reported on by itself",
             code="report.source",
-            got=source.suffix or "no ending",
+            got=str(source)[:80],
             allowed=".b5r",
+            hint="dtwin certificate CAMPAIGN makes a page of a campaign, dtwin twin compare NAME --html FILE of a twin",
         )
     result = check_source(source)
     section = recording_section(source, result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ import typer
 from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, Report, emit
 from dtwin.commands._twins import app as twin_app
+from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.kinds.circular import Study
@@ -19,14 +21,14 @@ File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
 Centre = Annotated[
     tuple[float, float, float] | None, typer.Option(help="Centre of the circle in the base frame of a UR10e, mm.")
 ]
-Zero = Annotated[float, typer.Option(help="Where the bar's 0 deg lies in that frame, deg.")]
+Zero = Annotated[float | None, typer.Option(help="Where the bar's 0 deg lies in that frame, deg; else 0.")]
 
 
 @twin_app.command("recording")
 def study(
     file: File,
     robot_centre_mm: Centre = None,
-    bar_zero_deg: Zero = 0.0,
+    bar_zero_deg: Zero = None,
     html: Report = None,
     effects_path: Paths = None,
     as_json: Json = False,
@@ -35,7 +37,15 @@ def study(
     from dtwin.kinds.circular import recording_sections, recording_text, study_recording, ur10e_geometry
     from dtwin.physics.library import Library
 
-    geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg)
+    told = [*(robot_centre_mm or ()), *([] if bar_zero_deg is None else [bar_zero_deg])]
+    if not all(map(isfinite, told)) or (told and robot_centre_mm is None):
+        raise InputError(
+            "the place of the bar is not usable",
+            code="recording.place",
+            got=", ".join(map(str, told)),
+            allowed="finite numbers; --bar-zero-deg beside --robot-centre-mm X Y Z only",
+        )
+    geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg or 0.0)
     study = study_recording(file, Library(effects_path or ()), geometry)
     if html is not None:
         from dtwin.atomic import write_text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,8 +56,9 @@ def fit_tone(t_s: Floats, values: Floats, frequency_hz: float) -> Tone:
 
 
 def lag_deg(reference: Tone, follower: Tone) -> float:
-    """Return by how many degrees one tone lags behind another, -180 to 180."""
-    return float(np.degrees(cmath.phase(reference.phasor / follower.phasor)))
+    """Return by how many degrees one tone lags behind another, -180 to 180; NaN where there is none."""
+    turned = reference.phasor * follower.phasor.conjugate()
+    return math.degrees(cmath.phase(turned)) if turned else math.nan
 
 
 @dataclass(frozen=True)

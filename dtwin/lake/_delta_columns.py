@@ -10,6 +10,7 @@ from blake3 import blake3
 from deltalake.schema import Field, PrimitiveType
 
 from dtwin.errors import StoreError
+from dtwin.lake.parquet import NUMBERS
 from dtwin.units import unit_of
 
 LIVE = "dtwin.live_blake3"
@@ -17,11 +18,7 @@ LIVE = "dtwin.live_blake3"
 
 # A column is declared as the widest type of its sort; each file keeps the type it was
 # written with, and readers cast. So no campaign fixes the width of a column for the others.
-_SORTS = {
-    pa.string(): "string",
-    pa.bool_(): "boolean",
-    **dict.fromkeys((pa.float64(), pa.float32(), pa.int64(), pa.int32(), pa.int16()), "double"),
-}
+_SORTS = {pa.string(): "string", pa.bool_(): "boolean", **dict.fromkeys(NUMBERS, "double")}
 
 
 def live_hash(names: Iterable[str]) -> dict[str, str]:

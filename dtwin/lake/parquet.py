@@ -19,6 +19,8 @@ from dtwin.units import unit_of
 _ROW_GROUP_ROWS = 2**22
 # Says that the pages of a file carry checksums: pyarrow verifies them only where they are.
 _CHECKSUMS = {b"dtwin.page_checksums": b"crc32"}
+NUMBERS = (pa.float64(), pa.float32(), pa.int64(), pa.int32(), pa.int16())
+"""Types of numbers that the lake keeps."""
 
 
 def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +32,34 @@ from dtwin.train.twin_terms import choose
 from dtwin.twins.shelf import kind_of
 from dtwin.twins.verbs import Twins
 
-__all__ = ["FORMATS", "Export", "Request", "Source", "export", "export_twin", "source_of"]
+__all__ = ["FORMATS", "Export", "Request", "Source", "export", "export_twin", "require_used", "source_of"]
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
 _TABLES = (*ONE_AXIS, "csv", "gcode", *HELD)
 _OF_TWINS = tuple(dict.fromkeys(form for kind in own_kinds() for form in kind.export_forms))
 FORMATS = tuple(dict.fromkeys((*_EQUATIONS, *_TABLES, *_OF_TWINS)))
+_OF_TABLES = ("travel_mm", "origin_mm", "points")
+_USED = {
+    "gcode": ("program", "origin_mm", "tolerance_um"),
+    "csv": _OF_TABLES,
+    **dict.fromkeys(ONE_AXIS, ("axis", *_OF_TABLES)),
+}
+"""What a request may state of a form; the others are of nothing but the correction."""
+
+
+def require_used(request: Request) -> None:
+    """Refuse what is stated of a form that does not use it: a file without the origin that was told would correct another place."""
+    used, usual = _USED.get(request.form, ()), Request(request.form)
+    told = [f.name for f in fields(Request) if getattr(request, f.name) != getattr(usual, f.name)]
+    if stray := [name for name in told if name not in used]:
+        options = ["--" + name.removesuffix("_mm").replace("_", "-") for name in (*stray, *used)]
+        raise InputError(
+            f"this form does not use {', '.join(options[: len(stray)])}",
+            code="export.option",
+            where=request.form,
+            got=", ".join(f"{name} {getattr(request, name)}" for name in stray)[:120],
+            allowed=", ".join(options[len(stray) :]) or "none of the options of tables and programs",
+        )
 
 
 def export_twin(home: Home, name: str, form: str, machine: str | None = None) -> Export | None:
@@ -124,14 +146,6 @@ def export(source: Source, request: Request) -> Export:
     InputError
         When the form cannot hold it.
     """
-    if request.axis and request.form not in ONE_AXIS:
-        raise InputError(
-            "this form is not of one axis",
-            code="export.axis",
-            where=request.form,
-            got=f"--axis {request.axis}",
-            allowed=f"--axis with {', '.join(ONE_AXIS)}",
-        )
     if request.form in _EQUATIONS:
         return _equation(source, request.form)
     if request.form not in _TABLES:

@@ -23,6 +23,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.home_file import HOME_FILE
 from dtwin.lake.store import Lake
+from dtwin.pipeline.home_check import database_fault
 from dtwin.progress import Progress
 
 MANIFEST = "dtwin-home.json"
@@ -58,7 +59,7 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
     InputError
         When there is no home, or the file is there already.
     StoreError
-        When something cannot be read or written; nothing is left behind.
+        When something cannot be read or written, or a database is damaged; nothing is left behind.
     """
     if not home.root.is_dir():
         raise InputError("there is no home to back up", code="home.none", where=str(home.root), hint="set DTWIN_HOME")
@@ -169,17 +170,22 @@ def _files(root: Path, but: Path) -> Iterator[Path]:
 
 
 def _added(archive: tarfile.TarFile, path: Path, name: str) -> list[Any]:
-    """Add a file, and return its size and hash."""
-    if _is_sqlite(path):
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / "copy.db"
-            with (
-                closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as live,
-                closing(sqlite3.connect(copy)) as kept,
-            ):
-                live.backup(kept)
-            return _written(archive, copy, name, path.stat().st_mtime)
-    return _written(archive, path, name, path.stat().st_mtime)
+    """Add a file, and return its size and hash; a database that is damaged is refused: its copy would be taken for a sound one."""
+    if not (path.suffix == ".db" or _is_sqlite(path)):
+        return _written(archive, path, name, path.stat().st_mtime)
+    if fault := database_fault(path):
+        raise StoreError(
+            "a database of the home is damaged, and nothing was backed up",
+            code="home.damaged",
+            where=str(path),
+            got=fault,
+            hint="put it back from an older backup; moved away, mlflow.db begins anew, and dtwin repair logs the twins in it",
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy.db"
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as live, closing(sqlite3.connect(copy)) as kept:
+            live.backup(kept)
+        return _written(archive, copy, name, path.stat().st_mtime)
 
 
 def _written(archive: tarfile.TarFile, path: Path, name: str, changed: float) -> list[Any]:

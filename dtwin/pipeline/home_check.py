@@ -104,20 +104,27 @@ def _records(home: Home) -> Iterator[tuple[str, str]]:
 
 def _databases(home: Home) -> Iterator[tuple[str, str]]:
     for path in sorted(home.root.glob("*/**/*.db")):
-        try:
-            with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
-                said = "; ".join(row[0] for row in file.execute("PRAGMA integrity_check") if row[0] != "ok")
-        except sqlite3.DatabaseError as error:
-            said = str(error)
-            if error.sqlite_errorname.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-                raise StoreError(
-                    "another process holds a database",
-                    code="home.busy",
-                    where=str(path),
-                    got=said,
-                    hint="run this again when that has ended",
-                ) from error
-        yield str(path.relative_to(home.root)), said[:300]
+        yield str(path.relative_to(home.root)), database_fault(path)
+
+
+def database_fault(path: Path) -> str:
+    """Return what is wrong with a database, empty when nothing is.
+
+    Raises ``StoreError`` when another process holds it.
+    """
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as file:
+            return "; ".join(row[0] for row in file.execute("PRAGMA integrity_check") if row[0] != "ok")[:300]
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorname.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+            raise StoreError(
+                "another process holds a database",
+                code="home.busy",
+                where=str(path),
+                got=str(error),
+                hint="run this again when that has ended",
+            ) from error
+        return str(error)[:300]
 
 
 def _served(home: Home) -> Iterator[tuple[str, str]]:

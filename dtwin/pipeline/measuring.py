@@ -32,9 +32,9 @@ class FeatureReport:
     Attributes
     ----------
     runs, windows : int
-        Runs that have accelerometers, and windows in all.
+        Runs whose accelerometers hold a window at least, and windows in all.
     contract : WindowContract or None
-        Window and features; None without accelerometers.
+        Window and features; None without such a run.
     not_finite, constant : int
         Windows of a channel that hold no usable signal.
     """
@@ -81,8 +81,9 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
     for done, row in enumerate(rows, start=1):
         run = lake.load(row)
         group = next((g for g in run.signals if g.name == "accelerometers"), None)
-        if group is not None:
-            mine = _contract_for(group.rate_hz, tuple(group.columns))
+        mine = None if group is None else _contract_for(group.rate_hz, tuple(group.columns))
+        # A run that is shorter than a window has no features.
+        if group is not None and mine is not None and mine.channels and group.n_samples >= mine.n_samples:
             if contract is not None and mine != contract:
                 raise InputError(
                     "runs of the campaign have different channels or rates",

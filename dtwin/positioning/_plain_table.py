@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
 
@@ -10,6 +11,7 @@ from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.table_dialect import SUMMARY
 from dtwin.positioning._report_tables import name_of
 from dtwin.positioning.table_heads import (
+    AXIS,
     MOST_TITLES,
     UNIT_INSIDE,
     by_way_of,
@@ -26,6 +28,12 @@ _MOST_ON_ITS_SIDE = 2000
 _LETTER = re.compile(r"(?<![a-z])[xyz](?![a-z])")
 _MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")
 """A target with the direction behind it."""
+
+
+_CONDITION = re.compile(
+    r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
+)
+"""Head of a column of numbers that, where each has all targets, parts tests."""
 
 
 def table_of(rows: Sequence[Sequence[str]]) -> list[Sequence[str]] | None:
@@ -146,3 +154,27 @@ def _unit_last(head: str) -> str:
     """Return a head of two rows with the unit at its end: ``forward [µm] 1`` becomes ``forward 1 [µm]``."""
     unit = UNIT_INSIDE.search(head)
     return head if unit is None else f"{head[: unit.start()]}{head[unit.end() :]} {unit[0].strip()}"
+
+
+def told_apart(table: Sequence[Sequence[str]]) -> str:
+    """Return head and words of a column that is not known here, and of which each word, or number of several cycles, has all targets, where cycles are counted; else nothing."""
+    wide, long = wide_of(table[0]), long_of(table[0])
+    columns = wide or long
+    if columns is None or columns.cycle is not None:
+        return ""
+    cells = [i for i, _, _ in wide.cells] if wide else [long.way, long.value] if long else []
+    read = {columns.target, *cells}
+    way = long.way if long and not wide else None
+    place = [columns.target] if way is None else [columns.target, way]
+    once = 1 if wide or way is not None else 2
+    for i, head in enumerate(table[0]):
+        there: dict[str, Counter[tuple[str, ...]]] = {}
+        for row in table[1:] if i not in read and not AXIS.match(head.strip()) else ():
+            if max(i, *place) < len(row) and is_number(row[columns.target]) and row[i].strip():
+                there.setdefault(row[i].strip(), Counter()).update([tuple(row[n].strip() for n in place)])
+        words = _CONDITION.match(head.strip()) or all(name[0].isalpha() for name in there)
+        # A number that counts cycles has no target twice, or there and back where nothing tells the direction.
+        several = words or all(min(often.values()) > once for often in there.values())
+        if several and len(there) > 1 and len({frozenset(often) for often in there.values()}) == 1:
+            return f"{head.strip()} ({', '.join(there)})"
+    return ""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.acquire.foreign_columns import REVERSED, unit_of_titles
+from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning.position_runs import PositionTable
@@ -26,8 +27,6 @@ from dtwin.positioning.table_heads import (
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
-_LEFT_OUT = 5
-"""Numbers of cycles that may be left out, beside as many as there are."""
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
@@ -63,15 +62,15 @@ def require_one_axis(axes: Sequence[str], where: str, *, in_column: bool = False
 
 def require_counted(heads: Sequence[str], wide: Wide, path: Path) -> None:
     """Refuse heads whose numbers count no cycles: temperatures, loads, years, numbers of machines."""
-    numbers = sorted({number for _, _, number in wide.cells if number})
-    if numbers and numbers[-1] > 2 * len(numbers) + _LEFT_OUT:
+    numbers = {number for _, _, number in wide.cells if number}
+    if not counts_repeats(numbers):
         raise _no_cycles([heads[i].strip() for i, _, _ in wide.cells], path)
 
 
 def require_cycles(cycles: Iterable[int], head: str, path: Path) -> None:
     """Refuse numbers of rows that count no cycles; those of a log may begin anywhere."""
     numbers = sorted(set(cycles))
-    if numbers and numbers[-1] - numbers[0] >= 2 * len(numbers) + _LEFT_OUT:
+    if numbers and not counts_repeats(numbers, numbers[0]):
         raise _no_cycles([f"{head.strip()}: {', '.join(map(str, numbers))}"], path)
 
 

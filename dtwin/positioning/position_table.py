@@ -37,7 +37,7 @@ from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, wi
 from dtwin.positioning._instruments import instruments_beside
 from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
 from dtwin.positioning._one_place import one_place, probings_of, trials_of
-from dtwin.positioning._plain_table import table_of
+from dtwin.positioning._plain_table import table_of, told_apart
 from dtwin.positioning._refusals import (
     LITTLE,
     of_other_unit,
@@ -74,7 +74,6 @@ from dtwin.positioning.table_heads import (
     other_targets,
     plain_unit,
     rows_of_axis,
-    told_apart,
     told_unit,
     wide_of,
     without_remarks,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from dtwin.schema import ALONG_KIND
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 
 
@@ -58,7 +59,7 @@ class Scale:
 
 
 LENGTHS = Scale(
-    kind="linear",
+    kind=ALONG_KIND,
     position="position_mm",
     error="error_um",
     read="read_mm",

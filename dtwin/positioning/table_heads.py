@@ -36,16 +36,12 @@ AXIS = re.compile(
 )
 """Head of a column that says of which axis, or of which of several alike, a row is."""
 _OF_AXIS = re.compile(
-    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
+    r"(?<![a-z])(axis|achse|axe|asse|eje|machine|maschine|macchina|m[aá]quina|stage|slit|blade|jaw|backe|joint|gelenk|robot|roboter|head|kopf|unit|module|actuator|table|rundtisch|lathe|mill|s/?n|serial|spindle|spindel)[\s._:#-]*(\d+|[xyzabcuvw])(?![a-z0-9])",
     re.I,
 )
 """In a head or a title: of which axis, or of which of several alike, a column is."""
-_CONDITION = re.compile(
-    r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
-)
-"""Head of a column of numbers that, where each has all targets, parts tests."""
-_NAMED = re.compile(r"([XYZUVWABCJ])\d(?=[\s_]+[a-z])")
-"""At the begin of a head: the name of one of several axes that go the same way."""
+_NAMED = re.compile(r"([XYZUVWABCJM])\d(?=[\s_]+[a-z])")
+"""At the begin of a head: the name of one of several axes that go the same way, or of a machine."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
 _VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
@@ -240,25 +236,6 @@ def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
     at = row[target].strip() if target < len(row) else ""
     worded = any(cell.strip()[:1].isalpha() and cell.strip().lower() not in MISSING for cell in row)
     return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))
-
-
-def told_apart(table: Sequence[Sequence[str]]) -> str:
-    """Return head and words of a column that is not known here, and of which each word has all targets, where cycles are counted; else nothing."""
-    wide, long = wide_of(table[0]), long_of(table[0])
-    columns = wide or long
-    if columns is None or columns.cycle is not None:
-        return ""
-    cells = [i for i, _, _ in wide.cells] if wide else [long.way, long.value] if long else []
-    read = {columns.target, *cells}
-    for i, head in enumerate(table[0]):
-        targets: dict[str, set[str]] = {}
-        for row in table[1:] if i not in read and not AXIS.match(head.strip()) else ():
-            if max(i, columns.target) < len(row) and is_number(row[columns.target]) and row[i].strip():
-                targets.setdefault(row[i].strip(), set()).add(row[columns.target].strip())
-        words = _CONDITION.match(head.strip()) or all(name[0].isalpha() for name in targets)
-        if words and len(targets) > 1 and all(one == set().union(*targets.values()) for one in targets.values()):
-            return f"{head.strip()} ({', '.join(targets)})"
-    return ""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ _ROW_EVERY = 10
 # Runs that are read before the first of them is aligned: the memory that reading ahead takes.
 _AHEAD = 4
 _INDEX = {name: place for place, name in enumerate(STATE_FIELDS)}
+_NEEDED = ("segment_time_s", *(f"target_tcp_{axis}_mm" for axis in "xyz"))
+_TOGETHER = tuple(
+    [name for name in STATE_FIELDS if name.startswith(begin)] for begin in ("target_q_", "target_qd_", "target_speed_")
+)
+"""Columns of a controller's log that training needs, and those that it has all of, or none."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +154,7 @@ def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, 
     ``meta``: gives plane, direction and radius.
     Returns (ticks, len(STATE_FIELDS)).
     """
+    _require_columns(group, meta)
     t_log = np.arange(group.n_samples) / group.rate_hz
     t = np.arange(int(t_log[-1] * TICK_HZ) + 1) / TICK_HZ
     out = np.zeros((t.size, len(STATE_FIELDS)))
@@ -166,6 +172,23 @@ def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, 
     out[:, _INDEX["plane_id"]] = PLANES.index(plane)
     out[:, _INDEX["direction_sign"]] = 1.0 if meta.direction == "CCW" else -1.0
     return out
+
+
+def _require_columns(group: SignalGroup, meta: RunMeta) -> None:
+    """Refuse a log without the commanded place, or with some joints or speeds only: what lacks would be taken for zero."""
+    lacking = [name for name in _NEEDED if name not in group.columns]
+    for names in _TOGETHER:
+        there = [name for name in names if name in group.columns]
+        lacking += [name for name in names if there and name not in there]
+    if lacking:
+        raise InputError(
+            "the controller's log lacks columns",
+            code="train.signals",
+            where=meta.run_id,
+            got=", ".join(lacking)[:160],
+            allowed=f"{', '.join(_NEEDED)}; joints and speeds of all axes, or of none",
+            hint="docs/how-to/ingest-your-own.md, write the signals",
+        )
 
 
 def _complete_rows(group: SignalGroup) -> NDArray[np.bool_]:

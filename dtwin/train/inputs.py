@@ -54,10 +54,13 @@ def generic_inputs(rows: Rows) -> GenericInputs:
 
 
 def _contract_of(rows: Rows) -> WindowContract | None:
-    """Return the window contract of a campaign's accelerometers, None when a run has none."""
+    """Return the window contract of a campaign's accelerometers, None when a run has none, or lacks a channel of the first."""
     groups = [run.accelerometers for run in rows.runs]
     first = groups[0]
     if first is None or any(g is None or abs(g.rate_hz - first.rate_hz) > 1e-6 for g in groups):
+        return None
+    channels = {name for name in first.columns if name.endswith("_g")}
+    if not channels or not all(g is not None and channels <= {*g.columns} for g in groups):
         return None
     return WindowContract(
         rate_hz=first.rate_hz,
@@ -74,6 +77,15 @@ def _window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     """Return the features of every window of a run's accelerometers."""
     if run.accelerometers is None:
         raise InputError("the run has no accelerometers", code="train.signals", where=run.meta.run_id)
+    if run.accelerometers.n_samples < contract.n_samples:
+        raise InputError(
+            "the accelerometers hold less than a window",
+            code="train.signals",
+            where=run.meta.run_id,
+            got=f"{run.accelerometers.n_samples} readings",
+            allowed=f"{contract.n_samples} at least",
+            hint="dtwin leave-out CAMPAIGN RUN --because TEXT",
+        )
     block = np.stack([run.accelerometers.columns[name] for name in contract.channels])
     return batch_features(block, contract)
 

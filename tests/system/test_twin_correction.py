@@ -196,7 +196,12 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         (["export", "latest", "--as", "gcode", "--program", "part-corrected.nc", "--out", "n"], "gcode.twice"),
         (["export", "latest", "--as", "gcode", "--program", "part.nc", "--out", "part.nc", "--force"], "export.exists"),
         (["export", "mill-a", "--machine", "other", "--as", "c", "--out", "n"], "export.machine"),
-        (["export", "latest", "--as", "csv", "--axis", "X", "--out", "n"], "export.axis"),
+        (["export", "latest", "--as", "csv", "--axis", "X", "--out", "n"], "export.option"),
+        (["export", "latest", "--as", "c", "--origin", "1,2,3", "--out", "n"], "export.option"),
+        (
+            ["export", "latest", "--as", "gcode", "--program", "part.nc", "--travel", "0,5", "--out", "n"],
+            "export.option",
+        ),
         (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "900,950", "--out", "n"], "export.travel"),
         (["export", "latest", "--as", "comp", "--axis", "X", "--out", "part.nc/n"], "store.write"),
     ):

@@ -192,6 +192,23 @@ def test_a_missing_part_is_named_without_a_traceback(blocked: str) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    "place",
+    [
+        ["--bar-zero-deg", "-90"],
+        ["--robot-centre-mm", "nan", "0", "75"],
+        ["--robot-centre-mm", "1", "0", "75", "--bar-zero-deg", "inf"],
+    ],
+)
+def test_a_place_of_the_bar_that_is_none_is_refused(place: list[str]) -> None:
+    done = here("twin", "recording", "data/samples/ur10e_xy_r100_f5000.b5r", *place)
+    assert (done.returncode, "recording.place" in done.stderr) == (1, True)
+
+
+def test_models_of_a_machine_without_any_are_told_of_that_machine() -> None:
+    assert "no model of machine nope is registered" in here("models", "--machine", "nope").stdout
+
+
 def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> None:
     out = tmp_path / "examples"
     copied = json.loads(here("examples", "--out", str(out), "--json").stdout)["campaigns"]
@@ -200,6 +217,17 @@ def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> No
     again = here("examples", "--out", str(out))
     assert (again.returncode, "examples.exists" in again.stderr) == (1, True)
     assert (out / "hidden-effect" / "campaign.toml").read_text(encoding="utf-8") == "mine"
+
+
+def test_examples_that_cannot_be_copied_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "a.csv").write_text("t_s", encoding="utf-8")
+    (source / "b.csv").symlink_to("nowhere")
+    monkeypatch.setattr("dtwin.config.example_campaigns", lambda: source)
+    done = here("examples", "--out", str(tmp_path / "examples"))
+    assert (done.returncode, "examples.copy" in done.stderr, "[(" in done.stderr) == (1, True, False)
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
 
 
 def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_not_spoil_the_end(

@@ -117,7 +117,22 @@ def test_a_part_that_is_a_link_is_backed_up_and_one_further_down_is_refused(live
     (other.machines / "mill-1.toml").symlink_to(other.machines / "mill-0.toml")
     with pytest.raises(InputError, match="a link"):
         backup(other, tmp_path / "again.tar")
-    assert not (tmp_path / "again.tar").exists()
+    assert not list(tmp_path.glob("*again.tar*"))
+
+
+@pytest.mark.parametrize("at", [0, 8000])
+def test_a_damaged_database_is_in_no_backup(lived_in: Home, tmp_path: Path, at: int) -> None:
+    registered(lived_in, small_bundle())
+    database = lived_in.root / "mlflow" / "mlflow.db"
+    whole = database.read_bytes()
+    database.write_bytes(whole[:at] + bytes(20_000) + whole[at + 20_000 :])
+    with pytest.raises(StoreError, match="damaged") as refused:
+        backup(lived_in, tmp_path / "home.tar")
+    assert refused.value.where == str(database)
+    assert not list(tmp_path.glob("*home.tar*"))
+    database.write_bytes(b"")
+    backup(lived_in, tmp_path / "home.tar")
+    restore(tmp_path / "home.tar", Home(tmp_path / "other"))
 
 
 def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> None:

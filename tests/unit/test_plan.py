@@ -57,6 +57,11 @@ def test_a_plan_says_what_it_cannot_tell() -> None:
         {"repeats": 0},
         {"repeats": 2.5},
         {"directions": ["UP"]},
+        {"directions": [["CCW"]]},
+        {"directions": ["CW", "CW"]},
+        {"radius_mm": [100.0, 100]},
+        {"plane": ["ZX", "XZ"]},
+        {"repeat": 3},
         {"radius_mm": []},
         {"feed_mm_min": list(np.arange(1.0, 9999.0)), "repeats": 900},
     ],
@@ -74,10 +79,13 @@ def test_impossible_plans_are_refused_before_anything_moves(grid: dict[str, obje
         {"limits": {"max_radius_mm": "wide"}},
         {"limits": 5},
         {"limits": {"max_feed_mm_min": True}},
+        {"limits": {"max_feed": 500.0}},
+        {"limit": {"max_feed_mm_min": 500.0}},
+        {"plan": {"name": "p", "machine": "m", "calibrated_length": "no"}},
     ],
 )
-def test_a_seed_or_a_limit_that_is_none_is_refused(changed: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=r"seed|max_|\[limits\]"):
+def test_a_setting_that_is_none_is_refused(changed: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=r"seed|max_|\[limits\]|unknown setting|true or false"):
         expand(document() | changed, "x")
 
 

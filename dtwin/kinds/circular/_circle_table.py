@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads, require_one_table
+from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -44,8 +45,6 @@ _PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([x
 _SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
-_LEFT_OUT = 5
-"""Numbers of repeats that may be left out, beside as many as there are."""
 _MOST_OFF = 0.1
 """Of the programmed radius."""
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
@@ -147,6 +146,14 @@ def read_circle_runs(
         raise _wrong(
             "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
         )
+    told = stated.get("direction")
+    if told and any(run.meta.direction != told for run in runs):
+        raise _wrong(
+            "the table goes another way round than is told",
+            path,
+            f"direction {told}, runs {', '.join(str(run.meta.direction) for run in runs)}",
+            "no direction told; cw [µm] or ccw [µm] as head of deviations over an angle that runs the other way",
+        )
     return _counted(runs, int(stated.get("repeat", 1))), rejects
 
 
@@ -204,7 +211,7 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
             )
     ways = {column.head: beside_way(bare(column)) for column in columns if way_of(bare(column))}
     numbers = {number for _, told in ways.values() for number in told}
-    if len({words for words, _ in ways.values()}) > 1 or max(numbers, default=0) > 2 * len(numbers) + _LEFT_OUT:
+    if len({words for words, _ in ways.values()}) > 1 or not counts_repeats(numbers):
         raise _wrong(
             "columns of one direction are of several planes, feeds, radii or machines, and no repeats",
             path,

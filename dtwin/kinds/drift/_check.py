@@ -154,6 +154,8 @@ def _figures(run: Run) -> dict[str, Any] | None:
     if any(f.severity == "error" for f in [*run.findings, *judge_drift(run)]):
         return None
     series = series_of(run)
+    if not series.temperatures_c:
+        return None
     base = steady(series)
     steps = missing(series, base)
     last = steps[-1].fitted if steps else base

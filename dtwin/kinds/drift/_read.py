@@ -57,6 +57,7 @@ _STAMP = re.compile(
 _FORM = re.compile(r"\s*[\[(]\s*(utc|local|[hdmsyt:./ -]*[:./-][hdmsyt:./ -]*)\s*[\])]\s*$", re.I)
 """Behind the head of stamps: their form, such as hh:mm:ss."""
 _STEPS = "displacement_step"
+_SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
@@ -68,7 +69,8 @@ _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return each displacement of a log as a run, and the rows that hold no usable number.
 
-    Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
+    Raises ``InputError`` when there is no displacement or no time, beside columns that are not known no temperature,
+    or the size of a step is not told.
     """
     text = decoded(table_bytes(path, _MOST_BYTES))
     require_one_block(text, path)
@@ -83,7 +85,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     temperatures = [name for name in heads if _TEMPERATURE.fullmatch(name)]
     moved = _displacements(heads)
     clock = next((name for name in ("t_s", _STAMPED) if name in column), "")
-    if not moved or not temperatures or not clock or not body:
+    # Without a temperature it is a log of displacements alone, if every column is known.
+    unread = {*heads} - {"t_s", _STAMPED, _SAMPLE, *moved}
+    if not moved or not clock or not body or (unread and not temperatures):
         foreign = [column.head for column in _unknown(said, units, recipe)]
         raise InputError(
             "a log of drift lacks columns",
@@ -109,8 +113,8 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     _require_rising(there, path)
     shared: dict[str, Floats] = {"t_s": t_s}
     shared |= {name: scales[name] * (_numbers(column[name]) - zero_of[name]) for name in temperatures}
-    if "sample" in column:
-        shared["sample_1"] = _numbers(column["sample"])
+    if _SAMPLE in column:
+        shared[_SAMPLE] = _numbers(column[_SAMPLE])
     cold = [
         Finding("drift.left_out", "warning", f"{column.head} is left out: {column.why_not}")
         for column in _unknown(said, units, recipe)
@@ -130,6 +134,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
             shared[name] = np.where(lost, np.nan, read)
+    if not temperatures:
+        said = "no temperature was logged: how far it drifted is told, and not what it follows"
+        cold.append(Finding("drift.no_temperature", "warning", said))
     cold += standing(t_s, {name: shared[name] for name in temperatures if name in shared})
     runs, rejects = [], []
     sense(stated.get("condition", {}), str(path))
@@ -250,6 +257,8 @@ def _named(
             name = f"temperature_{name}"
         elif _STAMP.fullmatch(_FORM.sub("", name)):
             name = _STAMPED
+        elif name.lower() in ("sample", _SAMPLE):
+            name = _SAMPLE
         elif name.endswith("_mm"):
             name, factor = f"{name.removesuffix('_mm')}_um", factor * 1e3
         names.append(name)

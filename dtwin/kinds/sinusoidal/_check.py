@@ -83,13 +83,19 @@ def followed(run: Run, last_s: float | None = None) -> ToneErrors | None:
     return tone_errors(t[part], command, encoder, tool, commanded(run).frequency_hz)
 
 
+def accelerometer(run: Run) -> tuple[SignalGroup, str] | None:
+    """Return the group of the accelerometers and its first channel in g, None without one."""
+    groups = (group for group in run.signals if group.name == "accelerometers")
+    return next(((group, name) for group in groups for name in group.columns if name.endswith("_g")), None)
+
+
 def heard(run: Run) -> Tone | None:
     """Return the commanded tone as the first accelerometer channel hears it, None without one."""
-    group = next((g for g in run.signals if g.name == "accelerometers" and g.columns), None)
-    if group is None:
+    found = accelerometer(run)
+    if found is None:
         return None
-    values = next(iter(group.columns.values()))
-    return fit_tone(group.t_s, values, commanded(run).frequency_hz)
+    group, name = found
+    return fit_tone(group.t_s, group.columns[name], commanded(run).frequency_hz)
 
 
 def judge_sinusoidal_run(run: Run) -> list[Finding]:
@@ -224,7 +230,10 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
     if group.name != "accelerometers" or not group.columns:
         return findings
     tone = heard(run)
-    if tone is not None and tone.share < HEARD:
+    if tone is None:
+        said = f"no channel of the accelerometers is in g, such as tool_z_g ({', '.join(group.columns)}): none is read"
+        findings.append(Finding("sensor.unit", "warning", said))
+    elif tone.share < HEARD:
         findings.append(
             Finding(
                 "sensor.below_noise",

@@ -15,7 +15,7 @@ from dtwin.features.catalogue import feature_column
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import HORIZON_S, SENT, TONE_FEATURES, tone_columns, tone_contract, tone_features
 from dtwin.features.windows import WindowContract
-from dtwin.kinds.sinusoidal._check import HEARD, commanded, followed, heard
+from dtwin.kinds.sinusoidal._check import HEARD, accelerometer, commanded, followed, heard
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
 from dtwin.units import UM_PER_MM
@@ -147,18 +147,18 @@ def noise_floor_um(groups: ToneGroups) -> tuple[float, int]:
 
 
 def _group(run: Run) -> Mapping[str, Any] | None:
-    group = next((g for g in run.signals if g.name == "accelerometers" and g.columns), None)
+    found = accelerometer(run)
     errors, told, tone = followed(run, HORIZON_S), commanded(run), heard(run)
-    if group is None or errors is None or tone is None:
+    if found is None or errors is None or tone is None:
         return None
-    channel, acceleration = next(iter(group.columns.items()))
+    group, channel = found
     contract = tone_contract(group.rate_hz, channel)
     if group.n_samples < contract.n_samples:
         return None
     t, command = run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM
     tool, encoder = run.samples["tool_z_mm"] * UM_PER_MM, run.samples["act_z_mm"] * UM_PER_MM
     sent = np.interp(group.t_s, t, command)
-    windowed = tone_features(sent, acceleration, contract)
+    windowed = tone_features(sent, group.columns[channel], contract)
     return {
         "contract": contract,
         "frequency_hz": told.frequency_hz,

@@ -222,14 +222,14 @@ def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
     assert caught.value.code == "mtconnect.absent"
 
 
-def test_an_answer_that_never_ends_is_given_up() -> None:
-    """As of an agent that hangs in its answer: each byte comes before the timeout."""
+@pytest.mark.parametrize("begin", [b"HTTP/1.0 200 OK\r\n\r\n", b"HTTP/1.0 200 OK\r\nX: "])
+def test_an_answer_that_never_ends_is_given_up(begin: bytes) -> None:
+    """As of an agent that hangs in its answer, or its head: each byte comes before the timeout."""
     over = threading.Event()
 
     class Dripping(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.send_response(200)
-            self.end_headers()
+            self.wfile.write(begin)
             with contextlib.suppress(OSError):
                 while not over.wait(0.05):
                     self.wfile.write(b"<")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
-from dtwin.acquire.signal_files import read_signals
+from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import InputError
+from dtwin.schema import SignalGroup
 
 
 @pytest.mark.parametrize(
@@ -55,3 +59,54 @@ def test_a_table_that_tells_no_unit_or_clock_is_refused(tmp_path: Path, text: st
     with pytest.raises(InputError) as refused:
         read_signals(path)
     assert refused.value.code == code
+
+
+@pytest.mark.parametrize("name", ["bed_c", "t_s"])
+@pytest.mark.parametrize(
+    "column",
+    [pa.array([[1.0], [2.0]]), pa.array([0, 1], pa.timestamp("us")), pa.array(["0", "1"]), pa.array([True, False])],
+)
+def test_a_column_that_holds_no_numbers_is_refused(tmp_path: Path, name: str, column: pa.Array) -> None:
+    path = tmp_path / "c000.thermocouples.parquet"
+    pq.write_table(pa.table({"t_s": pa.array([0.0, 1.0]), name: column}), path)
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == "signals.columns"
+
+
+def test_signals_of_one_name_or_without_a_reading_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r1.accelerometers.parquet"
+    numbers = pa.array([0.0, 1.0])
+    pq.write_table(pa.table([numbers, numbers, numbers], ["t_s", "wrist_x_g", "wrist_x_g"]), path)
+    with pytest.raises(InputError, match="one name"):
+        read_signals(path)
+    write_signals(path, SignalGroup("accelerometers", 100.0, {"wrist_x_g": np.zeros(0)}))
+    with pytest.raises(InputError, match="no reading"):
+        read_signals(path)
+    write_signals(path, SignalGroup("accelerometers", 100.0, {"wrist_x_g": np.array([0.0, np.inf])}))
+    with pytest.raises(InputError, match="computed with"):
+        read_signals(path)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "even"),
+    [
+        (lambda t: t, True),
+        (lambda t: np.round(t, 1), True),
+        (lambda t: t + np.where(np.arange(t.size) < 300, 0.0, 3.0), False),
+        (lambda t: np.where(np.arange(t.size) == 100, t[90], t), False),
+        (lambda t: np.where(np.arange(t.size) == 100, np.nan, t), False),
+        (lambda t: t[np.arange(t.size) % 100 != 99], True),
+        (lambda t: np.concatenate([t[:200], t[210:]]), False),
+    ],
+)
+def test_a_clock_that_jumps_or_lost_readings_is_refused(tmp_path: Path, spoil: Any, even: bool) -> None:
+    path = tmp_path / "r1.accelerometers.parquet"
+    t_s = spoil(0.01 * np.arange(700))
+    pq.write_table(pa.table({"t_s": t_s, "wrist_x_g": np.sin(t_s)}), path)
+    if even:
+        assert read_signals(path)[0].rate_hz == pytest.approx(100.0, rel=0.02)
+        return
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == "signals.clock"

@@ -14,6 +14,7 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._check import followed
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
@@ -64,6 +65,15 @@ def test_check_prints_amplitude_and_lag_of_each_run(folder: Path) -> None:
     assert "does not hear 1 µm at 5 Hz" in text
 
 
+def test_an_encoder_that_stands_still_lags_by_nothing_that_is_known() -> None:
+    run = loud()
+    stood = replace(run, samples=dict(run.samples) | {"act_z_mm": np.zeros(len(run.samples["t_s"]))})
+    told = followed(stood)
+    assert told is not None
+    assert np.isnan(told.encoder_lag_deg)
+    assert "reading.clipped" in codes(stood)
+
+
 def test_a_grid_with_holes_is_told(folder: Path) -> None:
     runs = [run for part, _ in open_campaign(folder) for run in part]
     found = {f.code: f for f in judge_campaign(runs[:3])}
@@ -95,6 +105,11 @@ def saturated(run: Run) -> Run:
     return replace(run, signals=(replace(group, columns={"tool_z_g": limited}),))
 
 
+def in_volts(run: Run) -> Run:
+    group = run.signals[0]
+    return replace(run, signals=(replace(group, columns={"tool_z_v": group.columns["tool_z_g"]}),))
+
+
 def without(name: str) -> Callable[[Run], Run]:
     def change(run: Run) -> Run:
         return replace(run, samples={k: v for k, v in run.samples.items() if k != name})
@@ -115,6 +130,7 @@ def cut_short(run: Run) -> Run:
         (conditioned(amplitude_um=5.0), "sinusoidal.not_the_tone", "error"),
         (clipped, "reading.clipped", "error"),
         (saturated, "sensor.saturated", "error"),
+        (in_volts, "sensor.unit", "warning"),
         (without("tool_z_mm"), "sinusoidal.no_reference", "warning"),
         (cut_short, "sinusoidal.short", "warning"),
     ],

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from dtwin.acquire._tabular import kind_of_table, read_columns
@@ -40,6 +42,14 @@ def test_a_word_far_down_is_refused_with_its_row(tmp_path: Path) -> None:
         read_columns(written(tmp_path / "a.csv", f"{ROWS},1,reverse,lost"), "linear")
     assert refused.value.code == "columns.number"
     assert "lost" in str(refused.value.got)
+
+
+def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
+    columns = {"t_s": [0.0, 1.0], "angle_deg": [0.0, 1.0], "deviation_um": [True, False]}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    with pytest.raises(InputError) as refused:
+        read_columns(tmp_path / "a.parquet", "circular")
+    assert refused.value.code == "columns.number"
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 65_536, 65_537])

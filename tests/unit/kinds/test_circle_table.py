@@ -194,6 +194,28 @@ def test_a_radius_that_is_no_number_is_refused(tmp_path: Path, radius: str) -> N
     assert refused.value.code == "campaign.value"
 
 
+@pytest.mark.parametrize(
+    ("told", "code"),
+    [
+        ({"direction": "CW"}, "circle_table.form"),
+        ({"axis": "X"}, "ingest.kind"),
+        ({"screw_pitch_mm": 5.0}, "ingest.kind"),
+    ],
+)
+def test_what_is_told_and_is_not_of_the_table_is_refused(tmp_path: Path, told: dict[str, object], code: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table("angle_deg,deviation_um", ANGLE, ANGLE), encoding="utf-8")
+
+    def read(told: dict[str, object]) -> Run:
+        folder = open_table(path, {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0} | told)
+        return folder.read(folder.entries[0])[0][0]
+
+    with pytest.raises(InputError) as refused:
+        read(told)
+    assert refused.value.code == code
+    assert read({"direction": "CCW"}).meta.direction == "CCW"
+
+
 def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     x, z = (150.0 * shape(np.radians(ANGLE)) for shape in (np.cos, np.sin))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -544,6 +545,21 @@ def test_what_takes_a_quarter_of_the_squares_is_not_idle_where_more_is_left() ->
     assert without.held_out_um > 1.2 * now.held_out_um
     assert frame in now.terms
     assert frame not in idle(log, now.terms)
+
+
+def test_a_log_without_a_temperature_tells_how_far_it_drifted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{60 * n},{n // 2},{n / 2:g}" for n in range(120)]
+    path.write_text("\n".join(["t_s,sample_1,displacement_um", *rows]), encoding="utf-8")
+    told = CliRunner().invoke(app, ["check", str(path), "--machine", "m", "--kind", "drift"], catch_exceptions=False)
+    assert re.search(r"range of the drift +59\.", told.output)
+    assert "no temperature was logged" in told.output
+    assert "R²" not in told.output
+    (run,), _ = read_drift(path, Campaign("c", "m", "drift"), {})
+    assert run.samples["sample_1"].tolist() == [n // 2 for n in range(120)]
+    path.write_text("\n".join(["t_s,frame,displacement_um", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="lacks columns"):
+        read_drift(path, Campaign("c", "m", "drift"), {})
 
 
 def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Path) -> None:

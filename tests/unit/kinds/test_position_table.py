@@ -1363,6 +1363,12 @@ def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(
     runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
     (told,) = (f.message for f in runs[0].findings if f.code == "linear.told_apart")
     assert "feed [mm/min] (1000, 5000)" in told
+    rows = [f"{t},{way},{t}.00{n},{n}" for n in (1, 2, 2, 1) for way in "+-" for t in (0, 50)]
+    for counted, heard in ((rows, ["pressure (1, 2)"]), (rows[:8], [])):
+        path.write_text("\n".join(["target [mm],direction,position [mm],pressure", *counted]), encoding="utf-8")
+        runs, _ = read_position_runs(path, Campaign("a", "m", "linear"), {"condition": {"axis": "X"}})
+        found = [f.message for f in runs[0].findings if f.code == "linear.told_apart"]
+        assert [told.partition(" is not read")[0].removeprefix("the column ") for told in found] == heard
     rows = [f"{t},{way},1,5" for way in "+-" for t in (0, 50)]
     path.write_text("\n".join(["target [mm],direction,error 20C [µm],error 30C [µm]", *rows]), encoding="utf-8")
     with pytest.raises(InputError, match="count no cycles") as refused:
@@ -1371,7 +1377,7 @@ def test_numbers_of_a_feed_part_tests_and_those_of_temperatures_count_no_cycles(
 
 
 @pytest.mark.parametrize(
-    "names", [("blade 1", "blade 2"), ("Jaw 1", "Jaw 2"), ("X1", "X2"), ("robot 1", "robot 2"), ("J1", "J2")]
+    "names", [(f"{name}1", f"{name}2") for name in ("blade ", "Jaw ", "X", "robot ", "J", "M", "table ")]
 )
 def test_sister_axes_beside_each_other_are_no_cycles(tmp_path: Path, names: tuple[str, str]) -> None:
     path = tmp_path / "a.csv"
