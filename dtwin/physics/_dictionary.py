@@ -38,7 +38,7 @@ class Entry:
     @property
     def parity(self) -> str:
         """How it depends on the direction."""
-        return self.term.instance.effect.law.direction or ""
+        return self.term.instance.effect.law.direction
 
 
 class Dictionary:
