@@ -99,7 +99,9 @@ def zero_weighted(rows: Floats, run_of: Indices, factor: float) -> Floats:
     if factor == 1.0:
         return rows
     out = rows.copy()
-    shared = condition_sums(rows[:, :1], run_of)[:, 0] / np.bincount(run_of).reshape(-1, *[1] * (rows.ndim - 2))
+    # A run that was left out has no rows.
+    members = np.maximum(np.bincount(run_of), 1)
+    shared = condition_sums(rows[:, :1], run_of)[:, 0] / members.reshape(-1, *[1] * (rows.ndim - 2))
     out[:, 0] += (factor - 1.0) * shared[run_of]
     return out
 
@@ -183,9 +185,9 @@ def _zero_weight(zero: Floats, run_of: Indices) -> float:
     ``zero``, (rows,): deviations from the mean of the condition.
     """
     members = np.bincount(run_of)
-    shared = np.bincount(run_of, zero) / members
-    own = zero - shared[run_of]
-    free_shared, free_own = len(members) - 1, len(zero) - len(members) - 1
+    shared = np.bincount(run_of, zero) / np.maximum(members, 1)
+    own, runs = zero - shared[run_of], np.count_nonzero(members)
+    free_shared, free_own = runs - 1, len(zero) - runs - 1
     between, within = float(members @ shared**2), float(own @ own)
     if min(free_shared, free_own) < 1 or within <= 0.0:
         return 1.0

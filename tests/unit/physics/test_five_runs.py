@@ -121,6 +121,10 @@ def test_runs_whose_zero_does_not_wander_are_weighted_as_before() -> None:
     assert moved is not None
     assert moved.zero_weight < 0.1
     assert moved.weights == pytest.approx(made.weights, rel=0.5)
+    # Numbers of runs have a gap where one was left out.
+    gap = pure_error(wandering, np.tile([0, 1], 5), 1.0, run_of=run_of + (run_of > 1))
+    assert gap is not None
+    assert gap.zero_weight == moved.zero_weight
 
 
 def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
