@@ -37,6 +37,14 @@ def build(
             got=str(baud),
             allowed="250000, 500000, 1000000",
         )
+    if out.exists() and (not out.is_file() or not out.read_bytes().startswith(b"\x7fELF")):
+        raise InputError(
+            "what is there is no firmware, and would be lost",
+            code="analogue.exists",
+            where=str(out),
+            allowed="a new file, or an ELF file of before",
+            hint="--out",
+        )
     build_firmware(out, baud)
     print(
         f"{out} written: tried in a simulator, not yet run on a board\n"

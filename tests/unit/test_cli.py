@@ -372,3 +372,12 @@ def test_closed_and_full_streams_end_in_no_traceback(streams: str, code: int, tm
     done = subprocess.run(["sh", "-c", command], env=where, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
     assert (tmp_path / "home" / "machines" / "mill-a.toml").read_text() == "events = []\n\n[axes]\n\n[tolerances]\n"
+
+
+def test_firmware_replaces_nothing_but_firmware(tmp_path: Path) -> None:
+    kept = tmp_path / "users"
+    kept.write_text("root:x:0:0\n")
+    refused = here("analogue", "build", "--out", str(kept))
+    assert refused.returncode == 2
+    assert "no firmware" in refused.stderr
+    assert kept.read_text() == "root:x:0:0\n"
