@@ -146,6 +146,7 @@ def export(source: Source, request: Request) -> Export:
     InputError
         When the form cannot hold it.
     """
+    require_used(request)
     if request.form in _EQUATIONS:
         return _equation(source, request.form)
     if request.form not in _TABLES:

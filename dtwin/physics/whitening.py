@@ -186,7 +186,7 @@ def _zero_weight(zero: Floats, run_of: Indices) -> float:
     """
     members = np.bincount(run_of)
     shared = np.bincount(run_of, zero) / np.maximum(members, 1)
-    own, runs = zero - shared[run_of], np.count_nonzero(members)
+    own, runs = zero - shared[run_of], int((members > 0).sum())
     free_shared, free_own = runs - 1, len(zero) - runs - 1
     between, within = float(members @ shared**2), float(own @ own)
     if min(free_shared, free_own) < 1 or within <= 0.0:

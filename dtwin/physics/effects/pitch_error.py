@@ -22,21 +22,23 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return stacked(*wave, *curve)
     position_mm, along = state.position_mm[axis], state.sensitivity[axis]
-    travel_mm = max(float(np.ptp(position_mm)), 1e-9)
-    if state.plane and shape["half_waves"] > 0.0:
+    if state.plane:
         # A circle meets each place twice, with another sensitivity: a curve of many numbers would follow any error.
+        phase = 2.0 * np.pi * position_mm / shape["wave_mm"]
+        if shape["half_waves"] == 0.0:
+            wave = [along * np.cos(phase), along * np.sin(phase)]
         return stacked(*wave, *curve)
+    travel_mm, places = max(float(np.ptp(position_mm)), 1e-9), len(np.unique(position_mm))
     if shape["half_waves"] > 0.0:
         turn = np.pi * (position_mm - position_mm.min()) / travel_mm
         # Half of the targets: more numbers would follow any error.
-        most = min(shape["half_waves"], len(np.unique(position_mm)) / 2)
-        return stacked(*wave, *(along * np.cos(k * turn) if k <= most else nothing for k in _HALF_WAVES))
-    # Along an axis, what does not turn back within the travel is no wave but a bow, and targets show no wave of two steps.
-    longest_mm = np.inf if state.plane else _MOST * travel_mm
-    if not state.plane and shape["wave_mm"] < 2.0 * travel_mm / max(len(np.unique(position_mm)) - 1, 1):
-        return stacked(*wave, *curve)
-    phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], longest_mm)
-    return stacked(along * np.cos(phase), along * np.sin(phase), *curve)
+        most = min(shape["half_waves"], places / 2)
+        curve = [along * np.cos(k * turn) if k <= most else nothing for k in _HALF_WAVES]
+    elif shape["wave_mm"] >= 2.0 * travel_mm / max(places - 1, 1):
+        # What does not turn back within the travel is no wave but a bow, and targets show no wave of two steps.
+        phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], _MOST * travel_mm)
+        wave = [along * np.cos(phase), along * np.sin(phase)]
+    return stacked(*wave, *curve)
 
 
 EFFECT = Effect(
