@@ -34,9 +34,10 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
         # Half of the targets: more numbers would follow any error.
         most = min(shape["half_waves"], places / 2)
         curve = [along * np.cos(k * turn) if k <= most else nothing for k in _HALF_WAVES]
-    elif shape["wave_mm"] >= 2.0 * travel_mm / max(places - 1, 1):
-        # What does not turn back within the travel is no wave but a bow, and targets show no wave of two steps.
-        phase = 2.0 * np.pi * position_mm / min(shape["wave_mm"], _MOST * travel_mm)
+    else:
+        # What does not turn back within the travel is no wave but a bow, and targets show no wave below two steps.
+        wave_mm = min(max(shape["wave_mm"], 2.0 * travel_mm / max(places - 1, 1)), _MOST * travel_mm)
+        phase = 2.0 * np.pi * position_mm / wave_mm
         wave = [along * np.cos(phase), along * np.sin(phase)]
     return stacked(*wave, *curve)
 

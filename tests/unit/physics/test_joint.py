@@ -10,11 +10,13 @@ import pytest
 
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.joint import Joint, MachineTest, Settled, Size, _said, joint
 from dtwin.physics.library import Library
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
 
 LIBRARY = Library()
@@ -148,3 +150,12 @@ def test_circles_take_the_pitch_that_a_laser_states() -> None:
     assert seen is not None
     assert (seen.label, seen.shape["pitch_mm"]) == ("cyclic_error X", 6.0)
     assert fit(bar, [seen]).rms_after_um < 0.2
+
+
+def test_a_wave_that_targets_do_not_show_is_fitted_as_the_shortest_that_they_do() -> None:
+    # Circles may propose it for a laser that reads every 20 mm.
+    laser = mill_and_laser.laser("X", 0.0, 0.0)
+    instance = Instance(LIBRARY["pitch_error"], "X")
+    short = fit(laser, [Term(instance, {"wave_mm": 25.0, "half_waves": 0.0})], refine=False)
+    shown = fit(laser, [Term(instance, {"wave_mm": 40.0, "half_waves": 0.0})], refine=False)
+    assert short.rms_after_um == pytest.approx(shown.rms_after_um)
