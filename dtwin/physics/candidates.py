@@ -185,6 +185,8 @@ class Candidates:
                 )
             )
         ]
+        if effect.also_tried_on and self.obs.grid.kind not in effect.also_tried_on:
+            return grid
         return [*grid, *(s for s in effect.also_tried if several or effect.is_told_at_one_speed(s))]
 
 

@@ -134,6 +134,8 @@ class Effect:
         Parameters that the error is not proportional to.
     also_tried : tuple of dict
         Shapes that diagnosis tries besides the combinations of the grids; at one speed those that it tells.
+    also_tried_on : tuple of str
+        Kinds of campaign for which it does; empty for all.
     needs : tuple of str
         Logged columns without which it cannot be judged.
     stated : tuple of str
@@ -173,6 +175,7 @@ class Effect:
     kinds: tuple[str, ...] = ("circular",)
     shapes: tuple[ShapeParameter, ...] = ()
     also_tried: tuple[Shape, ...] = ()
+    also_tried_on: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     stated: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()

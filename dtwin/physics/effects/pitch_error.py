@@ -23,11 +23,9 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
         return stacked(*wave, *curve)
     position_mm, along = state.position_mm[axis], state.sensitivity[axis]
     if state.plane:
-        # A circle meets each place twice, with another sensitivity: a curve of many numbers would follow any error.
+        # Half waves would follow any error of a circle, which is a small part of the travel.
         phase = 2.0 * np.pi * position_mm / shape["wave_mm"]
-        if shape["half_waves"] == 0.0:
-            wave = [along * np.cos(phase), along * np.sin(phase)]
-        return stacked(*wave, *curve)
+        return stacked(along * np.cos(phase), along * np.sin(phase), *curve)
     travel_mm, places = max(float(np.ptp(position_mm)), 1e-9), len(np.unique(position_mm))
     if shape["half_waves"] > 0.0:
         turn = np.pi * (position_mm - position_mm.min()) / travel_mm
@@ -67,6 +65,7 @@ EFFECT = Effect(
         ShapeParameter("wave_mm", "mm", _START_MM, _WAVES_MM, (20.0, 1000.0), step_on_circles=2),
         ShapeParameter("half_waves", "1", 0.0, (0.0,), (0.0, 20.0), refined=False),
     ),
+    also_tried_on=("linear",),
     also_tried=tuple({"wave_mm": _START_MM, "half_waves": n} for n in (4.0, 7.0, 10.0)),
     confusables=("lead_error", "cyclic_error", "guideway_shape", "scale_mismatch"),
     special_cases=("lead_error", "scale_mismatch"),

@@ -159,3 +159,11 @@ def test_a_wave_that_targets_do_not_show_is_fitted_as_the_shortest_that_they_do(
     short = fit(laser, [Term(instance, {"wave_mm": 25.0, "half_waves": 0.0})], refine=False)
     shown = fit(laser, [Term(instance, {"wave_mm": 40.0, "half_waves": 0.0})], refine=False)
     assert short.rms_after_um == pytest.approx(shown.rms_after_um)
+
+
+def test_a_curve_that_a_laser_shows_is_a_wave_to_circles() -> None:
+    bar = mill_and_laser.circles(MillParameters())
+    instance = Instance(LIBRARY["pitch_error"], "X")
+    curve, wave = ({"wave_mm": 200.0, "half_waves": n} for n in (7.0, 0.0))
+    assert np.array_equal(bar.regressors(instance, curve), bar.regressors(instance, wave))
+    assert bar.regressors(instance, wave).any()
