@@ -292,14 +292,10 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     """Judge the names of a group by the other tests; None when none of them sees any."""
     others = [other for other in measured if other is not one]
     judged: list[_Judged] = []
-    # Once more for what only its mates keep: without those that are refuted.
-    for number, label in enumerate(group * 2):
-        gone = {j.label for j in judged if j.said == "refuted"} if number >= len(group) else set()
-        if any(j.label == label for j in judged) or (gone and not gone & {*_mates(label, group)}):
-            continue
+    for label in group:
         cause = one.cause_of(label)
         here, there = one.size(label, group), None if cause is None else _elsewhere(cause, others)
-        mates = [mate for mate in _mates(label, group) if mate not in gone]
+        mates = _mates(label, group)
         if here is not None and mates and not _is_there(here):
             here = one.size(label, group, mates)
         if here is None or there is None:
