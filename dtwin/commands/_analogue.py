@@ -37,7 +37,7 @@ def build(
             got=str(baud),
             allowed="250000, 500000, 1000000",
         )
-    if out.exists() and (not out.is_file() or not out.read_bytes().startswith(b"\x7fELF")):
+    if out.exists() and not _is_elf(out):
         raise InputError(
             "what is there is no firmware, and would be lost",
             code="analogue.exists",
@@ -51,6 +51,13 @@ def build(
         f"next: avr-objcopy -O ihex {out} firmware.hex, then\n"
         f"      avrdude -c arduino -p m328p -P PORT -U flash:w:firmware.hex"
     )
+
+
+def _is_elf(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(4) == b"\x7fELF"
 
 
 @app.command("status")

@@ -28,8 +28,6 @@ _MOST_ON_ITS_SIDE = 2000
 _LETTER = re.compile(r"(?<![a-z])[xyz](?![a-z])")
 _MARKED = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*([^\d\s.,:/].*)")
 """A target with the direction behind it."""
-
-
 _CONDITION = re.compile(
     r"(feed|speed|velocity|vorschub|load|payload|mass|last\b|height|h[oö]he|(motor|drive|id)$)", re.I
 )

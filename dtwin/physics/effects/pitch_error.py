@@ -52,10 +52,16 @@ EFFECT = Effect(
         "The position is off by a wave or a smooth curve along the travel: the lead of the screw wanders, or the slide "
         "tilts on its guideway and is measured at a distance from the scale (Abbe)."
     ),
-    formula="C cos(2 pi x / w + f); or the sum over k = 2 to n of C_k cos(pi k x / L), x from the near end of the travel L",
-    looks_like="A wave or a smooth curve along the travel, the same in both directions.",
+    formula=(
+        "C cos(2 pi x / w + f), on a circle times cos(t) for the X axis; along an axis also the sum over k = 2 to n of "
+        "C_k cos(pi k x / L), x from the near end of the travel L"
+    ),
+    looks_like=(
+        "A wave or a smooth curve along the travel, on a circle a few smooth lobes that follow the place on the axis; the "
+        "same in both directions and at every feed."
+    ),
     separate_by=(
-        "Run in both directions: backlash separates the curves, a pitch error does not. Measured at another height or "
+        "On circles: other radii, on which a wave keeps its length, or a laser along the axis. Along an axis, run in both directions: backlash separates the curves, a pitch error does not. Measured at another height or "
         "with an angle optic, a tilt changes and a lead does not."
     ),
     remedy="Pitch error table of the control; where a tilt makes it, the guideway.",

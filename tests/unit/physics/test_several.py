@@ -31,7 +31,7 @@ def apart(campaigns: list[Observations], *names: str) -> tuple[SeveralFit, tuple
     return without_contradictions(together(campaigns, *names), days)
 
 
-def test_sizes_are_those_of_the_machine_and_better_known_than_by_one_campaign() -> None:
+def test_sizes_are_those_of_the_machine_and_better_known_than_by_circles_alone() -> None:
     campaigns = [circles(SCALED), laser("X", 30.0, 3.0), laser("Y", 0.0, 0.0, seed=2)]
     found = together(campaigns, "scale_mismatch", "backlash:X")
     sizes = {f"{e.effect} {e.axis}": e for e in found.estimates}
