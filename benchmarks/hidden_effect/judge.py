@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from causes import Cause
 from dtwin.errors import GateRefusal
 from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import LEAST_SHARE, Diagnosis, Suspect
+from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
@@ -128,26 +128,34 @@ def _is_growth(case: Case, found: Diagnosis) -> bool:
     return bool(found.found) and all(names & {s.label for s in group} for group in found.found)
 
 
-def discovered(obs: Observations, found: Diagnosis, number: int) -> tuple[list[list[str]], list[Term], Diagnosis]:
-    """Return all groups that ``dtwin twin discover`` names from nothing, their terms, and the last word.
+def discovered(
+    obs: Observations, found: Diagnosis, number: int
+) -> Iterator[tuple[list[list[str]], list[Term], Diagnosis]]:
+    """Yield all groups that ``dtwin twin discover`` has named from nothing after each round, their terms, and the diagnosis.
 
-    ``found``: the first diagnosis. What a later one finds must be ``LEAST_SHARE`` of what repeats agreed on at first.
+    ``found``: the first diagnosis. What a later one finds must foretell conditions that are left out.
     """
-    least_um, large = LEAST_SHARE * found.systematic_rms_um, found.found
-    groups: list[list[str]] = []
-    terms: list[Term] = []
+    large = found.found
+    groups = [[s.label for s in group] for group in large]
+    terms = _with_added(obs, [], large) if large else []
+    yield groups, terms, found
     while large and len(groups) < RUNGS:
-        groups += [[s.label for s in group] for group in large]
-        terms = _with_added(obs, terms, large)
         found = diagnose(obs, terms, LIBRARY, seed=number)
-        large = found.not_below(least_um)
-    return groups, terms, found
+        large = found.foretelling
+        groups = [*groups, *([s.label for s in group] for group in large)]
+        terms = _with_added(obs, terms, large) if large else terms
+        yield groups, terms, found
 
 
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     """Return what the first diagnosis named of many, how well a held-out feed fits, and what ``discover`` named in all."""
-    out = marked(case, obs, [[s.label for s in group] for group in found.found], _terms(obs, found), found)
-    out["discover"] = marked(case, obs, *discovered(obs, found, case.number))
+    rounds = list(discovered(obs, found, case.number))
+    out = marked(case, obs, *rounds[0])
+    groups, terms, last = rounds[-1]
+    if groups != rounds[0][0]:
+        out["discover"] = marked(case, obs, groups, terms, last)
+    else:
+        out["discover"] = {**out, "unresolved": _says_unresolved(case, groups, last)}
     if case.row.kind == "circular" and case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
         out["held_out_um"], out["held_out_map_um"] = _untold_held_out(obs, case)
     return out
@@ -176,7 +184,7 @@ def marked(
         "of": len(truths),
         "false": len(false),
         "false_groups": false,
-        "unresolved": found.unresolved is not None or any(set(c.also) & set(g) for c in case.hidden for g in groups),
+        "unresolved": _says_unresolved(case, groups, found),
     }
     if case.row.kind != "circular":
         return out | {"covered": []}
@@ -184,6 +192,11 @@ def marked(
     others = _but(terms, right)
     out["covered"] = _coverage(replace(case, hidden=right), obs, others) if case.truths else []
     return out
+
+
+def _says_unresolved(case: Case, groups: list[list[str]], found: Diagnosis) -> bool:
+    also = {name for cause in case.hidden for name in cause.also}
+    return found.unresolved is not None or any(also & set(group) for group in groups)
 
 
 def _small(group: Sequence[str], everyday: bool) -> bool:

@@ -170,7 +170,7 @@ def restore_version(
 @app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
-    from dtwin.physics.diagnosis import LEAST_SHARE
+    from dtwin.physics.diagnosis import LEAST_GAIN
     from dtwin.pipeline.findings import moving_findings
     from dtwin.report.twin_of_kind import discovery_text, said_by_runs
 
@@ -185,7 +185,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
         "final": said.as_dict(),
         "runs_say": moving,
     }
-    emit(payload, lambda: discovery_text(payload, LEAST_SHARE) + said_by_runs(moving), as_json=as_json)
+    emit(payload, lambda: discovery_text(payload, LEAST_GAIN) + said_by_runs(moving), as_json=as_json)
 
 
 @app.command("learn")

@@ -51,7 +51,9 @@ class Condensed:
     def columns(self, term: Term, *, keep: bool = True) -> Floats:
         """Return the whitened columns of a term, shape (m, k); ``keep``: it will be asked for again."""
         rows, of = (
-            self.candidates.harmonics(term) if keep else self.problem.obs.distinct_harmonics(term.instance, term.shape)
+            self.candidates.harmonics(term)
+            if keep
+            else self.problem.obs.distinct_harmonics(term.instance, term.shape, keep=False)
         )
         if len(rows) == len(self.root) < len(of) and self.problem.zero_weight == 1.0:
             cells = (rows * self.problem.weights[:, None] * self.root[:, None, None]).reshape(-1, rows.shape[2])
@@ -86,7 +88,7 @@ def condensed(problem: Problem, candidates: Candidates) -> Condensed:
     """Return a problem condensed; with all its rows where repeats were not measured in the same places."""
     obs = problem.obs
     own = [i for i in candidates.instances if not obs.is_alike_in_repeats(i)]
-    rows_differ = obs.condition_masks is None or any(not s.smooth for i in own for s in i.effect.shapes)
+    rows_differ = obs.condition_masks is None or any(not (s.smooth and s.grid) for i in own for s in i.effect.shapes)
     of = np.arange(obs.n_rows) if rows_differ else obs.condition_of
     root = np.sqrt(np.bincount(of))
     basis = problem.basis.reshape(obs.n_rows, obs.n_bins, -1)

@@ -118,6 +118,7 @@ class Dictionary:
             for instance in self._candidates.instances
             if instance.effect.shapes and instance.effect.shapes[0].name == PITCH
         ]
+        new: list[Term] = []
         for instance in periodic:
             # An axis has one screw.
             pitches = [
@@ -127,7 +128,9 @@ class Dictionary:
             ]
             if instance.label not in have:
                 pitches += likely_pitches(self._problem.obs, rows, instance, 1)
-            self.add(Term(instance, instance.effect.start_shape | {PITCH: pitch}) for pitch in pitches)
+            new += [Term(instance, instance.effect.start_shape | {PITCH: pitch}) for pitch in pitches]
+        there = [self.entries[number].term for number in self.numbers_of(i.label for i in periodic)]
+        self.add(term for term in new if term not in there)
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""

@@ -26,6 +26,8 @@ _VAGUE = 0.3
 _DWARFED = 0.4
 # What has less of its size left without what is withdrawn makes up for that.
 _ALONE = 0.5
+# A curve of so many numbers that is less than so many times what is left may follow that.
+_MANY, _MUCH_LARGER = 3, 3.0
 # More of a curve than this in a fifth of the travel is one place and no screw.
 _LOCAL, _STRETCH = 0.6, 5
 
@@ -56,6 +58,16 @@ def is_dwarfed(effect: Found, found: Search) -> bool:
     """Tell whether what is certainly left is so much larger that an effect may be a part of it."""
     certain = found.lack_of_fit[-1] <= LACK_OF_FIT
     return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
+
+
+def follows_anything(effect: Found, tests: Tests, found: Search) -> bool:
+    """Tell whether an effect may be a smooth curve of many numbers drawn through something unknown that is left."""
+    first_um, left_um = found.systematic_um
+    if found.lack_of_fit[-1] > LACK_OF_FIT or not SPOKEN_OF * first_um < left_um:
+        return False
+    smooth = [c.term for c in survivors(effect, tests[effect.label]) if c.term.instance.effect.law.feed == 0.0]
+    many = [t for t in smooth if effect.candidates.numbers(t) - len(t.instance.effect.shapes) >= _MANY]
+    return bool(many) and effect.size_um < _MUCH_LARGER * left_um
 
 
 def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:

@@ -224,7 +224,7 @@ class Hunt:
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
-        terms = refined_together(self.dictionary.campaign, [e.term for e in chosen], self._per_number)
+        terms = refined_together(self.dictionary.campaign, [e.term for e in chosen], self._per_number, bounded=True)
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]

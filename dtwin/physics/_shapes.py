@@ -15,7 +15,7 @@ from dtwin.physics.problem import Problem, Term
 from dtwin.schema import Floats
 
 _MOST_TRIES = 12
-_MOST_TOGETHER = 8
+_FEW_TOGETHER, _MOST_TOGETHER = 8, 60
 _MARGIN = 1e-3
 _ABSENT = 1e-6
 _STEP = 1e-4
@@ -57,12 +57,15 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     return _at(term, free, found.x)
 
 
-def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) -> tuple[Term, ...]:
-    """Return terms with the shapes, within their grids, that leave least when all are fitted.
+def refined_together(
+    campaign: Condensed, terms: Sequence[Term], enough: float = 0.0, *, bounded: bool = False
+) -> tuple[Term, ...]:
+    """Return terms with the shapes that leave least when all are fitted.
 
     ``campaign``: with what is known besides.
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
+    ``bounded``: stay within the grids, as in :func:`refined`, and take few steps.
     """
     several = campaign.problem.obs.several_speeds
     shaped = [term for term in terms if term.instance.effect.refined_shapes(several)]
@@ -74,7 +77,7 @@ def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) 
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
     projected = _Projected(campaign, shaped, free, parts)
     begun = np.concatenate([_logs(term, shapes) for term, shapes in zip(shaped, free, strict=True)])
-    ranges = [_bounds(shapes, begun[part], True) for shapes, part in zip(free, parts, strict=True)]
+    ranges = [_bounds(shapes, begun[part], bounded) for shapes, part in zip(free, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
     found = scipy.optimize.least_squares(
@@ -83,8 +86,8 @@ def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) 
         projected.slopes,
         bounds=(low, high),
         x_scale="jac",
-        max_nfev=_MOST_TOGETHER,
-        ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
+        max_nfev=_FEW_TOGETHER if bounded else _MOST_TOGETHER,
+        ftol=max(1e-6, min(0.1, enough / max(before, 1e-300))),
     )
     if 2.0 * found.cost >= before:
         return tuple(terms)

@@ -135,4 +135,5 @@ def suspect(candidate: Candidate, bare: Problem, found: Search, candidates: Cand
         laws=(),
         share=min(1.0, float(((visible.T @ bare.residual.ravel()) ** 2).sum()) / total),
         remedy=effect.remedy,
+        shape=candidate.term.shape,
     )

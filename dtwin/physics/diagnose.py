@@ -16,7 +16,16 @@ from functools import partial
 import numpy as np
 
 from dtwin.physics import localise
-from dtwin.physics._doubts import LACK_OF_FIT, SPOKEN_OF, Tests, doubted, hidden_by, is_dwarfed, standing_alone
+from dtwin.physics._doubts import (
+    LACK_OF_FIT,
+    SPOKEN_OF,
+    Tests,
+    doubted,
+    follows_anything,
+    hidden_by,
+    is_dwarfed,
+    standing_alone,
+)
 from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
 from dtwin.physics._material import IMMATERIAL
@@ -222,7 +231,9 @@ def _concluded(
     kept = [
         f
         for f in trusted(found, doubts, much)
-        if (much or not is_dwarfed(f, found)) and (f.label in believed or f.size_um >= least_um)
+        if (much or not is_dwarfed(f, found))
+        and (f.label in believed or f.size_um >= least_um)
+        and not follows_anything(f, tests, found)
     ]
     kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     others = [f for f in found.found if f not in kept]

@@ -40,6 +40,8 @@ class Suspect:
         and for what only cannot be told from it.
     tested, untested : tuple of str
         Variables of its law that the runs confirmed, and those that they did not test.
+    shape : mapping of str to float
+        Its shape parameters.
     """
 
     effect: str
@@ -57,6 +59,7 @@ class Suspect:
     sizes: tuple[Estimate, ...] = ()
     tested: tuple[str, ...] = ()
     untested: tuple[str, ...] = ()
+    shape: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -68,6 +71,7 @@ class Suspect:
         out = dict(vars(self))
         for name in ("confounded_with", "tested", "untested"):
             out[name] = list(out[name])
+        out["shape"] = dict(self.shape)
         out["laws"] = [law.as_dict() for law in self.laws]
         out["sizes"] = [size.as_dict() for size in self.sizes]
         return out
@@ -120,10 +124,10 @@ class Spread:
         return {"depends_on": list(self.depends_on), "p_value": self.p_value}
 
 
-LEAST_SHARE = 0.02
+LEAST_GAIN = 0.25
 """What a second diagnosis finds may be how far the laws of what the first one found are off.
 
-It must be this share of what repeats agreed on at first, as RMS.
+It must lower what is left on conditions that are left out by this share, as a mean square.
 """
 
 
@@ -196,9 +200,10 @@ class Diagnosis:
         """Members of the reported group, best first."""
         return tuple(suspect for suspect in self.suspects if suspect.in_group)
 
-    def not_below(self, least_um: float) -> tuple[tuple[Suspect, ...], ...]:
-        """Return the groups found that are at least so large, and those whose size is not known."""
-        return tuple(group for group in self.found if group[0].size_um is None or group[0].size_um >= least_um)
+    @property
+    def foretelling(self) -> tuple[tuple[Suspect, ...], ...]:
+        """The groups found whose effect foretells ``LEAST_GAIN`` of what is left where it was not fitted."""
+        return tuple(group for group in self.found if group[0].cv_gain >= LEAST_GAIN)
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

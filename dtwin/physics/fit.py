@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
-from dtwin.physics._shapes import refined
+from dtwin.physics._condensed import Condensed, condensed
+from dtwin.physics._shapes import refined_together
 from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
@@ -25,8 +26,8 @@ _ALIAS = 0.95
 _HIDDEN = 1e-6
 _HUBER = 2.0
 _ROBUST_ROUNDS = 5
-_ROUNDS = 8
-_SETTLED = 1e-4
+# Of the sum of squares: one shape alone need not be better before all are refined together.
+_ROUGHLY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -296,51 +297,38 @@ def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
     """Refine shape parameters: variable projection, the linear part solved for each try.
 
     First one after the other, each without those whose shape is still a guess; once more with
-    all the others in place; then in rounds, until nothing moves.
+    all the others in place; then all together.
     """
     shaped = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes(obs.several_speeds)]
     out = list(terms)
+    if not shaped:
+        return out
+    candidates = Candidates(obs, [term.instance for term in terms])
+    within = [term for term in terms if term.instance.effect.within_condition]
+    campaign = condensed(set_up(obs, [], within), candidates)
     guessed = set(shaped)
-    for index in shaped:
+    for index in shaped * min(2, len(shaped)):
         guessed.discard(index)
-        others = [t for i, t in enumerate(out) if i != index and i not in guessed]
-        out[index] = _refined_one(obs, others, out[index], search=True)
-    for number in range(_ROUNDS if len(shaped) > 1 else 0):
-        before = [dict(out[i].shape) for i in shaped]
-        for index in shaped:
-            others = [t for i, t in enumerate(out) if i != index]
-            out[index] = _refined_one(obs, others, out[index], search=number == 0)
-        if all(_settled(old, out[i].shape) for old, i in zip(before, shaped, strict=True)):
-            break
-    return out
+        beside = campaign.given(t for i, t in enumerate(out) if i != index and i not in guessed)
+        enough = _ROUGHLY * float(beside.residual @ beside.residual)
+        (out[index],) = refined_together(beside, [_start(beside, candidates, out[index])], enough)
+    return list(refined_together(campaign, out))
 
 
-def _settled(old: Mapping[str, float], new: Mapping[str, float]) -> bool:
-    return all(abs(new[name] - old.get(name, 0.0)) <= _SETTLED * abs(new[name]) for name in new)
-
-
-def _refined_one(obs: Observations, others: Sequence[Term], term: Term, *, search: bool) -> Term:
-    problem = set_up(obs, others, [])
-    start = _start(problem, Candidates(obs, [term.instance]), term) if search else term.shape
-    return refined(problem, replace(term, shape=start))
-
-
-def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str, float]:
-    """Return the best of the given shape, the grid, and the pitches that the residual shows, by Schwarz's criterion."""
-    effect = term.instance.effect
-    residual = problem.residual
+def _start(campaign: Condensed, candidates: Candidates, term: Term) -> Term:
+    """Return a term in the best of its shape, the grid, and the pitches that the residual shows, by Schwarz's criterion."""
+    effect, obs = term.instance.effect, campaign.problem.obs
+    residual = campaign.residual
     tries: list[Mapping[str, float]] = [term.shape or effect.start_shape]
     if not all(shape.grid for shape in effect.shapes):
-        tries += [
-            effect.start_shape | {effect.shapes[0].name: p}
-            for p in likely_pitches(problem.obs, residual, term.instance)
-        ]
+        rows = campaign.expanded(residual[:, None]).reshape(obs.n_rows, obs.n_bins)
+        tries += [effect.start_shape | {effect.shapes[0].name: p} for p in likely_pitches(obs, rows, term.instance)]
     else:
         tries += list(candidates.grid(term.instance))
-    n, total = int(problem.obs.mask.sum()), float((residual**2).sum())
+    n, total = int(obs.mask.sum()), float(residual @ residual)
     costs = []
     for shape in tries:
-        visible = candidates.visible(problem, replace(term, shape=shape))
-        left = max(total - float(((visible.T @ residual.ravel()) ** 2).sum()), 1e-12 * total, 1e-300)
+        visible, _ = campaign.visible(replace(term, shape=shape))
+        left = max(total - float(((visible.T @ residual) ** 2).sum()), 1e-12 * total, 1e-300)
         costs.append(n * np.log(left) + visible.shape[1] * np.log(n))
-    return tries[int(np.argmin(costs))]
+    return replace(term, shape=tries[int(np.argmin(costs))])

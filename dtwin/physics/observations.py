@@ -217,14 +217,18 @@ class Observations:
         rows, of = self.distinct_harmonics(instance, shape)
         return np.asarray(rows[of])
 
-    def distinct_harmonics(self, instance: Instance, shape: Shape) -> tuple[Floats, Indices]:
-        """Return the different rows of ``harmonics``, and which of them each row is: ``condition_of`` where repeats agree."""
+    def distinct_harmonics(self, instance: Instance, shape: Shape, *, keep: bool = True) -> tuple[Floats, Indices]:
+        """Return the different rows of ``harmonics``, and which of them each row is: ``condition_of`` where repeats agree.
+
+        ``keep``: the shape will be asked for again.
+        """
         masks = self.condition_masks
         if masks is None or not self.is_alike_in_repeats(instance):
             return to_harmonics(self.regressors(instance, shape)), np.arange(self.n_rows)
+        made = [partial(_averaged, self.grid, instance, shape, state) for state in self._condition_states]
         columns = [
-            kept_columns(instance, shape, key, partial(_averaged, self.grid, instance, shape, state))
-            for key, state in zip(self._condition_keys, self._condition_states, strict=True)
+            kept_columns(instance, shape, key, make) if keep else make()
+            for key, make in zip(self._condition_keys, made, strict=True)
         ]
         return to_harmonics(np.stack(columns) * masks[:, :, None]), self.condition_of
 

@@ -99,7 +99,12 @@ class SeveralFit:
 
 
 def fit_several(
-    campaigns: Sequence[Observations], terms: Sequence[Term], library: Mapping[str, Effect], *, robust: bool = False
+    campaigns: Sequence[Observations],
+    terms: Sequence[Term],
+    library: Mapping[str, Effect],
+    *,
+    robust: bool = False,
+    refine: bool = True,
 ) -> SeveralFit:
     """Fit effects of a machine to several of its campaigns: one least squares over all of them.
 
@@ -112,6 +117,8 @@ def fit_several(
         Effects of the machine; shape parameters are refined from where they are.
     robust : bool
         Give runs that are far off less weight (Huber, by run).
+    refine : bool
+        Search the shapes of effects from where they are; otherwise they stay.
 
     Raises
     ------
@@ -119,7 +126,7 @@ def fit_several(
         When no campaign sees an effect.
     """
     pool = _pooled(campaigns, terms, library)
-    if any(t.instance.effect.refined_shapes(True) for t in terms):
+    if refine and any(t.instance.effect.refined_shapes(True) for t in terms):
         pool = _pooled(campaigns, _refined(pool, library).terms, library)
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         pool = replace(pool, parts=tuple(_by_runs(pool)))

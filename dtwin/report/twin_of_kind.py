@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from dtwin.kinds.twin_report import TwinReport
 
 
-def discovery_text(payload: Mapping[str, Any], least_share: float) -> str:
+def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     """Return what was found for the terminal: versions, every name with those that the runs cannot tell from it, what is left.
 
     ``payload``: twin, groups of the effects added, the effect first, history, and the last diagnosis.
-    ``least_share``: of what repeats agreed on, below which nothing was added.
+    ``least_gain``: on conditions that were left out, below which nothing was added.
     """
     rungs, groups, last = payload["history"], payload["groups"], payload["final"]
     rest = report_of(last).diagnosis_text(payload["twin"], last)
@@ -33,7 +33,8 @@ def discovery_text(payload: Mapping[str, Any], least_share: float) -> str:
         )
     small = [f"{one['effect']} {one['axis']}".strip() for one, *_ in last.get("found", ())]
     if small:
-        lines.append(f"not added: {', '.join(small)}: below {100.0 * least_share:z.0f} % of that, as laws may be off")
+        said = f"foretells less than {100.0 * least_gain:z.0f} % of what is left on conditions left out, as laws may be off"
+        lines.append(f"not added: {', '.join(small)}: {said}")
     return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
 
 

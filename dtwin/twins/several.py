@@ -65,10 +65,11 @@ def fitted_together(
     version: int,
     action: str,
     robust: bool,
+    refine: bool,
 ) -> SeveralTwin:
     """Return a twin of several campaigns; one that contradicts the others has values of its own and is named."""
     campaigns = [one.obs for one in loaded]
-    together = fit_several(campaigns, terms, library, robust=robust)
+    together = fit_several(campaigns, terms, library, robust=robust, refine=refine)
     together, apart = without_contradictions(together, [started_of(obs) for obs in campaigns])
     data = [one.data for one in loaded]
     return several_twin_of(together, apart, campaigns, name=name, version=version, action=action, data=data)

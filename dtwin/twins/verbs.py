@@ -13,7 +13,7 @@ from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.diagnose import diagnose
-from dtwin.physics.diagnosis import LEAST_SHARE, Diagnosis
+from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
@@ -32,7 +32,6 @@ from dtwin.twins.several import SeveralComparison, fitted_together, require_toge
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
-"""Share of what repeats agreed on, as RMS, below which what is found beside it may be how far laws are off."""
 
 
 class Twins(TwinShelf):
@@ -152,7 +151,9 @@ class Twins(TwinShelf):
         self.store_diagnosis(document)
         return twin, diagnosis
 
-    def add(self, name: str, effect: str, axis: str = "") -> Twin:
+    def add(
+        self, name: str, effect: str, axis: str = "", *, shape: Mapping[str, float] | None = None, refine: bool = True
+    ) -> Twin:
         """Add an effect, refit, and store the new version.
 
         Parameters
@@ -161,6 +162,10 @@ class Twins(TwinShelf):
             Name of the effect, or ``name:axis``.
         axis : str
             One axis; all on which it can act without.
+        shape : mapping of str to float, optional
+            Where its shape parameters start.
+        refine : bool
+            Search the shapes of all effects; otherwise they stay as they are.
 
         Raises
         ------
@@ -169,14 +174,14 @@ class Twins(TwinShelf):
         """
         twin = self.newest(name)
         loaded = self._load(twin.campaigns)
-        new = self._terms([effect], loaded, axis)
+        new = [replace(term, shape={**term.shape, **(shape or {})}) for term in self._terms([effect], loaded, axis)]
         # To several campaigns names of one cause are one effect.
         there = {key_of(term) for term in twin.terms} if len(loaded) > 1 else set()
         fresh = [term for term in new if term.label not in twin.labels and key_of(term) not in there]
         if not fresh:
             raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)
-        return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}")
+        return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}", refine=refine)
 
     def remove(self, name: str, effect: str, axis: str = "") -> Twin:
         """Take an effect out, refit, and store the new version; it is refused when the twin does not have it."""
@@ -194,10 +199,10 @@ class Twins(TwinShelf):
         return self._store(name, self._load(old.campaigns), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
-        """Diagnose and add all that was found, until nothing more is found that is large enough.
+        """Diagnose and add all that was found, until nothing more is found that is clear enough.
 
-        What a later round finds must be ``LEAST_SHARE`` of what repeats agreed on at the start. What is smaller stays in
-        the last word.
+        What a later round finds must foretell conditions that are left out, as :attr:`Diagnosis.foretelling` says. What
+        does so less stays in the last word.
 
         Returns
         -------
@@ -211,13 +216,15 @@ class Twins(TwinShelf):
         made: list[Twin] = []
         groups: list[tuple[str, ...]] = []
         _, said = self.diagnose(name, seed=seed)
-        least_um, large = LEAST_SHARE * said.systematic_rms_um, said.found
+        large = said.found
         while large and len(made) < _MOST_RUNGS:
-            for group in large:
-                made.append(self.add(name, group[0].effect, group[0].axis))
+            for number, group in enumerate(large, start=1):
+                first, last = group[0], number == len(large)
+                # The diagnosis refined the shapes of all that it found together: once more is enough.
+                made.append(self.add(name, first.effect, first.axis, shape=first.shape, refine=last))
                 groups.append(tuple(suspect.label for suspect in group))
             _, said = self.diagnose(name, seed=seed)
-            large = said.not_below(least_um)
+            large = said.foretelling
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> Twin:
@@ -240,16 +247,23 @@ class Twins(TwinShelf):
         return chosen_terms(effects, self.library, campaigns[0], axis)
 
     def _store(
-        self, name: str, loaded: Sequence[Loaded], terms: Sequence[Term], action: str, *, robust: bool = False
+        self,
+        name: str,
+        loaded: Sequence[Loaded],
+        terms: Sequence[Term],
+        action: str,
+        *,
+        robust: bool = False,
+        refine: bool = True,
     ) -> Twin:
         version = self.next_version(name, loaded[0].obs.campaign.machine)
         if len(loaded) > 1:
             twin: Twin = fitted_together(
-                loaded, terms, self.library, name=name, version=version, action=action, robust=robust
+                loaded, terms, self.library, name=name, version=version, action=action, robust=robust, refine=refine
             )
         else:
             (one,) = loaded
-            fitted = fit(one.obs, terms, robust=robust)
+            fitted = fit(one.obs, terms, robust=robust, refine=refine)
             twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict())
         return with_record(self.home, twin)
