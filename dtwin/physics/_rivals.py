@@ -256,6 +256,5 @@ def adds_nothing(problem: Problem, top: Candidate, other: Candidate, candidates:
 
 def _is_nothing(given: Problem, candidates: Candidates, top: Candidate, level: NoiseLevel, least_p: float) -> bool:
     """Tell whether an effect has nothing significant left to explain."""
-    left = candidates.visible(given, top.term)
-    within = top.term.instance.effect.within_condition
-    return not left.shape[1] or score_test(given, left, given.residual, level, within=within).p_value > least_p
+    left = candidates.tested_term(given, top.term, level)
+    return left is None or left.score.p_value > least_p

@@ -114,7 +114,20 @@ class Candidates:
             return None
         within = term.instance.effect.within_condition
         score = score_test(problem, visible, problem.residual, level, within=within)
+        if within and visible.shape[1] > 1:
+            score = replace(score, p_value=min(score.p_value, self._one_by_one(problem, term, level)))
         return Candidate(term, visible, share, score)
+
+    def _one_by_one(self, problem: Problem, term: Term, level: NoiseLevel) -> float:
+        """Return the p-value of the most significant column of what moves between runs, by Bonferroni.
+
+        All together, the shifts and the length of a set-up leave few runs hardly a degree of freedom.
+        """
+        columns = self.whitened(problem, term)
+        alone = [problem.visible(columns[:, [j]], least=least_visible(term))[0] for j in range(columns.shape[1])]
+        seen = [one for one in alone if one.shape[1]]
+        p_values = [score_test(problem, one, problem.residual, level, within=True).p_value for one in seen]
+        return len(seen) * min(p_values, default=1.0)
 
     def at(self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel) -> Candidate:
         """Return a candidate at another shape; its p-value stays that of all shapes tried."""

@@ -21,13 +21,16 @@ EFFECT = Effect(
     parameters=(Parameter("delay", "ms", 1.0),),
     regressors=_columns,
     law=Law(1.0, None, "odd"),
-    meaning=("The reading of the bar is late against the angle: the centre offset seems to turn with the speed."),
+    meaning=(
+        "The reading is late against the angle that was asked for: the bar or its trigger is, or all axes follow their set "
+        "points by the same time, as a servo lag does. The centre offset seems to turn with the speed."
+    ),
     formula="d (F / R) tau (a sin(t) - b cos(t)), a and b the centre of the set-up",
     looks_like="The centre differs between the directions, in proportion to the angular speed.",
     separate_by="Halve the feed: the difference of the centres halves.",
-    remedy="Trigger both from one clock; correct the delay.",
+    remedy="Beside a servo lag of the same time it is that lag. Else trigger both from one clock; correct the delay.",
     reference="[D] time shift of a shifted circle",
     per="machine",
     needs=("setup_first_um", "setup_second_um"),
-    confusables=("centre_offset", "backlash"),
+    confusables=("centre_offset", "backlash", "servo_lag"),
 )

@@ -28,7 +28,10 @@ EFFECT = Effect(
         "Three smooth lobes, the same at all feeds and in both directions; changes with the "
         "place in the working volume."
     ),
-    separate_by="Seat the bar again: three lobes of a dirty cup change, those of a guideway stay.",
+    separate_by=(
+        "Seat the bar again: three lobes of a dirty cup change, those of a guideway stay. A lead of the other axis that "
+        "changes evenly along its travel looks exactly alike on every circle of this plane: a laser along that axis tells."
+    ),
     remedy="Check guideway and alignment of the bed, or enter a straightness table.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     confusables=("instrument_artefact", "gravity_sag", "guideway_shape"),
