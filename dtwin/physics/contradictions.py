@@ -232,7 +232,12 @@ def _tested(pool: Pool, side: _Side, beyond: _Side) -> list[_Tested]:
     def testable(term: int) -> bool:
         mine = _with_term(pool, term)
         own = side & mine
-        return is_shared(pool.terms[term]) and bool(own) and own <= repeated and bool((mine - side - beyond) & repeated)
+        return (
+            is_shared(pool.terms[term], pool.terms)
+            and bool(own)
+            and own <= repeated
+            and bool((mine - side - beyond) & repeated)
+        )
 
     wanted = [n for n, (term, _, where) in enumerate(meaning) if term >= 0 and where == -1 and testable(term)]
     base = _base(pool, beyond, wanted)
@@ -255,7 +260,7 @@ def _rivals(pool: Pool, found: _Tested) -> tuple[str, ...]:
         return ()
     _, meaning = pool.maps()
     among = frozenset(range(len(pool.parts))) - found.beyond
-    shared = [n for n, (t, _, w) in enumerate(meaning) if t >= 0 and w == -1 and is_shared(pool.terms[t])]
+    shared = [n for n, (t, _, w) in enumerate(meaning) if t >= 0 and w == -1 and is_shared(pool.terms[t], pool.terms)]
     seen = [n for n in shared if among <= _with_term(pool, meaning[n][0])]
     mine = next(n for n in shared if meaning[n][:2] == (found.term, found.parameter))
     base = _base(pool, found.beyond, seen)

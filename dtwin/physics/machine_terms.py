@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from dtwin.errors import InputError
 from dtwin.physics.effect import Effect, Instance
@@ -17,6 +17,7 @@ from dtwin.physics.twin import acts
 _WAVES = frozenset(
     ("cyclic_error", "cyclic_error_by_direction", "screw_error", "screw_error_by_direction", "pitch_error")
 )
+_LEAD, _CURVE = "scale", "pitch_error"
 # What belongs to the instrument, the day, or the stretch of the axis that was measured.
 _OWN = frozenset(
     ("thermal_drift", "thermal_shift", "warming_growth", "instrument_artefact", "measurement_delay", "worn_screw")
@@ -45,8 +46,13 @@ def is_wave(term: Term) -> bool:
     return term.instance.effect.name in _WAVES
 
 
-def is_shared(term: Term) -> bool:
-    """Tell whether the parameters of a term are the same in all campaigns of the machine."""
+def is_shared(term: Term, terms: Iterable[Term]) -> bool:
+    """Tell whether the parameters of a term are the same in all campaigns of the machine.
+
+    ``terms``: all of the machine. Where the lead of an axis is a curve, its mean is that of the stretch that was measured.
+    """
+    if cause_of(term.instance.effect) == _LEAD:
+        return not any(t.instance.effect.name == _CURVE and t.instance.axis == term.instance.axis for t in terms)
     return term.instance.effect.name not in _WAVES | _OWN
 
 
@@ -112,10 +118,12 @@ def _stated_pitch(instance: Instance, campaigns: Sequence[Observations]) -> dict
 
 
 def _places(effect: Effect, library: Mapping[str, Effect], campaigns: Sequence[Observations]) -> list[Instance]:
+    family = [e for e in library.values() if cause_of(e) == cause_of(effect)]
+    kinds = {kind for e in family for kind in e.kinds}
+    campaigns = [obs for obs in campaigns if obs.grid.kind in kinds] or campaigns
     planes = tuple(dict.fromkeys(plane for obs in campaigns for plane in obs.planes))
     axes = tuple(sorted({axis for obs in campaigns for axis in obs.axes}))
     joints = any(has_joints(obs.campaign.machine_geometry) for obs in campaigns)
-    family = [e for e in library.values() if cause_of(e) == cause_of(effect)]
     as_difference = next((e for e in family if e.per == "plane_or_axis"), None)
     if as_difference is None:
         return instances(effect, [p for p in planes if p in AXES_OF] or planes, axes, joints=joints)

@@ -61,7 +61,7 @@ class Pool:
             own = [meaning.setdefault((-1, i, c), len(meaning)) for i in range(part.obs.n_setup)]
             for i, span in part.spans():
                 t = part.number_of[i]
-                where = -1 - self.groups.get((c, t), 0) if is_shared(self.terms[t]) else c
+                where = -1 - self.groups.get((c, t), 0) if is_shared(self.terms[t], self.terms) else c
                 own += [meaning.setdefault((t, j, where), len(meaning)) for j in range(span.stop - span.start)]
             rows.append(own)
         return [np.eye(len(meaning))[own] for own in rows], list(meaning)
@@ -301,7 +301,7 @@ def _of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
     for number, term in enumerate(pool.terms):
         name, axis = term.instance.effect.name, term.instance.axis
         seen = list(seen_estimates(pool, fits, number).items())
-        if is_shared(term):
+        if is_shared(term, pool.terms):
             agreed = [mine for c, mine in seen if not pool.groups.get((c, number), 0)] or [mine for _, mine in seen]
             out += [replace(e, effect=name, axis=axis) for e in agreed[0]]
         elif len(seen) == 1:

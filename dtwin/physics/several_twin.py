@@ -161,7 +161,7 @@ def seen_in(twin: SeveralTwin, obs: Observations, library: Mapping[str, Effect])
 
 
 def _values_of(twin: SeveralTwin, alike: Sequence[Twin], term: Term, seen: Term) -> list[Estimate]:
-    sources: list[Twin] = [twin] if is_shared(term) else list(reversed(alike))
+    sources: list[Twin] = [twin] if is_shared(term, twin.terms) else list(reversed(alike))
     for source in sources:
         for own in source.terms:
             if key_of(own) == key_of(seen):

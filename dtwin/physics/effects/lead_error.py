@@ -29,6 +29,6 @@ EFFECT = Effect(
     remedy="Scale factor of the axis.",
     reference="ISO 230-2",
     kinds=("linear", "sinusoidal"),
-    confusables=("thermal_growth",),
+    confusables=("thermal_growth", "pitch_error"),
     correctable="A compensation value of the control, or an offset of position.",
 )
