@@ -50,12 +50,15 @@ def circles(
     return observe(replace(campaign, name=name), runs)
 
 
-def laser(axis: str, lead_ppm: float, lost_um: float, seed: int = 1, name: str = "", day: str = "") -> Observations:
-    """Return a positioning test of an axis on its targets: five runs, there and back."""
+def laser(
+    axis: str, lead_ppm: float, lost_um: float, seed: int = 1, name: str = "", day: str = "", cubic_um: float = 0.0
+) -> Observations:
+    """Return a positioning test of an axis on its targets: five runs, there and back; ``cubic_um``: lead error at 400 mm."""
     runs = []
     for n, (at, ways, error) in enumerate(readings(lead_ppm, lost_um, seed), start=1):
         started = f"{day}T10:0{n}:00" if day else ""
         meta = RunMeta(f"r{n}", kind="linear", condition={"axis": axis}, repeat=n, started=started)
+        error = error + cubic_um * (at / 400.0) ** 3
         samples = {"position_mm": at, "direction": np.array(ways, dtype=object), "error_um": error}
         runs.append(Run(meta, {"t_s": 10.0 * np.arange(at.size), **samples}))
     return observe(Campaign(name or f"laser-{axis}", "mill", kind="linear"), runs)

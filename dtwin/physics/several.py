@@ -309,7 +309,11 @@ def _of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
         elif is_wave(term):
             out.append(replace(amplitude([mine for _, mine in seen]), effect=name, axis=axis))
         else:
-            out += [replace(e, name=f"{e.name}, {pool.parts[c].obs.campaign.name}") for c, mine in seen for e in mine]
+            out += [
+                replace(e, effect=name, axis=axis, name=f"{e.name}, {pool.parts[c].obs.campaign.name}")
+                for c, mine in seen
+                for e in mine
+            ]
     return out
 
 

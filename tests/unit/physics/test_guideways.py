@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mill_and_laser import circular_tests
 
 from dtwin.acquire.virtual_mill import standard_tests
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
+from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
@@ -33,6 +35,12 @@ def labels(obs: Observations) -> set[str]:
     return {s.label for group in diagnose(obs, [], LIBRARY).found for s in group}
 
 
+def unwatched(obs: Observations) -> Observations:
+    """Return the same runs without the temperatures that were logged."""
+    columns = [{k: v for k, v in c.items() if k == "time_h" or k.startswith(SETUP_COLUMNS)} for c in obs.columns]
+    return replace(obs, columns=tuple(columns))
+
+
 def bump(moment: Moment) -> Floats:
     """A hump of the guideway of X, some 60 mm wide, that lifts Y."""
     x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
@@ -47,6 +55,33 @@ def test_a_hump_of_a_guideway_is_named_and_hides_nothing_else() -> None:
     assert "instrument_artefact" not in named
     # What polynomials of the fifth order leave of a hump.
     assert found.unresolved is None or found.unresolved.systematic_rms_um < 0.15 * obs.rms(obs.y_um)
+
+
+def edge(moment: Moment) -> Floats:
+    """A step of X in Y's way, 10 mm long, as of a cover that catches at one place."""
+    x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
+    return np.asarray(8.0 / (1.0 + np.exp(-(x_mm - 20.0) / 2.5)) * np.sin(moment.angle_rad))
+
+
+def test_a_curve_that_only_follows_a_step_is_no_shape_of_a_guideway() -> None:
+    found = diagnose(measured(MillParameters().with_axis("Y", play_um=6.0), edge), [], LIBRARY)
+    named = [{s.label for s in group} for group in found.found]
+    assert {"backlash Y"} in named
+    assert not any("guideway_shape X" in group for group in named)
+    assert found.unresolved is not None
+
+
+def lengthening(moment: Moment) -> Floats:
+    """The bar becomes longer by 20 µm an hour while it is held."""
+    return np.full(moment.angle_rad.shape, 20.0 * moment.time_h)
+
+
+def test_a_bar_that_becomes_longer_in_six_runs_is_a_drift_and_no_growth_of_two_axes() -> None:
+    machine = VirtualMill(MillParameters(), seed=4, noise=NoiseParameters(rms_um=0.1), disturbance=lengthening)
+    obs = unwatched(observe(machine.campaign(), machine.measure(circular_tests())))
+    groups = [{s.label for s in group} for group in diagnose(obs, [], LIBRARY).found]
+    assert {"thermal_drift"} in groups
+    assert not any(label.startswith("warming_growth") for group in groups for label in group)
 
 
 def test_an_arc_is_named_as_such_alone() -> None:
@@ -116,8 +151,7 @@ def warming(moment: Moment) -> Floats:
 
 def test_an_axis_that_grows_while_nobody_logs_why_is_named() -> None:
     obs = measured(MillParameters(squareness_um_m={"XY": 30.0}), warming)
-    unwatched = tuple({k: v for k, v in c.items() if k == "time_h" or k.startswith(SETUP_COLUMNS)} for c in obs.columns)
-    found = diagnose(replace(obs, columns=unwatched), [], LIBRARY)
+    found = diagnose(unwatched(obs), [], LIBRARY)
     groups = [{s.label for s in group} for group in found.found]
     assert {"squareness XY"} in groups
     assert any("warming_growth X" in group for group in groups)

@@ -49,6 +49,8 @@ def test_a_difference_of_axes_is_one_parameter_where_nobody_sees_an_axis_alone()
         "scale_mismatch X",
         "scale_mismatch Y",
     ]
+    # No laser sees how fast an axis follows.
+    assert [t.label for t in machine_terms(["servo_mismatch"], LIBRARY, lasers)] == ["servo_mismatch XY"]
     assert [t.label for t in machine_terms(["lead_error", "scale_mismatch:XY"], LIBRARY, lasers)] == [
         "lead_error X",
         "lead_error Y",
@@ -116,6 +118,15 @@ def test_a_lead_that_circles_deny_names_all_that_say_so() -> None:
     assert told.parameter == "scale"
     assert abs(told.difference) == pytest.approx(25.0, abs=2.0)
     assert {*told.campaigns, *told.others} == {"bar", "laser-X", "laser-Y"}
+
+
+def test_the_mean_of_a_lead_that_is_a_curve_is_of_the_stretch_that_was_measured() -> None:
+    mill = MillParameters().with_axis("X", play_um=3.0)
+    campaigns = [circles(mill), laser("X", 0.0, 3.0), laser("Y", 0.0, 0.0, cubic_um=12.0)]
+    found, told = apart(campaigns, "scale_mismatch", "backlash:X", "pitch_error:Y")
+    assert told == ()
+    leads = [e.name for e in found.estimates if (e.effect, e.axis) == ("scale_mismatch", "Y")]
+    assert leads == ["scale, bar", "lead, laser-Y"]
 
 
 STIFF = {"friction_mm_s2": 248.45, "play_um": 5.61}
