@@ -14,6 +14,8 @@ from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.schema import Floats
 
 PITCH = "pitch_mm"
+# Columns that come later, as pitches and shapes between those of the grids.
+_ROOM = 128
 _Index = NDArray[np.intp]
 
 
@@ -56,7 +58,8 @@ class Dictionary:
         # A column is a row here. Room is left for more of them.
         self._room, self._room_gram = np.empty((0, len(self._residual))), np.empty((0, 0))
         self._right = np.empty(0)
-        self._sizes: list[tuple[_Index, _Index, Floats]] | None = None
+        self._sizes: list[tuple[_Index, _Index, Floats, Floats]] | None = None
+        self._roots: dict[bytes, Floats] = {}
         self._numbers: dict[str, list[int]] = {}
         grids = [Term(instance, shape) for instance in candidates.instances for shape in candidates.grid(instance)]
         self.add(grids)
@@ -96,7 +99,8 @@ class Dictionary:
     def _append(self, added: Floats) -> None:
         now, then = len(self._right), len(self._right) + len(added)
         if then > len(self._room):
-            room, gram = np.empty((2 * then, len(self._residual))), np.empty((2 * then, 2 * then))
+            most = then + _ROOM
+            room, gram = np.empty((most, len(self._residual))), np.empty((most, most))
             room[:now], gram[:now, :now] = self._room[:now], self._gram
             self._room, self._room_gram = room, gram
         self._room[now:then] = added
@@ -137,7 +141,7 @@ class Dictionary:
         index = _indices(chosen)
         if not len(index):
             return np.zeros_like(self._problem.y)
-        root = _root(self._gram[np.ix_(index, index)])
+        root = self._root_of(index)
         along = (root @ (root.T @ self._right[index])) @ self._room[index]
         return self.campaign.expanded(along[:, None])[:, 0]
 
@@ -146,7 +150,7 @@ class Dictionary:
         index = _indices(chosen)
         if not len(index):
             return 0.0
-        root = _root(self._gram[np.ix_(index, index)])
+        root = self._root_of(index)
         return float(((root.T @ self._right[index]) ** 2).sum())
 
     def gains(self, chosen: Sequence[Entry]) -> Floats:
@@ -154,31 +158,41 @@ class Dictionary:
         index = _indices(chosen)
         right, gram = self._right, self._gram
         if len(index):
-            root = _root(gram[np.ix_(index, index)])
+            root = self._root_of(index)
             along = root.T @ gram[index]
             right = right - along.T @ (root.T @ right[index])
         out = np.zeros(len(self.entries))
-        for index, columns, least in self._by_size():
-            own = gram[columns[:, :, None], columns[:, None, :]]
+        for index, columns, least, own in self._by_size():
             if len(chosen):
                 part = along[:, columns].transpose(1, 2, 0)
                 own = own - part @ part.transpose(0, 2, 1)
-            values, vectors = np.linalg.eigh(own)
-            turned = (right[columns][:, None, :] @ vectors)[:, 0, :]
+            if columns.shape[1] == 1:
+                values, turned = own[:, :, 0], right[columns]
+            else:
+                values, vectors = np.linalg.eigh(own)
+                turned = (right[columns][:, None, :] @ vectors)[:, 0, :]
             seen = values > least[:, None]
             out[index] = np.where(seen, turned**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
         return out
 
-    def _by_size(self) -> list[tuple[_Index, _Index, Floats]]:
-        """Return, for each number k of columns, the entries with k, their columns and what is too little to see."""
+    def _root_of(self, index: _Index) -> Floats:
+        """Return the root of the inverse of the products of some columns; the same sets are asked for again and again."""
+        key = index.tobytes()
+        if key not in self._roots:
+            self._roots[key] = _root(self._gram[np.ix_(index, index)])
+        return self._roots[key]
+
+    def _by_size(self) -> list[tuple[_Index, _Index, Floats, Floats]]:
+        """Return, for each number k of columns, the entries with k, their columns, what is too little to see, and their products."""
         if self._sizes is None:
             sizes = np.array([e.width for e in self.entries], dtype=int)
             starts = np.array([e.columns.start for e in self.entries], dtype=int)
             least = np.array([least_visible(e.term) for e in self.entries])
             self._sizes = [
-                (index, starts[index][:, None] + np.arange(k), least[index])
+                (index, columns, least[index], self._gram[columns[:, :, None], columns[:, None, :]])
                 for k in np.unique(sizes)
                 for index in [np.flatnonzero(sizes == k)]
+                for columns in [starts[index][:, None] + np.arange(k)]
             ]
         return self._sizes
 

@@ -138,9 +138,15 @@ class Candidates:
 
     def given(self, problem: Problem, terms: Iterable[Term]) -> Problem:
         """Return a problem with further effects known."""
+        made = []
+        new = np.empty((problem.y.size, 0))
         for term in terms:
-            problem = problem.extended(self.visible(problem, term), self.whitened(problem, term))
-        return problem
+            whitened = self.whitened(problem, term)
+            made.append(whitened)
+            new = np.concatenate([new, problem.visible(whitened, new, least_visible(term))[0]], axis=1)
+        if not made:
+            return problem
+        return replace(problem, basis=np.concatenate([problem.basis, new], axis=1), parts=(*problem.parts, *made))
 
     def size_um(self, plain: Problem, term: Term) -> float:
         """Return the RMS of what an effect would explain in a problem without weights."""

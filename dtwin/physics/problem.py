@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +50,8 @@ class Problem:
         Whitening.
     zero_weight : float
         Whitening of the zero that rows of a run share, as of :class:`dtwin.physics.whitening.PureError`.
-    raw : ndarray, shape (rows * n, q)
-        Columns that the basis spans: those of every set-up, then the known effects.
+    parts : tuple of ndarray, shape (rows * n, q)
+        Columns that the basis spans: those of every set-up, then of each known effect.
     """
 
     obs: Observations
@@ -58,10 +59,15 @@ class Problem:
     basis: Floats
     noise: PureError | None
     weights: Floats
-    raw: Floats
+    parts: tuple[Floats, ...]
     zero_weight: float = 1.0
 
-    @property
+    @cached_property
+    def raw(self) -> Floats:
+        """Columns that the basis spans, each of length one, shape (rows * n, q)."""
+        return np.concatenate([_scaled(part) for part in self.parts], axis=1)
+
+    @cached_property
     def residual(self) -> Floats:
         """What the known effects leave, shape (rows, n)."""
         left = self.y - self.basis @ (self.basis.T @ self.y)
@@ -109,11 +115,7 @@ class Problem:
         whitened : ndarray, shape (rows * n, k)
             Its whitened columns.
         """
-        return replace(
-            self,
-            basis=np.concatenate([self.basis, visible], axis=1),
-            raw=np.concatenate([self.raw, _scaled(whitened)], axis=1),
-        )
+        return replace(self, basis=np.concatenate([self.basis, visible], axis=1), parts=(*self.parts, whitened))
 
 
 def beside(basis: Floats, whitened: Floats, least: float, given: Floats | None = None) -> tuple[Floats, Floats]:
@@ -181,9 +183,9 @@ def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) ->
     columns = [setup_columns(obs)] + [obs.regressors(t.instance, t.shape) for t in known]
     y = zero_weighted(to_harmonics(obs.y_um) * noise.weights, obs.run_of, noise.zero_weight)
     empty = np.empty((obs.y_um.size, 0))
-    made = Problem(obs, y.ravel(), empty, noise, noise.weights, empty, noise.zero_weight)
-    raw = _scaled(made.whitened(np.concatenate(columns, axis=2)))
-    return replace(made, basis=orthonormal(raw), raw=raw)
+    made = Problem(obs, y.ravel(), empty, noise, noise.weights, (empty,), noise.zero_weight)
+    made = replace(made, parts=(made.whitened(np.concatenate(columns, axis=2)),))
+    return replace(made, basis=orthonormal(made.raw))
 
 
 def setup_columns(obs: Observations) -> Floats:
@@ -201,6 +203,8 @@ def orthonormal(columns: Floats) -> Floats:
     """Return an orthonormal basis of columns of shape (n, k); dependent ones are dropped."""
     if not columns.size:
         return columns
+    if columns.shape[1] == 1:
+        return columns / np.linalg.norm(columns)
     gram = columns.T @ columns
     values, vectors = np.linalg.eigh(gram)
     keep = values > _RANK * max(float(values[-1]), 1e-300)
