@@ -16,9 +16,8 @@ from dtwin.physics.score import NoiseLevel, misfit, noise_level
 from dtwin.physics.solve import Solution, in_blocks, solve_blocks
 from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
-from dtwin.statistics import t_quantile
+from dtwin.statistics import k2_factor
 
-COVERAGE = 0.9545
 # Conditions of a jackknife.
 _FEWEST = 5
 _RANK = 1e-10
@@ -144,7 +143,7 @@ class Spread:
     @property
     def expanded(self) -> Floats:
         """Expanded uncertainties, k = 2, widened by few degrees of freedom; NaN where nothing was repeated."""
-        factors = [t_quantile(0.5 + COVERAGE / 2.0, d) if np.isfinite(d) else np.nan for d in self.dof]
+        factors = [k2_factor(d) if np.isfinite(d) else np.nan for d in self.dof]
         return np.asarray(self.standard * np.array(factors))
 
 
@@ -184,9 +183,7 @@ def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Fl
     if misses:
         wider, fewer = _by_condition(part, taken, influence, left), float(max(len(obs.conditions) - 1, 1))
         # The degrees of freedom of conditions are taken where they make the interval wider.
-        factor = (t_quantile(0.5 + COVERAGE / 2.0, fewer) if len(obs.conditions) >= _FEWEST else 2.0) / t_quantile(
-            0.5 + COVERAGE / 2.0, dof
-        )
+        factor = (k2_factor(fewer) if len(obs.conditions) >= _FEWEST else 2.0) / k2_factor(dof)
         variance = np.maximum(variance, wider * factor**2)
     return variance, dof
 

@@ -12,9 +12,8 @@ from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.score import misfit, noise_level
 from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
-from dtwin.statistics import t_quantile
+from dtwin.statistics import k2_factor
 
-_COVERAGE = 0.9545
 # Of a parameter, the share of its information that must be left when a condition is taken out.
 _SUPPORTED = 1e-6
 # Conditions of a jackknife.
@@ -57,7 +56,7 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     foretold = level.ratio * np.einsum("n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured)
     dof = float(problem.noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
-    out = t_quantile(0.5 + _COVERAGE / 2.0, dof + level.prior_dof) * np.sqrt(blended)
+    out = k2_factor(dof + level.prior_dof) * np.sqrt(blended)
     if misfit(white) is not None:
         out = np.maximum(out, _by_condition(problem, scaled, influence, left))
     return np.asarray(out / np.where(size > 0.0, size, np.nan))
@@ -78,7 +77,7 @@ def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Flo
     together = means @ means.T / means.shape[1]
     summed = condition_sums(influence, condition_of)
     coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
-    factor = 2.0 if few else t_quantile(0.5 + _COVERAGE / 2.0, number - 1.0)
+    factor = 2.0 if few else k2_factor(number - 1.0)
     return np.asarray(factor * np.sqrt(np.maximum(jackknife + coherent, 0.0)))
 
 

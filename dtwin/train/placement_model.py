@@ -14,10 +14,9 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
-from dtwin.statistics import t_quantile
+from dtwin.statistics import k2_factor
 
 JOINT_MOTION = "joint_motion"
-_COVERAGE = 0.9545
 _AXES = ("base_x", "base_y", "base_z")
 
 
@@ -84,7 +83,7 @@ def _band(g: GraphBuilder, placements: Sequence[TrainingPlacement], joint: Expre
         errors = np.array([p.error_um for p in placements if p.motion == motion])
         if len(errors) < 2:
             return None
-        factor = t_quantile(0.5 + _COVERAGE / 2.0, len(errors) - 1.0)
+        factor = k2_factor(len(errors) - 1.0)
         halves.append(factor * errors.std(axis=0, ddof=1) / np.sqrt(len(errors)))
     return Band(
         COVARIANCE,
