@@ -17,7 +17,7 @@ from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
-from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted
+from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted, unweighted_with_noise
 from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
@@ -161,7 +161,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.
-    problem = replace(unweighted(obs, terms), noise=set_up(obs, terms, []).noise)
+    problem = unweighted_with_noise(obs, terms)
     columns = _columns(problem, terms)
     weight = np.ones(obs.n_rows)
     solution = solve_blocks(_weighted(columns, problem.y, weight))

@@ -175,6 +175,12 @@ def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
     return replace(weighted_like(obs, known, flat), noise=None)
 
 
+def unweighted_with_noise(obs: Observations, known: Sequence[Term]) -> Problem:
+    """Return the problem of ordinary least squares that knows by what repeats disagree beside what is known."""
+    plain = unweighted(obs, known)
+    return replace(plain, noise=_noise(plain, []))
+
+
 def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) -> Problem:
     """Return the problem in a given whitening, perhaps that of another campaign.
 

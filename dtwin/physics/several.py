@@ -15,7 +15,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Alias, Estimate, Fit, estimates, find_aliases, fit, residual_um, run_weights, setups
 from dtwin.physics.machine_terms import is_shared, is_wave, seen_by
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Term, set_up, unweighted
+from dtwin.physics.problem import Term, unweighted_with_noise
 from dtwin.schema import Floats
 
 _ALIAS = 0.95
@@ -148,7 +148,7 @@ def _pooled(campaigns: Sequence[Observations], terms: Sequence[Term], library: M
     for obs, mine in zip(campaigns, seen, strict=True):
         here = tuple(t for t in mine if t is not None)
         numbers = tuple(i for i, t in enumerate(mine) if t is not None)
-        problem = replace(unweighted(obs, here), noise=set_up(obs, here, []).noise)
+        problem = unweighted_with_noise(obs, here)
         parts.append(Part(problem, here, numbers, own_columns(problem, here), np.ones(obs.n_rows), 1.0))
     return _reweighted(Pool(tuple(parts), tuple(terms)))
 
