@@ -28,6 +28,8 @@ _DWARFED = 0.4
 _ALONE = 0.5
 # A curve of so many numbers that is less than so many times what is left may follow that.
 _MANY, _MUCH_LARGER = 3, 3.0
+# What changes with the feed at this p-value, by however little.
+_MOVES = 0.005
 # More of a curve than this in a fifth of the travel is one place and no screw.
 _LOCAL, _STRETCH = 0.6, 5
 
@@ -60,14 +62,21 @@ def is_dwarfed(effect: Found, found: Search) -> bool:
     return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
 
 
-def follows_anything(effect: Found, tests: Tests, found: Search) -> bool:
-    """Tell whether an effect may be a smooth curve of many numbers drawn through something unknown that is left."""
+def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
+    """Tell whether an effect of the place may be drawn through something unknown that is left.
+
+    A smooth curve of many numbers follows anything. What is the same at every feed, by its law, and is not quite, is the mean of
+    something that is not.
+    """
     first_um, left_um = found.systematic_um
     if found.lack_of_fit[-1] > LACK_OF_FIT or not SPOKEN_OF * first_um < left_um:
         return False
-    smooth = [c.term for c in survivors(effect, tests[effect.label]) if c.term.instance.effect.law.feed == 0.0]
-    many = [t for t in smooth if effect.candidates.numbers(t) - len(t.instance.effect.shapes) >= _MANY]
-    return bool(many) and effect.size_um < _MUCH_LARGER * left_um
+    own = tests[effect.label]
+    of_place = [c.term for c in survivors(effect, own) if c.term.instance.effect.law.feed == 0.0]
+    many = [t for t in of_place if effect.candidates.numbers(t) - len(t.instance.effect.shapes) >= _MANY]
+    moves = any(t.variable == "feed" and t.p_value < _MOVES for t in own[effect.label])
+    is_of_place = effect.top.term.instance.effect.law.feed == 0.0
+    return effect.size_um < _MUCH_LARGER * left_um and (bool(many) or (moves and is_of_place))
 
 
 def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:

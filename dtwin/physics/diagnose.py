@@ -21,7 +21,7 @@ from dtwin.physics._doubts import (
     SPOKEN_OF,
     Tests,
     doubted,
-    follows_anything,
+    follows_unknown,
     hidden_by,
     is_dwarfed,
     standing_alone,
@@ -233,7 +233,7 @@ def _concluded(
         for f in trusted(found, doubts, much)
         if (much or not is_dwarfed(f, found))
         and (f.label in believed or f.size_um >= least_um)
-        and not follows_anything(f, tests, found)
+        and not follows_unknown(f, tests, found)
     ]
     kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     others = [f for f in found.found if f not in kept]
