@@ -63,13 +63,14 @@ def is_dwarfed(effect: Found, found: Search) -> bool:
 
 
 def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
-    """Tell whether an effect of the place may be drawn through something unknown that is left.
+    """Tell whether an effect of the place may, on circles, be drawn through something unknown that is left.
 
     A smooth curve of many numbers follows anything. What is the same at every feed, by its law, and is not quite, is the mean of
     something that is not.
     """
     first_um, left_um = found.systematic_um
-    if found.lack_of_fit[-1] > LACK_OF_FIT or not SPOKEN_OF * first_um < left_um:
+    certain = found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > SPOKEN_OF * first_um
+    if not certain or found.plain.obs.there_and_back:
         return False
     own = tests[effect.label]
     of_place = [c.term for c in survivors(effect, own) if c.term.instance.effect.law.feed == 0.0]
