@@ -9,7 +9,6 @@ from typing import Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
-from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import meta_of
 from dtwin.lake.store import Lake
 from dtwin.schema import Finding, Run
@@ -30,14 +29,9 @@ def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
 
 
 def moving_findings(home: Home, campaign: str) -> list[dict[str, Any]]:
-    """Return what samples of all runs together say against any model of a campaign of the lake: cycles that slip, spoilt readings.
-
-    Circles say nothing of that sort together; what they lack, a diagnosis says itself.
-    """
+    """Return what samples of all runs together say against any model of a campaign of the lake: cycles that slip, spoilt readings, repeats that differ."""
     lake = Lake(home.lake)
     rows = lake.runs(campaign)
-    if not rows or kind_named(rows[0]["kind"]).goes_round:
-        return []
     light = [without_samples(lake.load(row, signals=False)) for row in rows]
     found = [f for f in judge_campaign(light) if f.severity != "info" and not f.code.startswith("campaign.")]
     return [finding.as_dict() for finding in found]
