@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.acquire.quality import judge_clock
-from dtwin.positioning.cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
+from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.ways import BOTH, Ways, ways_of
@@ -213,14 +213,18 @@ def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
     if noise / variance > min(0.7, 1.0 - expected_scatter):
         return []
     drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
+    why = (
+        "A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the axis's own encoder with the reference, log temperatures"
+        if drift_um >= ORDINARY
+        else "Ordinary air, heat and mounting of the instrument: let both settle, shield the beam"
+    )
     return [
         Finding(
             f"{scale.kind}.drift",
             "warning",
             f"the runs disagree by drift, not by noise: {drift_um:z.2f} {scale.fine} RMS wander from run to "
             f"run, {noise_um:z.2f} {scale.fine} RMS from one reading to the next; R counts it as scatter, and more runs do not average "
-            "it away. A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the "
-            "axis's own encoder with the reference, log temperatures",
+            f"it away. {why}",
             {f"drift_{scale.figure}": drift_um, f"noise_{scale.figure}": noise_um},
         )
     ]
