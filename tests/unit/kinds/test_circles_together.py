@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 
+from dtwin.acquire.ingest import ingest
 from dtwin.acquire.quality import judge_campaign, without_samples
+from dtwin.acquire.virtual_mill import write_runs
+from dtwin.config import Home
 from dtwin.kinds.circular._sheet import circular_sheet
+from dtwin.lake.store import Lake
 from dtwin.report.uncertainty import Circumstances
-from dtwin.schema import Finding, Run, RunMeta
+from dtwin.schema import Campaign, Finding, Run, RunMeta
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._server import application
 
 CODES = {"circular.spoilt_readings", "circular.repeats_differ"}
 
@@ -86,7 +95,6 @@ def test_the_sheet_leaves_the_spoilt_run_out() -> None:
     spoilt_runs = [spoilt(runs[0], 290, -14.0), *runs[1:]]
     sheet = circular_sheet(spoilt_runs, Circumstances({}))
     assert f"{runs[0].meta.run_id} is not evaluated: circular.spoilt_readings." in sheet.notes
-    assert any("a lost count, or a chip under the ball" in note for note in sheet.notes)
     figures = {c.symbol: c.value_um for c in sheet.parts[0].characteristics}
     assert figures["G(CCW)"] == pytest.approx({c.symbol: c.value_um for c in clean.characteristics}["G(CCW)"], abs=1.0)
 
@@ -109,3 +117,17 @@ def test_repeats_that_differ_by_many_times_what_a_run_scatters_are_told() -> Non
     # Ordinary: less than five times the scatter, or less than half a micrometre.
     assert told(moved(campaign(5, noise_um=1.0), 3.7)) == []
     assert told(moved(campaign(5, noise_um=0.05), 0.4)) == []
+
+
+def test_workbench_and_certificate_say_what_samples_say_together(tmp_path: Path) -> None:
+    """The page of the campaign said that nothing is wrong with the data, above a run that the sheet had left out."""
+    runs = [replace(run, samples=dict(run.samples) | {"t_s": np.arange(720) / 60.0}) for run in campaign(6)]
+    runs[3] = spoilt(runs[3], 290, 14.0)
+    write_runs(tmp_path / "c", Campaign("c", "m"), runs)
+    home = Home(tmp_path / "home")
+    ingest(tmp_path / "c", Lake(home.lake))
+    browser = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    for page in ("/campaigns/c", "/campaigns/c/certificate.html"):
+        text = browser.get(page).text
+        assert text.count("1 reading is spoilt") == 1
+        assert "Nothing is wrong with the data" not in text
