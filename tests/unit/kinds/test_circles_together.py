@@ -19,6 +19,7 @@ from dtwin.kinds.circular._sheet import circular_sheet
 from dtwin.lake.store import Lake
 from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Campaign, Finding, Run, RunMeta
+from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench._server import application
@@ -121,13 +122,20 @@ def test_repeats_that_differ_by_many_times_what_a_run_scatters_are_told() -> Non
 
 def test_workbench_and_certificate_say_what_samples_say_together(tmp_path: Path) -> None:
     """The page of the campaign said that nothing is wrong with the data, above a run that the sheet had left out."""
-    runs = [replace(run, samples=dict(run.samples) | {"t_s": np.arange(720) / 60.0}) for run in campaign(6)]
+    one_turn = np.linspace(0.0, 2.0 * np.pi * 100.0 * 60.0, 720, endpoint=False)
+    runs = [
+        replace(run, samples=dict(run.samples) | {"t_s": one_turn / (run.meta.feed_mm_min or 1.0)})
+        for run in campaign(6)
+    ]
     runs[3] = spoilt(runs[3], 290, 14.0)
     write_runs(tmp_path / "c", Campaign("c", "m"), runs)
     home = Home(tmp_path / "home")
     ingest(tmp_path / "c", Lake(home.lake))
     browser = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
-    for page in ("/campaigns/c", "/campaigns/c/certificate.html"):
+    Twins(home).fit("c", [], "t")
+    assert "each run sound" in browser.get("/campaigns").text
+    assert "Nothing is wrong with this run by itself" in browser.get(f"/campaigns/c/runs/{runs[3].meta.run_id}").text
+    for page in ("/twins/t/diagnose", "/campaigns/c", "/campaigns/c/certificate.html"):
         text = browser.get(page).text
         assert text.count("1 reading is spoilt") == 1
         assert "Nothing is wrong with the data" not in text
