@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from datetime import date, datetime
+from itertools import takewhile
 from typing import Any
 
 from dtwin.errors import InputError
@@ -16,6 +17,26 @@ _COLDEST_C = -273.15
 _LONGEST = 400
 _AXIS = re.compile(r"[a-cu-z]\d?")
 _FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
+_READ = {
+    "instrument": (
+        "model serial certificate calibrated_on operator calibrator_temperature_c nominal_mm calibrated_mm offset_mm sample_rate_hz columns tolerances length_unit "
+        "reading_period_s step_mm uncertainty_um uncertainty_arcsec uncertainty_um_per_m uncertainty_percent calibration_um height_difference_mm "
+        "alignment_mm temperature_uncertainty_k expansion_um_per_m_k expansion_uncertainty_um_per_m_k"
+    ),
+    "machine_geometry": (
+        "type chain controller tcp_mm centre_mm centre_small_mm centre_large_mm large_radius_from_mm joint_branch screw_pitch_mm z_bandwidth_hz virtual hidden truth corrected "
+        "correction_delay_s urdf urdf_tip held_out_poses pose_repeat_um stroke_x_mm stroke_y_mm stroke_z_mm"
+    ),
+    "condition": (
+        "axis test reads step_mm feed_mm_min screw_pitch_mm frequency_hz amplitude_um z_bandwidth_hz speed_rpm form probe sense angle angle_log "
+        "features joints_log leave_out chain time_h instrument motion"
+    ),
+}
+"""What is read of tables in which everything may be noted."""
+_KNOWN = {table: frozenset(names.split()) for table, names in _READ.items()}
+_OTHER_UNIT = re.compile(r"_(mm|um|m|in|inch|deg|rad|s|ms|hz|rpm|k|c|arcsec|percent|pct|mm_min|h|min)$")
+_SHORT = 5
+"""Letters below which words that differ in one letter are other words; two that changed places are mistyped in any."""
 _CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
 
 
@@ -71,6 +92,7 @@ def condition(value: object, where: str) -> dict[str, float | str]:
     """Return what was set for a run: numbers and words by name; ``axis = "c"`` is C, with which it is compared."""
     if not isinstance(value, Mapping):
         raise _refused("condition", where, value, "a table of numbers and words")
+    _require_not_mistyped(value, "condition", where)
     return {
         name: v.upper()
         if name == "axis" and isinstance(v, str) and _AXIS.fullmatch(v)
@@ -94,6 +116,7 @@ def table(value: object, name: str, where: str) -> dict[str, Any]:
     """Return a table whose numbers are finite and that is not nested too deep."""
     if not isinstance(value, Mapping):
         raise _refused(name, where, value, "a table")
+    _require_not_mistyped(value, name, where)
     for key, part in value.items():
         _plain(part, f"{name}.{key}", where, _DEEPEST)
     return dict(value)
@@ -106,6 +129,50 @@ def instrument(value: object, where: str) -> dict[str, Any]:
     if not isinstance(columns, Mapping) or not all(isinstance(name, str) for name in columns.values()):
         raise _refused("campaign.instrument.columns", where, columns, "a table of names by head")
     return told
+
+
+def _require_not_mistyped(told: Mapping[str, Any], name: str, where: str) -> None:
+    """Refuse a name that is nearly one that is read: it would do nothing. Other names are notes, which are free."""
+    table = name.rpartition(".")[2]
+    known = _KNOWN.get(table, frozenset())
+    for key in sorted(set(told) - known):
+        meant = [
+            word
+            for word in known
+            # What is set for a run may be one thing in one unit and another one in another: speed_rpm, speed_mm_s.
+            if (table != "condition" if _stem(key) == _stem(word) else _mistyped(key, word))
+        ]
+        if meant:
+            raise InputError(
+                f"unknown setting of {table}, nearly one that is read",
+                code="campaign.setting",
+                where=f"{where} {name}",
+                got=key[:60],
+                allowed=", ".join(sorted(known)),
+                hint=f"{table}.{min(meant)}; a note of your own needs a name that is less like it",
+            )
+
+
+def _mistyped(key: str, word: str) -> bool:
+    """Return whether a name differs from a word by capitals, dashes, one letter, or two that changed places."""
+    told = re.sub(r"[-. ]", "_", key.lower())
+    if told == word:
+        return True
+    begin = _alike(told, word)
+    end = _alike(told[begin:][::-1], word[begin:][::-1])
+    one, other = told[begin : len(told) - end], word[begin : len(word) - end]
+    if len(one) == 2 and one == other[::-1]:
+        return True
+    return max(len(one), len(other)) == 1 and min(len(told), len(word)) >= _SHORT
+
+
+def _alike(one: str, other: str) -> int:
+    """Return how many letters two words begin with alike."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
+
+
+def _stem(name: str) -> str:
+    return _OTHER_UNIT.sub("", name)
 
 
 def _plain(value: object, name: str, where: str, deepest: int) -> None:

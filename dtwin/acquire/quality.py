@@ -25,6 +25,11 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     return kind_named(runs[0].meta.kind).judge_campaign(runs) if runs else []
 
 
+def said_together(runs: Sequence[Run]) -> list[Finding]:
+    """Return what samples of all runs together say against figures and models: spoilt readings, cycles that slip."""
+    return [f for f in judge_campaign(runs) if f.severity != "info" and not f.code.startswith("campaign.")]
+
+
 def _too_small(run: Run) -> list[Finding]:
     """Return a finding for errors that hardly spread: millimetres in a column of micrometres.
 

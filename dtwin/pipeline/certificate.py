@@ -16,6 +16,7 @@ from dtwin.machine_record import MachineRecord, read_record
 from dtwin.pipeline.findings import grouped_findings
 from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.certificate import LANGUAGES, certificate_page
+from dtwin.report.sheet import notes_beside
 from dtwin.report.uncertainty import Variation
 
 # So many earlier tests are looked at for a figure in common, the newest first.
@@ -46,7 +47,8 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     runs = {row["run_id"]: lake.load(row, signals=False) for row in mine if row["run_id"] in used}
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
     record = read_record(home, known.machine) or MachineRecord(known.machine)
-    told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
+    told = [(f["severity"], f["message"]) for f in grouped_findings(mine, sheet["findings"]) if f["severity"] != "info"]
+    sheet = sheet | {"notes": notes_beside(sheet)}
     earlier = earlier_test(home, every, mine, sheet, variation)
     return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
-from dtwin.acquire.quality import judge_campaign, without_samples
+from dtwin.acquire.quality import judge_campaign, said_together, without_samples
 from dtwin.config import Home
-from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import meta_of
 from dtwin.lake.store import Lake
 from dtwin.schema import Finding, Run
@@ -30,21 +29,19 @@ def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
 
 
 def moving_findings(home: Home, campaign: str) -> list[dict[str, Any]]:
-    """Return what samples of all runs together say against any model of a campaign of the lake: cycles that slip, spoilt readings.
-
-    Circles say nothing of that sort together; what they lack, a diagnosis says itself.
-    """
+    """Return what samples of all runs together say against any model of a campaign of the lake: cycles that slip, spoilt readings, repeats that differ."""
     lake = Lake(home.lake)
     rows = lake.runs(campaign)
-    if not rows or kind_named(rows[0]["kind"]).goes_round:
-        return []
     light = [without_samples(lake.load(row, signals=False)) for row in rows]
-    found = [f for f in judge_campaign(light) if f.severity != "info" and not f.code.startswith("campaign.")]
-    return [finding.as_dict() for finding in found]
+    return [finding.as_dict() for finding in said_together(light)]
 
 
-def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def grouped_findings(
+    rows: Sequence[Mapping[str, Any]], together: Sequence[Mapping[str, Any]] = ()
+) -> list[dict[str, Any]]:
     """Return the findings of all runs, one line for each code, the worst first.
+
+    ``together``: what the samples of all of them say, as a test sheet has it.
 
     Each has ``severity``, ``code``, ``message`` of the first run, and ``runs``.
     """
@@ -52,6 +49,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
         for f in campaign_findings(rows)
     }
+    by_code |= {f"{f['code']} {f['message']}": {**f, "runs": []} for f in together}
     for row in rows:
         for f in findings_of(row):
             entry = by_code.setdefault(f["code"], {**f, "runs": []})

@@ -114,7 +114,7 @@ def sheet_of_campaign(
         home,
         "sheets",
         campaign,
-        f"units {stamp} {limits} {variation}",
+        f"findings {stamp} {limits} {variation}",
         lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
     return made

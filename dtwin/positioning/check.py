@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.acquire.quality import judge_clock
-from dtwin.positioning.cycles import moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
+from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
 from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.ways import BOTH, Ways, ways_of
@@ -17,6 +17,11 @@ from dtwin.units import is_number
 
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
+_FEWEST_WAVES = 2.1
+"""Of a wave of the screw that targets show as a long one, in the travel: fewer look like an error of the slope."""
+_EQUAL = 0.1
+"""Parts of a pitch that equal steps may differ by; random parts after ISO 230-2 are larger."""
+_GOLDEN = (0.382, 0.618)
 _STUCK_READINGS = 12
 _FEWEST_FOR_DRIFT = 8
 
@@ -35,6 +40,20 @@ def phases_of(position_mm: Floats, pitch_mm: float) -> int:
     turned = np.sort(np.mod(np.asarray(position_mm, float), pitch_mm))
     gaps = np.diff(turned, append=turned[0] + pitch_mm)
     return max(1, int(np.count_nonzero(gaps > TARGET_MM)))
+
+
+def beat_of(step: float, span: float, pitch: float) -> tuple[float, float] | None:
+    """Return which wave of the screw equal steps show as a long one, and how long that is; None where they show none so.
+
+    ``step``, ``span``, ``pitch``: of the targets, of all of them, and of the screw, in one unit. Long is about half of the span or more:
+    such a wave looks like an error of the slope. The first of the pitch and its half counts.
+    """
+    for wave in (pitch, pitch / 2.0):
+        turns = round(step / wave)
+        apart = abs(1.0 / wave - turns / step)
+        if turns and apart * span < _FEWEST_WAVES:
+            return wave, 1.0 / apart if apart > 0.0 else math.inf
+    return None
 
 
 def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
@@ -176,20 +195,34 @@ def _missed(run: Run, scale: Scale) -> list[Finding]:
 
 
 def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
-    phases = phases_of(wanted, pitch_mm)
-    if len(wanted) < 2 or phases >= FEWEST_PHASES:
+    if len(wanted) < 2:
         return []
-    step = float(np.median(np.diff(wanted)))
-    seen = "one angle" if phases == 1 else f"{phases} angles"
-    return [
-        Finding(
-            "linear.step_divides_pitch",
-            "warning",
+    phases, step = phases_of(wanted, pitch_mm), float(np.median(np.diff(wanted)))
+    if phases < FEWEST_PHASES:
+        seen = "one angle" if phases == 1 else f"{phases} angles"
+        said = (
             f"the step of {step:z.3f} mm meets the screw (pitch {pitch_mm:g} mm) at {seen} only: its "
-            "cyclic error is folded into the slow error, and a table made of this does not see it",
-            {"step_mm": step, "phases_1": float(phases)},
+            "cyclic error is folded into the slow error, and a table made of this does not see it"
         )
-    ]
+        return [Finding("linear.step_divides_pitch", "warning", said, {"step_mm": step, "phases_1": float(phases)})]
+    line = np.arange(len(wanted)) * np.ptp(wanted) / (len(wanted) - 1)
+    if float(np.ptp(wanted - line)) > _EQUAL * pitch_mm:
+        return []
+    step, span = float(line[1]), float(np.ptp(wanted))
+    beat = beat_of(step, span, pitch_mm)
+    if beat is None:
+        return []
+    wave, alias = beat
+    what = "a turn of the screw" if wave == pitch_mm else "half a turn of the screw"
+    turns = np.array([k + part for k in range(int(step / pitch_mm) + 1) for part in _GOLDEN])
+    shorter = turns[turns * pitch_mm < step]
+    better = round((float(shorter.max()) if shorter.size else _GOLDEN[0]) * pitch_mm, 1)
+    said = (
+        f"equal steps of {step:z.5g} mm show {what} ({wave:g} mm) as a wave of {alias:z.0f} mm, of a travel of {span:z.0f} mm: an error of the screw looks like an "
+        f"error of the slope, and a table made of this compensates what is not there. Add a random part of up to a pitch to each target, as ISO 230-2 asks, or take "
+        f"steps of {better:g} mm"
+    )
+    return [Finding("linear.step_beats_pitch", "warning", said, {"step_mm": step, "alias_mm": alias})]
 
 
 def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
@@ -213,14 +246,18 @@ def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
     if noise / variance > min(0.7, 1.0 - expected_scatter):
         return []
     drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
+    why = (
+        "A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the axis's own encoder with the reference, log temperatures"
+        if drift_um >= ORDINARY
+        else "Ordinary air, heat and mounting of the instrument: let both settle, shield the beam"
+    )
     return [
         Finding(
             f"{scale.kind}.drift",
             "warning",
             f"the runs disagree by drift, not by noise: {drift_um:z.2f} {scale.fine} RMS wander from run to "
             f"run, {noise_um:z.2f} {scale.fine} RMS from one reading to the next; R counts it as scatter, and more runs do not average "
-            "it away. A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the "
-            "axis's own encoder with the reference, log temperatures",
+            f"it away. {why}",
             {f"drift_{scale.figure}": drift_um, f"noise_{scale.figure}": noise_um},
         )
     ]

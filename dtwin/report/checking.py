@@ -10,7 +10,7 @@ from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, said_together, without_samples
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
@@ -47,7 +47,7 @@ def sheet_of(
     limits: Mapping[str, Limits],
     variation: Variation | None = None,
 ) -> dict[str, Any]:
-    """Return the test sheet of runs with their findings, JSON-ready.
+    """Return the test sheet of runs with their findings, and what these say together, JSON-ready.
 
     ``limits``: of the machine; they go before those of the file.
     ``variation``: that of the machine's place.
@@ -71,7 +71,8 @@ def sheet_of(
             hint="KIND:SYMBOL stands in the machine's record",
         )
     limited = {**own, **kind.limits(limits)}
-    return judged(made, limited, asked=[symbol for symbol in kind.figures if symbol in limited]).as_dict()
+    sheet = judged(made, limited, asked=[symbol for symbol in kind.figures if symbol in limited]).as_dict()
+    return sheet | {"findings": [finding.as_dict() for finding in said_together(runs)]}
 
 
 def check_source(

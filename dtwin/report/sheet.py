@@ -282,6 +282,11 @@ def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return [shown_unit(sheet["unit"]), *symbols, "decision"], rows
 
 
+def notes_beside(sheet: Mapping[str, Any]) -> list[str]:
+    """Return the notes of a sheet that do not say what one of its findings says, beside which they are shown."""
+    return [note for note in sheet["notes"] if not any(f["message"] in note for f in sheet["findings"])]
+
+
 def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
     """Return what :meth:`Sheet.as_dict` gave for a terminal: one condition in full, of several a line each."""
     parts, unit = sheet["parts"], shown_unit(sheet["unit"])

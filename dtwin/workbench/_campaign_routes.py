@@ -16,7 +16,7 @@ from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
-from dtwin.report.sheet import budget_rows
+from dtwin.report.sheet import budget_rows, notes_beside
 from dtwin.schema import fresh_name
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
@@ -78,11 +78,12 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     rows = bench.run_rows(name)
     version = bench.lake_version
     line = bench.cache.get(("overview", name, version), lambda: overview(name, rows))
-    findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows))
     twins = bench.twin_lines()
     kind = kind_named(line.kind)
     paths = kind.offers("rows")
     sheet = campaign_sheet_of(bench, name, line.machine) if kind.offers("sheet") else None
+    together = sheet["findings"] if sheet else []
+    findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows, together))
     shown = sheet["parts"][part] if sheet and 0 <= part < len(sheet["parts"]) else None
     return rendered(
         request,
@@ -94,6 +95,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         kind=kind,
         instrument=campaign_of(rows).instrument,
         sheet=sheet,
+        notes=notes_beside(sheet) if sheet else [],
         part=part,
         shown=shown,
         budgets=[(c, budget_rows(c)) for c in (shown or {}).get("characteristics", ()) if c.get("budget")],

@@ -46,7 +46,8 @@ _COMPARED = 3
 _LONGEST_S = 12 * 3600.0
 _LONGEST, _MOST_SETTINGS = 400, 60
 # Of plans of hours, too, which no column of a measurement counts in.
-_UNITS = {"um_h": "um/h", **UNITS, "h": "h"}
+# A feed of a linear plan is in its own unit a minute.
+_UNITS = {"um_h": "um/h", **UNITS, "h": "h", "min": "unit/min"}
 Ending = Literal["toml", "zip"]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dtwin.documents import read_document
 from dtwin.errors import InputError
-from dtwin.kinds.registry import kinds
+from dtwin.kinds.registry import kind_named, kinds
 from dtwin.physics import localise
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
@@ -105,6 +105,15 @@ def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, An
     drifts = [one.name for one in bench.campaigns() if one.machine == machine and one.kind in telling]
     variation = variation_of(bench.home, machine, [row for name in drifts for row in bench.run_rows(name)])
     return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign), variation)
+
+
+def said_together_in(bench: Bench, campaign: str) -> list[dict[str, Any]]:
+    """Return what samples of all runs of a campaign say together; nothing of one without a test sheet, or that is gone."""
+    known = next((one for one in bench.campaigns() if one.name == campaign), None)
+    if known is None or not kind_named(known.kind).offers("sheet"):
+        return []
+    found: list[dict[str, Any]] = campaign_sheet_of(bench, campaign, known.machine)["findings"]
+    return found
 
 
 def campaign_floor(bench: Bench, campaign: str) -> Floor:

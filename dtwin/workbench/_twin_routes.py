@@ -120,6 +120,7 @@ def diagnose_page(request: Request, name: str) -> Response:
         if diagnosis and "campaigns" in diagnosis
         else None,
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
+        runs_say=reading.said_together_in(bench, twin.campaign),
     )
 
 

@@ -84,7 +84,7 @@ def run_of(balls_there: np.ndarray, signal: np.ndarray) -> Run:
         "t_s": np.arange(float(n)),
         "pose_1": np.zeros(n),
         "ball_1": balls_there.astype(float),
-        **{f"{axis}_mm": np.zeros(n) for axis in "xyz"},
+        **{f"{axis}_mm": 100.0 * np.arange(float(n)) for axis in "xyz"},
         **{f"error_{axis}_um": np.zeros(n) for axis in "xyz"},
     }
     group = SignalGroup("thermocouples", 1 / 30, {"bed_01_c": signal})

@@ -10,6 +10,7 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plan import duration_s, linear_advice, linear_plan, read_linear_plan
+from dtwin.kinds.linear._planned import proposals
 from dtwin.kinds.linear._program import laser_program
 
 EXAMPLE: dict[str, Any] = {
@@ -114,3 +115,25 @@ def test_laser_and_machine_that_will_miss_each_other() -> None:
     assert "plan.overshoot_in_window" in codes(step=0.52, dwell_s=6.0, overshoot=0.04)
     assert "plan.long" in codes(step=0.025, dwell_s=6.0)
     assert "plan.no_repeats" in codes(step=0.52, dwell_s=6.0, runs=1)
+
+
+MM = EXAMPLE | {"unit": "mm", "start": 5.0, "end": 305.0, "axis_high": 400.0, "overshoot": 2.0, "feed_min": 1000.0}
+
+
+def test_a_step_that_beats_with_the_pitch_is_told_and_another_proposed() -> None:
+    plan = linear_plan(MM | {"step": 21.428571428571427, "pitch": 20.0}, "test")
+    told = next(f for f in linear_advice(plan) if f.code == "plan.step_beats_pitch")
+    better = float(re.search(r"; ([0-9.]+) mm does better", told.message)[1])  # type: ignore[index]
+    assert "(20 mm) as one of 300 mm" in told.message
+    assert "plan.step_beats_pitch" not in {
+        f.code for f in linear_advice(linear_plan(MM | {"step": better, "pitch": 20.0}, "test"))
+    }
+
+
+@pytest.mark.parametrize("travel_mm", [100.0, 310.0, 430.0, 1000.0])
+@pytest.mark.parametrize("pitch_mm", [5.0, 10.0, 16.0, 20.0, 25.4])
+def test_no_proposal_meets_the_screw_at_few_angles_or_beats_with_it(travel_mm: float, pitch_mm: float) -> None:
+    for document in proposals("m", {"X": {"travel_mm": travel_mm, "pitch_mm": pitch_mm}}):
+        stated = {name: value for name, value in document["plan"].items() if name != "kind"}
+        said = {f.code for f in linear_advice(linear_plan(stated, "test")) if f.severity == "warning"}
+        assert not said & {"plan.step_beats_pitch", "plan.step_and_pitch"}

@@ -67,6 +67,13 @@ def test_every_form_is_a_plan_of_its_kind_that_can_be_changed(home: Home, kind: 
     assert planned_document(other, "draft").summary["name"] == "mine"
 
 
+def test_a_feed_in_the_unit_of_its_plan_says_so(home: Home) -> None:
+    form = browser(home).get("/machines/mill-7/plan?kind=linear").text
+    assert "feed, unit/min" in form
+    assert "feed min" not in form
+    assert "feed, mm/min" in browser(home).get("/machines/mill-7/plan?kind=circular").text
+
+
 def test_all_kinds_with_a_plan_have_a_form() -> None:
     assert drafting_kinds() == [kind.name for kind in kinds() if kind.offers("plan")]
     with pytest.raises(NotOffered):

@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.acquire.motion_quality import judge_motion
 from dtwin.acquire.quality import judge_clock
+from dtwin.kinds.circular._across_runs import across_findings
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
@@ -58,8 +59,8 @@ def with_whole_angle(run: Run) -> Run:
 
 
 def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what circles lack as a whole: directions, repeats."""
-    findings = []
+    """Return what circles lack as a whole, directions and repeats, and what their samples say together where they are there."""
+    findings = across_findings(runs)
     conditions = Counter((m.plane, m.radius_mm, m.feed_mm_min, m.direction) for m in (run.meta for run in runs))
     pairs = Counter(key[:3] for key in conditions)
     lonely = sum(count == 1 for count in pairs.values())

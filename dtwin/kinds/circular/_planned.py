@@ -38,7 +38,7 @@ def planned(plan: Plan) -> Planned:
         findings=advice(plan),
         lines=(
             f"{plan.name} on {plan.machine}: {len(plan.tests)} tests, {plan.n_runs} runs, "
-            f"{moving_s / 60:z.0f} min of motion, about {total_s / 60:z.0f} min in all",
+            f"{moving_s / 60:z.0f} min of motion, about {total_s / 60:z.0f} min without mounting",
         ),
         order=tuple(vars(test) for test in plan.tests),
         order_text=table(_COLUMNS, rows),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular._across_runs import with_spoilt_told
 from dtwin.physics.circular import bidirectional_figures, fit_circle, residual_um
 from dtwin.report.plots import polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
@@ -35,7 +36,7 @@ def circular_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
     """
     conditions: dict[tuple[str, float, float], list[Run]] = {}
     notes = []
-    for run in runs:
+    for run in with_spoilt_told(runs):
         m = run.meta
         if m.radius_mm is None or m.direction is None:
             notes.append(f"{m.run_id} is not evaluated: it has no radius or direction.")

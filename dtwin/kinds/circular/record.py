@@ -36,7 +36,8 @@ class _Circular(PathKind):
     columns = ("t_s", "angle_deg", "deviation_um")
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
-    sheet_columns = ("angle_deg", "deviation_um")
+    campaign_columns = ("angle_deg", "deviation_um")
+    sheet_columns = campaign_columns
     figures = ("G(CCW)", "Fmax(CCW)", "Fmin(CCW)", "G(CW)", "Fmax(CW)", "Fmin(CW)", "G(b)", "H", "D")
     laws = True
     always_fitted = "Centre and radius of every set-up are always fitted."

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.plan_file import broken_rule, filled, plan_settings, read_plan_file
+from dtwin.positioning.check import beat_of
 from dtwin.schema import Finding, Floats, require_name
 
 _MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
@@ -220,7 +221,7 @@ def _phases(step: float, span: float, pitch: float, grain: float) -> int:
 
 
 def better_step(plan: LinearPlan, longest: float) -> float | None:
-    """Return the step nearest to the planned one that divides the range and meets the screw often.
+    """Return the step nearest to the planned one that divides the range, meets the screw often and does not beat with it.
 
     ``plan``: has a pitch.
     """
@@ -232,7 +233,11 @@ def better_step(plan: LinearPlan, longest: float) -> float | None:
             continue
         step = whole // parts * grain
         usable = step <= longest and _phases(step, span, plan.pitch, grain) >= _ENOUGH_PHASES
-        if usable and (best is None or abs(step - plan.step) < abs(best - plan.step)):
+        if (
+            usable
+            and beat_of(step, span, plan.pitch) is None
+            and (best is None or abs(step - plan.step) < abs(best - plan.step))
+        ):
             best = round(step, 6)
     return best
 
@@ -272,6 +277,14 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
                 {"phases_1": float(count)},
             )
         )
+    elif (beat := beat_of(plan.step, span, plan.pitch)) is not None:
+        step = better_step(plan, math.inf)
+        advised = "" if step is None else f"; {step:g} {unit} does better"
+        said = (
+            f"equal steps of {plan.step:g} {unit} show a wave of the screw ({beat[0]:g} {unit}) as one of {beat[1]:z.0f} {unit}, which looks like an error of the "
+            f"slope{advised}"
+        )
+        findings.append(Finding("plan.step_beats_pitch", "warning", said, {"alias_1": beat[1] / span}))
     if plan.step > plan.pitch / 10.0 * (1 + 1e-9):
         findings.append(
             Finding(

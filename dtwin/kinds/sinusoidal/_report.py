@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -49,7 +50,9 @@ def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for run in runs:
         tone = run.get("tone", {})
-        cells = [format(tone[key], form) if key in tone else "-" for _, key, form in _COLUMNS]
+        cells = [
+            format(tone[key], form) if math.isfinite(tone.get(key, math.nan)) else "-" for _, key, form in _COLUMNS
+        ]
         told = ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info")
         rows.append([run["run"], *cells, told or "-"])
     by_code = {f["code"]: f for run in runs for f in run["findings"]}

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
 from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
@@ -16,6 +17,7 @@ from dtwin.units import UM_PER_MM, is_number
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
 _LEAST_UM = 0.2
+_LEAST_APART_MM = 1.0
 _STUCK_C = 1e-6
 _BEYOND = 0.05
 """Share of a stroke by which a ball may lie beyond it: strokes are told roughly."""
@@ -51,6 +53,9 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
         ]
     error = np.stack([run.samples[f"error_{axis}_um"] for axis in "xyz"], axis=1)
     return [
+        # Between the poses the array is turned: gaps in time are no lost samples.
+        *(finding for finding in judge_clock(run) if finding.code != "clock.dropout"),
+        *_places(run),
         *_range(error),
         *_fixed(run.samples["pose_1"], run.samples["ball_1"], error),
         *(finding for group in run.signals for finding in _temperatures(group)),
@@ -68,6 +73,18 @@ def judge_volumetric_campaign(runs: Sequence[Run]) -> list[Finding]:
     sound.sort(key=lambda run: hour_by_run[run.meta.run_id])
     cycles = [balls_of(run) for run in sound]
     return spoilt_findings([run.meta.run_id for run in sound], cycles, spoilt_in(cycles)) if cycles else []
+
+
+def _places(run: Run) -> list[Finding]:
+    there = {axis: run.samples[f"{axis}_mm"] for axis in "xyz" if f"{axis}_mm" in run.samples}
+    flat = [f"{axis}_mm" for axis, at in there.items() if float(np.ptp(at)) < _LEAST_APART_MM]
+    if not flat:
+        return []
+    text = (
+        f"all balls lie within {_LEAST_APART_MM:g} mm in {' and '.join(flat)}: an array in one plane, whose errors across it nobody can tell, or a column that "
+        "was filled down"
+    )
+    return [Finding("balls.one_place", "warning", text)]
 
 
 def _range(error: Floats) -> list[Finding]:

@@ -56,7 +56,6 @@ class _Volumetric(Kind):
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.volumetric._check import judge_volumetric_run
 
-        # Between the poses the array is turned: gaps in time are no lost samples.
         return judge_volumetric_run(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:

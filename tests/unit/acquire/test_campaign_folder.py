@@ -169,6 +169,41 @@ def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tm
     assert (refused.value.code, refused.value.got) == ("campaign.setting", "startet")
 
 
+@pytest.mark.parametrize(
+    ("table", "setting", "meant"),
+    [
+        ("[campaign.instrument]", "uncertanty_um", "uncertainty_um"),
+        ("[campaign.instrument]", "offset", "offset_mm"),
+        ("[campaign.instrument]", "Calibration_um", "calibration_um"),
+        ("[campaign.instrument]", "calibration-um", "calibration_um"),
+        ("[campaign.machine_geometry]", "screw_ptich_mm", "screw_pitch_mm"),
+        ("[campaign.machine_geometry]", "screw_pitch_in", "screw_pitch_mm"),
+        ("[run.condition]", "frequncy_hz", "frequency_hz"),
+        ("[run.condition]", "axsi", "axis"),
+    ],
+)
+def test_a_mistyped_setting_of_a_table_with_notes_is_refused(
+    tmp_path: Path, table: str, setting: str, meant: str
+) -> None:
+    lines = f"{table}\n{setting} = 0.5\n"
+    told = RUN + lines if "run" in table else lines + RUN
+    with pytest.raises(InputError, match="nearly one that is read") as refused:
+        [run for runs, _ in open_campaign(folder(tmp_path, told)) for run in runs]
+    assert refused.value.code == "campaign.setting"
+    assert f".{meant};" in str(refused.value.hint)
+    assert f"did you mean: {meant}" in refused.value.render()
+
+
+def test_notes_of_instrument_machine_and_run_are_free(tmp_path: Path) -> None:
+    notes = (
+        '[campaign.instrument]\nbought = 2019\ncable = "blue"\nserial = "B1"\n'
+        '[campaign.machine_geometry]\nhall = "north"\nspindle_rpm = 8000\n'
+    )
+    of_run = "[run.condition]\nspeed_mm_min = 3000\namplitude_mm = 0.1\ntime_s = 4.0\nload_kg = 20\n"
+    ((runs, _),) = open_campaign(folder(tmp_path, notes + RUN + of_run))
+    assert runs[0].meta.condition == {"speed_mm_min": 3000, "amplitude_mm": 0.1, "time_s": 4.0, "load_kg": 20}
+
+
 def test_a_broken_off_circle_hides_nothing_of_the_others_and_absurd_numbers_are_left_out(tmp_path: Path) -> None:
     angle = np.linspace(0.0, 360.0, 721)
     whole = [f"{0.01 * n:.2f},{a:.4f},{np.sin(n):.3f}" for n, a in enumerate(angle)]

@@ -149,6 +149,27 @@ def test_missed_targets_wrong_signs_and_steps_that_divide_the_pitch_are_named(tm
     assert codes(runs_of(campaign(tmp_path, errors(1), grid))) == {"campaign.no_repeat"}
 
 
+@pytest.mark.parametrize(
+    ("step", "alias_mm"),
+    # With the pitch of 0.25 in: a turn is a wave of 6.9 in, or half of one; 0.52 in shows it as 2.4 waves.
+    [(0.2593, 6.975), (0.133, 2.078), (0.52, 0.0), (0.096, 0.0)],
+)
+def test_steps_that_show_the_screw_as_a_long_wave_are_named(tmp_path: Path, step: float, alias_mm: float) -> None:
+    targets = 1.0 + step * np.arange(31.0)
+    found = [f for r in runs_of(campaign(tmp_path, errors(), targets)) for f in judge_run(r)]
+    beats = [f for f in found if f.code == "linear.step_beats_pitch"]
+    assert bool(beats) is (alias_mm > 0.0)
+    (tmp_path / "better").mkdir()
+    (tmp_path / "random").mkdir()
+    if beats:
+        assert beats[0].numbers["alias_mm"] == pytest.approx(25.4 * alias_mm, rel=0.02)
+        better = float(beats[0].message.rpartition("steps of ")[2].removesuffix(" mm")) / 25.4
+        fine = runs_of(campaign(tmp_path / "better", errors(), 1.0 + better * np.arange(31.0)))
+        assert not codes(fine) & {"linear.step_beats_pitch", "linear.step_divides_pitch"}
+    parts = 0.25 * np.random.default_rng(1).uniform(0.0, 0.5, 31)
+    assert "linear.step_beats_pitch" not in codes(runs_of(campaign(tmp_path / "random", errors(), targets + parts)))
+
+
 def test_drift_is_told_from_noise(tmp_path: Path) -> None:
     runs = runs_of(campaign(tmp_path, errors(drift=True), np.linspace(1.0, 16.6, 31)))
     found = judge_campaign(runs)

@@ -15,8 +15,9 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._check import followed
+from dtwin.kinds.sinusoidal._report import tone_lines
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_runs, virtual_slide
-from dtwin.report.checking import check_source, render_check
+from dtwin.report.checking import check_source, render_check, run_result
 from dtwin.schema import Run
 
 SMALL = Grid((5.0, 40.0), (1.0, 8.0))
@@ -71,6 +72,9 @@ def test_an_encoder_that_stands_still_lags_by_nothing_that_is_known() -> None:
     told = followed(stood)
     assert told is not None
     assert np.isnan(told.encoder_lag_deg)
+    shown = tone_lines([run_result(stood)])
+    assert "nan" not in "\n".join(shown)
+    assert shown[2].split()[3:5] == ["0.000", "-"]
     assert "reading.clipped" in codes(stood)
 
 

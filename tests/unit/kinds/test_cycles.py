@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dtwin.positioning.check import judge_positioning_campaign
 from dtwin.positioning.cycles import moving_zero, spoilt_readings, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.position_table import read_position_runs
@@ -55,6 +56,23 @@ def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str 
     right = sum((None if f is None else f.code) in codes for f in found)
     assert right >= 19
     assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(20))
+
+
+@pytest.mark.parametrize("um", [0.05, 0.25])
+def test_a_zero_that_wanders_as_air_and_heat_make_it_is_no_lost_step(um: float) -> None:
+    def zero(x: Any, c: Any) -> Any:
+        return 0.0 * x + um * (1.0 * (c >= 1) - 1.6 * (c >= 2) + 1.2 * (c >= 4))
+
+    found = [f for seed in range(10) if (f := moving(made(zero, seed, um / 5.0))) is not None]
+    assert len(found) >= 9
+    assert {(f.code, f.severity) for f in found} == {("linear.zero_wanders", "info")}
+    assert not any("lost" in f.message or "slips" in f.message for f in found)
+    # The same of micrometres, and slip that adds up to one, are none of that.
+    hard = [
+        moving(made(lambda x, c: 30.0 * zero(x, c) * 0.25 / um, 1)),
+        moving(made(lambda x, c: 0.0 * x + 0.4 * c, 1, 0.1)),
+    ]
+    assert [f.code for f in hard if f is not None] == ["linear.jumps", "linear.slip"]
 
 
 def test_a_zero_that_is_set_in_each_cycle_is_a_datum() -> None:
@@ -205,3 +223,15 @@ def test_runs_with_a_clock_keep_what_moves_with_time(tmp_path: Path) -> None:
     assert all(a is b for a, b in zip(still(timed), timed, strict=True))
     quiet = table_of(made(lambda x, c: 0.0 * x * c, 3), tmp_path / "b.csv")
     assert all(a is b for a, b in zip(still(quiet), quiet, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("size", "said", "not_said"), [(0.2, "Ordinary air", "coupling"), (4.0, "coupling", "Ordinary air")]
+)
+def test_a_drift_is_called_slip_only_where_it_is_more_than_air_and_heat(
+    size: float, said: str, not_said: str, tmp_path: Path
+) -> None:
+    test = made(lambda x, c: 0.0 * x + size * np.sin(1.3 * c**2), 2, size / 20.0)
+    (found,) = [f for f in judge_positioning_campaign(table_of(test, tmp_path / "a.csv")) if f.code == "linear.drift"]
+    assert said in found.message
+    assert not_said not in found.message

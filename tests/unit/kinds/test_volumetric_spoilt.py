@@ -39,7 +39,7 @@ def measured(spoil: Spoil = lambda n, balls, rng: balls, heat: float = 1.0, scal
     return out
 
 
-def told(cycles: Sequence[Balls]) -> list[Finding]:
+def runs_of(cycles: Sequence[Balls]) -> list[Run]:
     runs = []
     for n, cycle in enumerate(cycles):
         samples = {"t_s": np.arange(len(cycle.pose), dtype=float), "pose_1": cycle.pose.astype(float)}
@@ -47,7 +47,29 @@ def told(cycles: Sequence[Balls]) -> list[Finding]:
         samples |= {f"{a}_mm": cycle.position_mm[:, i] for i, a in enumerate("xyz")}
         samples |= {f"error_{a}_um": cycle.error_um[:, i] for i, a in enumerate("xyz")}
         runs.append(Run(RunMeta(f"c{n:03d}", "volumetric", condition={"time_h": 3.0 * n}), samples))
-    return KIND.judge_campaign(runs)
+    return runs
+
+
+def told(cycles: Sequence[Balls]) -> list[Finding]:
+    return KIND.judge_campaign(runs_of(cycles))
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "codes"),
+    [
+        ("t_s", lambda v: v, []),
+        ("t_s", lambda v: v * np.where(v > 20.0, 5.0, 1.0), []),  # the array was turned
+        ("t_s", lambda v: v[::-1], [("clock.backwards", "error")]),
+        ("t_s", lambda v: 0.0 * v, [("clock.backwards", "error")]),
+        ("x_mm", lambda v: 0.0 * v + 400.0, [("balls.one_place", "warning")]),
+    ],
+)
+def test_a_clock_that_runs_back_and_a_place_that_stands_still_are_told(
+    column: str, change: Callable[[Floats], Floats], codes: list[tuple[str, str]]
+) -> None:
+    run = runs_of(measured())[0]
+    found = KIND.judge_run(replace(run, samples=dict(run.samples) | {column: change(run.samples[column])}))
+    assert [(f.code, f.severity) for f in found] == codes
 
 
 def touch(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
