@@ -70,7 +70,7 @@ def test_tones_are_trained_promoted_and_tried_like_circles(
     assert trained["noise_floor_um"] is None
     assert any("dead constant" in line for line in trained["told"])
     names = {c["name"] for c in trained["candidates"]}
-    assert {"two-modes", "symbolic-operon", "narx", "printed-form", "forest", "zero"} <= names
+    assert {"two-modes", "symbolic-operon", "narx", "printed-form", "boosting", "zero"} <= names
     promoted = json.loads(invoke("promote", "candidate", "--json"))
     assert promoted["champion"] is True
     assert [c["frequency_hz"] for c in promoted["evidence"]["conditions"]] == [5, 10, 20, 30, 40]
