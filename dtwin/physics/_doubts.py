@@ -62,7 +62,7 @@ def is_dwarfed(effect: Found, found: Search) -> bool:
     return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
 
 
-def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
+def follows_unknown(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     """Tell whether an effect of the place may, on circles, be drawn through something unknown that is left.
 
     A smooth curve of many numbers follows anything. What is the same at every feed, by its law, and is not quite, is the mean of
@@ -70,14 +70,12 @@ def follows_unknown(effect: Found, tests: Tests, found: Search) -> bool:
     """
     first_um, left_um = found.systematic_um
     certain = found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > SPOKEN_OF * first_um
-    if not certain or found.plain.obs.there_and_back:
+    term = effect.top.term
+    if not certain or found.plain.obs.there_and_back or term.instance.effect.law.feed != 0.0:
         return False
-    own = tests[effect.label]
-    of_place = [c.term for c in survivors(effect, own) if c.term.instance.effect.law.feed == 0.0]
-    many = [t for t in of_place if effect.candidates.numbers(t) - len(t.instance.effect.shapes) >= _MANY]
-    moves = any(t.variable == "feed" and t.p_value < _MOVES for t in own[effect.label])
-    is_of_place = effect.top.term.instance.effect.law.feed == 0.0
-    return effect.size_um < _MUCH_LARGER * left_um and (bool(many) or (moves and is_of_place))
+    many = effect.candidates.numbers(term) - len(term.instance.effect.shapes) >= _MANY
+    moves = any(t.variable == "feed" and t.p_value < _MOVES for t in tests)
+    return (many or moves) and effect.size_um < _MUCH_LARGER * left_um
 
 
 def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:

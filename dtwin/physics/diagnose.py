@@ -233,7 +233,7 @@ def _concluded(
         for f in trusted(found, doubts, much)
         if (much or not is_dwarfed(f, found))
         and (f.label in believed or f.size_um >= least_um)
-        and not follows_unknown(f, tests, found)
+        and not follows_unknown(f, tests[f.label][f.label], found)
     ]
     kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
     others = [f for f in found.found if f not in kept]
