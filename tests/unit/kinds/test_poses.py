@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
+from dtwin.kinds.poses._check import judge_poses
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
@@ -27,7 +29,7 @@ from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.schema import Campaign, Floats, Run
+from dtwin.schema import Campaign, Finding, Floats, Run
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
 _AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
@@ -203,6 +205,41 @@ def test_the_verbs_of_a_twin_work_on_poses(tmp_path: Path) -> None:
     assert twins.remove("arm", "joint_zero@J3").labels == ("joint_zero@J2",)
     with pytest.raises(InputError, match="unknown effect"):
         twins.add("arm", "rust")
+
+
+def _warming(folder: Path, head: str, cell: str = "{:g}") -> list[Finding]:
+    """Return the findings of five poses that drift while they are measured again; ``cell``: form of seconds under the head."""
+    rng, lines = (
+        np.random.default_rng(0),
+        [f"{head};Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]"],
+    )
+    targets = rng.uniform(-400.0, 400.0, (5, 3))
+    for n in range(150):
+        measured = targets[n % 5] + rng.normal(0.0, 0.01, 3) + [0.2 * n / 150.0, 0.0, 0.0]
+        stamp = datetime(2026, 1, 13, 8) + timedelta(seconds=12 * n)
+        row = [
+            stamp.isoformat() if cell == "stamp" else cell.format(12.5 * n),
+            *map(str, targets[n % 5]),
+            *map(str, measured),
+        ]
+        lines.append(";".join(row))
+    (folder / "poses.csv").write_text("\n".join(lines).replace(".", ","), encoding="utf-8")
+    campaign = Campaign("c", "m", "poses")
+    (run,), _ = read_poses(folder / "poses.csv", campaign, {})
+    return [*run.findings, *judge_poses(run)]
+
+
+@pytest.mark.parametrize("head", ["Time [s]", "Zeit [s]", "t [s]", "time_s", "Zeit [min]", "timestamp [s]", "t_s"])
+def test_drift_is_told_under_every_head_of_times_that_a_log_may_have(tmp_path: Path, head: str) -> None:
+    codes = {f.code for f in _warming(tmp_path, head)}
+    assert "poses.drift" in codes
+    assert "poses.times" not in codes
+
+
+def test_stamps_are_times_of_poses_and_numbers_without_a_unit_are_asked_for_one(tmp_path: Path) -> None:
+    assert "poses.drift" in {f.code for f in _warming(tmp_path, "Zeitstempel", "stamp")}
+    (said,) = [f.message for f in _warming(tmp_path, "Time") if f.code == "poses.times"]
+    assert "write Time [s]" in said
 
 
 def logs(folder: Path, *, later_s: float = 0.0, joints_log: str = "joint_states.csv") -> np.ndarray:
