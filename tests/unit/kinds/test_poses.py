@@ -669,6 +669,20 @@ def test_an_effect_without_its_column_is_refused(tmp_path: Path) -> None:
     assert "ambient_c" in str(caught.value.allowed)
 
 
+@pytest.mark.parametrize(
+    ("chain", "mirror", "why"), [("ur5", 1.0, "is the chain that of this robot"), ("ur10", -1.0, "left-handed")]
+)
+def test_a_twin_of_an_arm_says_what_is_wrong_with_its_run(tmp_path: Path, chain: str, mirror: float, why: str) -> None:
+    joints = _joints(30, 0)
+    folder = _written(tmp_path / "c", joints, _measured(joints) * [1.0, 1.0, mirror])
+    told = folder / "campaign.toml"
+    told.write_text(told.read_text().replace('"ur10"', f'"{chain}"'))
+    with pytest.raises(InputError, match="not sound") as caught:
+        PoseTwins(Home(tmp_path / "home")).fit(str(folder), [], "arm")
+    assert caught.value.code == "poses.chain"
+    assert why in str(caught.value.got)
+
+
 @pytest.mark.parametrize("poses", [1, 5])
 def test_repeats_of_a_few_poses_make_no_twin(tmp_path: Path, poses: int) -> None:
     rng = np.random.default_rng(8)
