@@ -47,7 +47,7 @@ _BETTER, _MORE = 1.1, 2
 # Rows so many times the usual spread off, and no more of them, are told apart.
 _WILD, _MOST_FAR = 8.0, 8
 # Repeats tell that something is left when scatter alone leaves as much this seldom: of 120 arms without an error none did.
-_SURELY = 1e-3
+_SURELY, _LIKELY = 1e-3, 0.05
 
 
 @dataclass(frozen=True)
@@ -317,16 +317,25 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
     if not grams.series.repeats:
         said = f"{what}; " if what else ""
         return "need_repeats", f"{said}no pose was measured twice, so no floor is known", float("nan")
-    p = _beyond(grams, left)
+    p, wrist = _beyond(grams, left), _wrist(grams)
     if group:
+        elbow = carrying(grams.series.poses.joints_rad.shape[1])
+        sags = group[0].effect == "gravity_sag" and any(term.joint == elbow for term in group[0].terms)
+        if sags and wrist and _beyond(grams, group[0].rms_after_um) < _LIKELY:
+            what += f"; more is left than repeats scatter by: {wrist}, and may look like that of J{elbow}"
         return ("ambiguous" if group[0].confounded else "missing_effect"), what, p
     if p < _SURELY:
         said = f"{left:z.0f} µm are left, {left / floor:z.2g} times the scatter of repeats: repeatable, and no effect here surely explains it"
-        joints = grams.series.poses.joints_rad.shape[1]
-        wrist = [f"J{j}" for j in range(carrying(joints) + 1, joints + 1)]
-        said += f"; sag of the wrist, {wrist[0]} to {wrist[-1]}, is not looked for" if len(wrist) > 1 else ""
+        said += f"; {wrist}" if wrist else ""
         return "unknown_effect", said, p
     return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
+
+
+def _wrist(grams: Grams) -> str:
+    """Return whose sag is not looked for; empty for an arm without a wrist."""
+    joints = grams.series.poses.joints_rad.shape[1]
+    first = carrying(joints) + 1
+    return f"sag of the wrist, J{first} to J{joints}, is not looked for" if first < joints else ""
 
 
 def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:

@@ -20,7 +20,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
 from dtwin.kinds.poses._check import judge_poses
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
-from dtwin.kinds.poses._effects import Term, terms_of
+from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
 from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
@@ -135,6 +135,18 @@ def test_sag_of_the_wrist_is_not_looked_for_and_not_said_to_be_nothing() -> None
     assert 1.0 < ratio < 1.5
     assert said.verdict == "unknown_effect"
     assert "sag of the wrist, J4 to J6, is not looked for" in said.headline
+
+
+@pytest.mark.parametrize(("wrist", "told"), [(0.0, False), (4.0, True)])
+def test_sag_of_the_elbow_that_leaves_much_may_be_that_of_the_wrist(wrist: float, told: bool) -> None:
+    sound = _twice(0, 90)
+    poses, setup = sound.series.poses, sound.series.setup
+    point = poses.at.tool_mm(setup.tool_mm)
+    bent = [EFFECTS["gravity_sag"].columns(poses, point, joint)[:, :, 0] for joint in (3, 4)]
+    measured = poses.measured_mm + (2.0 * bent[0] + wrist * bent[1]) @ setup.rotation.T
+    said = diagnose(Grams(series_of(np.degrees(poses.joints_rad), measured, KNOWN["ur10"], None)), ())
+    assert said.additions[0] == "gravity_sag@J3"
+    assert ("may look like that of J3" in said.headline) is told
 
 
 def test_sag_is_named_where_it_was_put() -> None:
