@@ -34,6 +34,9 @@ class Characteristic:
         Half width that covers 95 %, NaN when it is not known.
     contributions : tuple of Contribution
         What makes it uncertain beside its repeatability, as the kind of campaign says.
+    too_small : str
+        Why the figure is smaller than the truth by an amount that U does not hold, and what to do; empty when it is not. Such
+        a figure may be surely beyond a largest value, and never surely within one.
     """
 
     symbol: str
@@ -46,6 +49,7 @@ class Characteristic:
     limits: Limits | None = None
     contributions: tuple[Contribution, ...] = ()
     budget: Budget | None = None
+    too_small: str = ""
 
     @property
     def decision(self) -> str:
@@ -54,11 +58,17 @@ class Characteristic:
             return ""
         over = -math.inf if self.limits.high_um is None else self.value_um - self.limits.high_um
         under = -math.inf if self.limits.low_um is None else self.limits.low_um - self.value_um
-        beyond = max(over, under)
-        if math.isfinite(self.expanded_um) and beyond <= -self.expanded_um:
-            return INSIDE
-        # Bounds are included: what may lie on a bound is not proved to be outside.
-        return OUTSIDE if math.isfinite(self.expanded_um) and beyond > self.expanded_um else OPEN
+        known = math.isfinite(self.expanded_um)
+        if known and max(over, under) <= -self.expanded_um:
+            return OPEN if self.too_small and self.limits.high_um is not None else INSIDE
+        # Bounds are included: what may lie on a bound is not proved to be outside. Nor is what is too small, by a lower bound.
+        beyond = over if self.too_small else max(over, under)
+        return OUTSIDE if known and beyond > self.expanded_um else OPEN
+
+    @property
+    def held_back(self) -> bool:
+        """Whether it would be decided if the figure were not too small."""
+        return bool(self.too_small) and self.decision != replace(self, too_small="").decision
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Return a JSON-ready mapping, whose names end in the unit; ``shown`` is rounded to two digits of the uncertainty."""
@@ -226,6 +236,12 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
     known = {c.symbol for p in parts for c in p.characteristics}
     untold = tuple(symbol for symbol in asked if symbol not in known)
     notes = [f"{symbol} has a tolerance, and this test does not tell it." for symbol in untold]
+    for p in parts:
+        of_reason: dict[str, list[str]] = {}
+        for c in p.characteristics:
+            if c.held_back:
+                of_reason.setdefault(c.too_small, []).append(c.symbol)
+        notes += [f"{p.title}: {', '.join(held)} cannot be decided: {why}." for why, held in of_reason.items()]
     return replace(sheet, parts=parts, basis=basis, notes=(*sheet.notes, *notes), untold=untold)
 
 

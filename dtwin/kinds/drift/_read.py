@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.acquire.clock_column import FORM, of_stamps, times_of_cells
 from dtwin.acquire.foreign_columns import (
     CLOCK,
     PROBES,
@@ -31,7 +32,7 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
-from dtwin.acquire.time_stamps import FORMS, seconds_of
+from dtwin.acquire.time_stamps import FORMS
 from dtwin.errors import InputError
 from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible
 from dtwin.kinds.drift._sense import sense
@@ -50,12 +51,6 @@ _NO_PROBE = re.compile(
     r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur)",
     re.I,
 )
-_STAMP = re.compile(
-    r"((local |utc )?time ?_?stamp|date[ _/&+]*time|date|datum([ _/&+]*(uhr)?zeit)?|zeitstempel|epoch|unix[ _]?time|(local |utc )?time|(uhr)?zeit|clock|elapsed([ _]time)?|time[ _]elapsed|verstrichene zeit)",
-    re.I,
-)
-_FORM = re.compile(r"\s*[\[(]\s*(utc|local|[hdmsyt:./ -]*[:./-][hdmsyt:./ -]*)\s*[\])]\s*$", re.I)
-"""Behind the head of stamps: their form, such as hh:mm:ss."""
 _STEPS = "displacement_step"
 _SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
@@ -255,7 +250,7 @@ def _named(
             factor, zero = column.factor, column.zero
         if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
             name = f"temperature_{name}"
-        elif _STAMP.fullmatch(_FORM.sub("", name)):
+        elif of_stamps(name):
             name = _STAMPED
         elif name.lower() in ("sample", _SAMPLE):
             name = _SAMPLE
@@ -271,7 +266,7 @@ def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[st
     """Return columns that tell a unit, and are not used."""
     plain = [cell.strip() for cell in row]
     told = columns_of(plain, units, {})
-    return [c for c in told if c.unit and c.why_not and c.head not in recipe and not _FORM.search(c.head)]
+    return [c for c in told if c.unit and c.why_not and c.head not in recipe and not FORM.search(c.head)]
 
 
 def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any], path: Path) -> None:
@@ -350,12 +345,8 @@ def _numbers(cells: Sequence[str]) -> Floats:
 
 def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stamps: bool) -> Floats:
     """Return times in seconds: numbers of ``unit_s``, or stamps; ``stamps``: numbers have no unit."""
-    there = sum(bool(cell.strip()) for cell in cells)
-    numbers = _numbers(cells) * unit_s
-    if not stamps and 2 * np.isfinite(numbers).sum() > there:
-        return numbers
-    times = seconds_of(cells, f"{path} {head}", head)[0]
-    if 2 * np.isfinite(times).sum() > there:
+    times = times_of_cells(cells, unit_s, f"{path} {head}", head, stamps=stamps)
+    if times is not None:
         return times
     raise InputError(
         "times tell no unit, or are of no known form",

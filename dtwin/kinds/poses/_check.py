@@ -30,6 +30,7 @@ _MUCH_MM = 2.0
 _NO_ORIENTATION = (
     "does the reflector sit on the commanded point: without target_qx … target_qw its place on the tool is not found"
 )
+_LEFT_HANDED = "one of both frames is left-handed: turn the sign of one axis"
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
 
@@ -85,7 +86,7 @@ def _why(run: Run) -> str:
             return f"; targets span {ratio:.3g} times what the points do: are they in another unit?"
         mirrored = series_of_targets(target, np.tile(np.eye(3), (len(target), 1, 1)), measured * _MIRROR).error_mm
         if np.median(np.linalg.norm(mirrored, axis=1)) < _FAR_MM:
-            return "; one of both frames is left-handed: turn the sign of one axis"
+            return f"; {_LEFT_HANDED}"
         untold = "" if "target_qx_1" in run.samples else f", and {_NO_ORIENTATION}"
         return f"; do the rows of both belong together{untold}?"
     tried: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
@@ -96,6 +97,9 @@ def _why(run: Run) -> str:
         left = series_of(turned(joints), measured, chain_in(run), None).error_mm
         if np.median(np.linalg.norm(left, axis=1)) < _FAR_MM:
             return f"; {said}"
+    mirrored = series_of(joints, measured * _MIRROR, chain_in(run), None).error_mm
+    if np.median(np.linalg.norm(mirrored, axis=1)) < _FAR_MM:
+        return f"; {_LEFT_HANDED}"
     return "; is the chain that of this robot?"
 
 

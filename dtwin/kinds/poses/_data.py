@@ -70,13 +70,24 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
 
     ``setup``: frame and tool of another campaign of the same mounting; fitted without.
 
-    Raises ``InputError`` when it has no sound run, or several: each has a frame and a tool of its own.
+    Raises ``InputError`` when it has no sound run, with what is wrong, or several: each has a frame and a tool of its own.
     """
     lake, name = Lake(home.lake), in_lake(home, campaign)
     known = lake.campaign(name)
     if known.kind != "poses":
         raise InputError("not a campaign of poses", code="poses.kind", where=name, got=known.kind, allowed="poses")
-    runs = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
+    there = list(lake.iterate(name))
+    wrong = [(run, f) for run in there for f in run.findings if f.severity == "error"]
+    runs = [run for run in there if not any(run is unsound for unsound, _ in wrong)]
+    if there and not runs:
+        run, found = wrong[0]
+        raise InputError(
+            "the run is not sound, and no twin is fitted to it",
+            code=found.code,
+            where=f"{name} {run.meta.run_id}",
+            got=found.message,
+            hint=f"dtwin check {name} tells all that is wrong with it",
+        )
     if len(runs) != 1:
         raise InputError(
             "a twin of poses is fitted to one run",

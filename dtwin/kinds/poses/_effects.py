@@ -178,7 +178,7 @@ _EFFECTS = (
 EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in _EFFECTS}
 
 
-def _carrying(joints: int) -> int:
+def carrying(joints: int) -> int:
     """Return how many joints sag: those up to the elbow, which is the fourth of seven; a wrist carries little."""
     return (joints + 1) // 2
 
@@ -189,7 +189,7 @@ def library(joints: int, *, ambient: bool, timed: bool = False) -> list[Term]:
         Term(e.name, j)
         for e in EFFECTS.values()
         if e.per == "joint"
-        for j in range(1, (_carrying(joints) if e.name == "gravity_sag" else joints) + 1)
+        for j in range(1, (carrying(joints) if e.name == "gravity_sag" else joints) + 1)
     ]
     return [*out, *([Term("ambient_growth")] if ambient else []), *([Term("setup_drift")] if timed else [])]
 
@@ -203,7 +203,7 @@ def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...
     for name in names:
         effect, _, at = name.partition("@")
         known = EFFECTS.get(effect)
-        most = 0 if known is None or known.per != "joint" else _carrying(joints) if effect == "gravity_sag" else joints
+        most = 0 if known is None or known.per != "joint" else carrying(joints) if effect == "gravity_sag" else joints
         allowed = {f"J{j}": j for j in range(1, most + 1)}
         wanted = at.split("+") if at else []
         if known is None or not set(wanted) <= set(allowed):

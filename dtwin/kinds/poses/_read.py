@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
+from dtwin.acquire.clock_column import clock_of, of_stamps
 from dtwin.acquire.foreign_columns import (
     REVERSED,
     below_heads,
+    in_english,
     joined_heads,
     require_one_of,
     require_one_table,
@@ -63,7 +66,7 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     columns["row_1"] = np.arange(1.0, total + 1.0)
     out = _left_out(stated.get("condition", {}), total, path)
     columns, findings = with_orientation(columns, path)
-    findings += _timed(columns, total)
+    findings += _timed(columns, heads, total)
     needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
     need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
@@ -128,7 +131,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     rows = rows_of(text)
     if not recipe and (places := repeated_places(rows)):
         raise no_commanded(path, places)
-    named, heads, below, unit = _headed(rows, recipe, path)
+    named, heads, units, below, unit = _headed(rows, recipe, path)
     title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
     if title and not any(name.startswith("measured_") for name in named):
         raise InputError(
@@ -171,6 +174,11 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         ending = next((e for e in _SCALES if name.endswith(e)), "")
         new, scale = _SCALES.get(ending, (ending, 1.0))
         columns[name.removesuffix(ending) + new] = column * scale
+    if not {"t_s", "t_ns"} & set(columns):
+        # Stamps of which day and month may be exchanged are no times.
+        with suppress(InputError):
+            times = clock_of([head if head not in recipe else "" for head in heads], units, body, str(path))
+            columns |= {} if times is None else {"t_s": times}
     if "t_ns" in columns:
         # ROS tells whole seconds and the rest apart.
         columns["t_s"] = columns.get("t_s", 0.0) + 1e-9 * columns.pop("t_ns")
@@ -179,12 +187,12 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
 
 def _headed(
     rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path
-) -> tuple[list[str], list[str], list[Sequence[str]], str]:
-    """Return the house's names of the columns, the heads, which may stand below titles, the rows below and the unit of lengths."""
+) -> tuple[list[str], list[str], list[str], list[Sequence[str]], str]:
+    """Return the house's names of the columns, the heads, which may stand below titles, units below them, rows and the unit of lengths."""
     exported = joined(rows)
     if exported is not None:
         heads, body, unit = exported
-        return [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads], heads, body, unit
+        return [house_name(str(recipe.get(head.strip(), head.strip()))) for head in heads], heads, [], body, unit
     rows = joined_heads(rows, path)
     known = (*_NEEDED, "target_")
     named_in = (
@@ -200,7 +208,7 @@ def _headed(
         house_name(str(recipe.get(head, of_words(head, below))))
         for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
-    return named, heads, body, "m"
+    return named, heads, list(units or []), body, "m"
 
 
 def _numbers(cells: list[str]) -> Floats:
@@ -239,7 +247,7 @@ def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: 
     )
 
 
-def _timed(columns: dict[str, Floats], n: int) -> list[Finding]:
+def _timed(columns: dict[str, Floats], heads: Sequence[str], n: int) -> list[Finding]:
     """Give the rows their times; the number of the row stands for a time that is not known."""
     stamps = columns.get("t_s")
     if stamps is not None and np.isfinite(stamps).all():
@@ -255,6 +263,8 @@ def _timed(columns: dict[str, Floats], n: int) -> list[Finding]:
             return [Finding("poses.order", "info", "rows were not in the order of their times: they are sorted")]
     columns["t_s"] = np.arange(n, dtype=np.float64)
     said = "the times of the rows are not known: t_s is the number of the row, and drift over time is not judged"
+    if clock := next((head for head in heads if of_stamps(in_english(head))), ""):
+        said += f"; {clock.strip()} tells no unit, and holds no dates of a known form: write {clock.strip()} [s]"
     return [Finding("poses.times", "warning", said)]
 
 

@@ -68,6 +68,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     taken = _taken(series)
     for name in (*taken, "dAP") if taken else ():
         told.pop(name, None)
+    few = _too_small(series)
     left = left_by_setup(series.design[:, :, :9])
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
     away = left(point_um - point_um.mean(axis=0))
@@ -98,6 +99,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
             spread[symbol],
             dof[symbol],
             contributions=_contributions(metres[symbol], under),
+            too_small=few.get(symbol, ""),
         )
         for symbol, value in told.items()
     )
@@ -108,6 +110,23 @@ def _taken(series: Series) -> tuple[str, ...]:
     if 3 * (int(series.poses.place.max()) + 1) > _NUMBERS[series.taken_away]:
         return ()
     return ("AP", "AP mean") if series.taken_away == "frame" else ("AP", "AP mean", "AD", "AD rms")
+
+
+def _too_small(series: Series) -> dict[str, str]:
+    """Return why figures are smaller than those of the robot, and what to do: a frame is fitted to few poses.
+
+    A frame keeps distances; neither frame nor tool changes what readings of a pose scatter by.
+    """
+    poses = int(series.poses.place.max()) + 1
+    if poses >= _FEW_POSES:
+        return {}
+    numbers, what = _NUMBERS[series.taken_away], series.taken_away
+    of_tool = ("AD", "AD rms") if what != "frame" else ()
+    why = (
+        f"the {numbers} numbers of {what}, fitted to {poses} pose{'' if poses == 1 else 's'}, take away more of the error than U "
+        f"holds; measure {_FEW_POSES} poses or more; of an instrument in the robot's frame, see AP as the file has its errors"
+    )
+    return dict.fromkeys(("AP", "AP mean", "dAP", *of_tool), why)
 
 
 def _taken_away(run: Run, series: Series) -> str:

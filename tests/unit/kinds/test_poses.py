@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
+from dtwin.kinds.poses._check import judge_poses
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
-from dtwin.kinds.poses._effects import Term, terms_of
+from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
 from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
 from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
@@ -27,7 +29,7 @@ from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.schema import Campaign, Floats, Run
+from dtwin.schema import Campaign, Finding, Floats, Run
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
 _AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
@@ -99,6 +101,52 @@ def test_a_zero_of_a_joint_is_named_and_nothing_else() -> None:
 def test_a_sound_robot_lacks_nothing() -> None:
     for seed in range(4):
         assert diagnose(_grams(np.zeros(6), seed=seed), ()).verdict == "nothing_missing"
+
+
+def _twice(
+    seed: int, n: int = 40, *, sag_of_wrist_mrad: float = 0.0, lost_mrad: float = 0.0, zero_mrad: float = 0.0
+) -> Grams:
+    """Poses that were measured twice, the second time in another order."""
+    rng = np.random.default_rng(seed)
+    once = _joints(n, seed)[:n]
+    joints = np.concatenate([once, once[rng.permutation(n)] if lost_mrad else once])
+    actual = joints.copy()
+    actual[:, 3] += 1e-3 * sag_of_wrist_mrad * np.cos(joints[:, 1:4].sum(axis=1))
+    actual[:, 1] -= 0.5e-3 * lost_mrad * np.sign(np.diff(joints[:, 1], prepend=0.0))
+    actual[:, 2] += 1e-3 * zero_mrad
+    measured = _measured(actual) + rng.normal(0.0, 0.02, (len(joints), 3))
+    return Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+
+
+@pytest.mark.parametrize("seed", [158, 223, 224])
+def test_nothing_is_missing_below_the_scatter_of_repeats(seed: int) -> None:
+    # Chance alone gains 1 to 2 % with a joint of these.
+    assert diagnose(_twice(seed), ()).verdict == "nothing_missing"
+
+
+def test_a_zero_is_named_below_a_floor_that_lost_motion_made() -> None:
+    chosen = {term.label for term in selected(_twice(1, lost_mrad=0.6, zero_mrad=0.05), ())}
+    assert {"joint_reversal@J2", "joint_zero@J3"} <= chosen
+
+
+def test_sag_of_the_wrist_is_not_looked_for_and_not_said_to_be_nothing() -> None:
+    said = diagnose(_twice(6, 100, sag_of_wrist_mrad=0.2), ())
+    ratio = said.figures["held_out_rms_um"] / said.figures["noise_floor_um"]
+    assert 1.0 < ratio < 1.5
+    assert said.verdict == "unknown_effect"
+    assert "sag of the wrist, J4 to J6, is not looked for" in said.headline
+
+
+@pytest.mark.parametrize(("wrist", "told"), [(0.0, False), (4.0, True)])
+def test_sag_of_the_elbow_that_leaves_much_may_be_that_of_the_wrist(wrist: float, told: bool) -> None:
+    sound = _twice(0, 90)
+    poses, setup = sound.series.poses, sound.series.setup
+    point = poses.at.tool_mm(setup.tool_mm)
+    bent = [EFFECTS["gravity_sag"].columns(poses, point, joint)[:, :, 0] for joint in (3, 4)]
+    measured = poses.measured_mm + (2.0 * bent[0] + wrist * bent[1]) @ setup.rotation.T
+    said = diagnose(Grams(series_of(np.degrees(poses.joints_rad), measured, KNOWN["ur10"], None)), ())
+    assert said.additions[0] == "gravity_sag@J3"
+    assert ("may look like that of J3" in said.headline) is told
 
 
 def test_sag_is_named_where_it_was_put() -> None:
@@ -203,6 +251,41 @@ def test_the_verbs_of_a_twin_work_on_poses(tmp_path: Path) -> None:
     assert twins.remove("arm", "joint_zero@J3").labels == ("joint_zero@J2",)
     with pytest.raises(InputError, match="unknown effect"):
         twins.add("arm", "rust")
+
+
+def _warming(folder: Path, head: str, cell: str = "{:g}") -> list[Finding]:
+    """Return the findings of five poses that drift while they are measured again; ``cell``: form of seconds under the head."""
+    rng, lines = (
+        np.random.default_rng(0),
+        [f"{head};Soll X [mm];Soll Y [mm];Soll Z [mm];Ist X [mm];Ist Y [mm];Ist Z [mm]"],
+    )
+    targets = rng.uniform(-400.0, 400.0, (5, 3))
+    for n in range(150):
+        measured = targets[n % 5] + rng.normal(0.0, 0.01, 3) + [0.2 * n / 150.0, 0.0, 0.0]
+        stamp = datetime(2026, 1, 13, 8) + timedelta(seconds=12 * n)
+        row = [
+            stamp.isoformat() if cell == "stamp" else cell.format(12.5 * n),
+            *map(str, targets[n % 5]),
+            *map(str, measured),
+        ]
+        lines.append(";".join(row))
+    (folder / "poses.csv").write_text("\n".join(lines).replace(".", ","), encoding="utf-8")
+    campaign = Campaign("c", "m", "poses")
+    (run,), _ = read_poses(folder / "poses.csv", campaign, {})
+    return [*run.findings, *judge_poses(run)]
+
+
+@pytest.mark.parametrize("head", ["Time [s]", "Zeit [s]", "t [s]", "time_s", "Zeit [min]", "timestamp [s]", "t_s"])
+def test_drift_is_told_under_every_head_of_times_that_a_log_may_have(tmp_path: Path, head: str) -> None:
+    codes = {f.code for f in _warming(tmp_path, head)}
+    assert "poses.drift" in codes
+    assert "poses.times" not in codes
+
+
+def test_stamps_are_times_of_poses_and_numbers_without_a_unit_are_asked_for_one(tmp_path: Path) -> None:
+    assert "poses.drift" in {f.code for f in _warming(tmp_path, "Zeitstempel", "stamp")}
+    (said,) = [f.message for f in _warming(tmp_path, "Time") if f.code == "poses.times"]
+    assert "write Time [s]" in said
 
 
 def logs(folder: Path, *, later_s: float = 0.0, joints_log: str = "joint_states.csv") -> np.ndarray:
@@ -596,6 +679,20 @@ def test_an_effect_without_its_column_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no column") as caught:
         _fitted(tmp_path, ["ambient_growth"])
     assert "ambient_c" in str(caught.value.allowed)
+
+
+@pytest.mark.parametrize(
+    ("chain", "mirror", "why"), [("ur5", 1.0, "is the chain that of this robot"), ("ur10", -1.0, "left-handed")]
+)
+def test_a_twin_of_an_arm_says_what_is_wrong_with_its_run(tmp_path: Path, chain: str, mirror: float, why: str) -> None:
+    joints = _joints(30, 0)
+    folder = _written(tmp_path / "c", joints, _measured(joints) * [1.0, 1.0, mirror])
+    told = folder / "campaign.toml"
+    told.write_text(told.read_text().replace('"ur10"', f'"{chain}"'))
+    with pytest.raises(InputError, match="not sound") as caught:
+        PoseTwins(Home(tmp_path / "home")).fit(str(folder), [], "arm")
+    assert caught.value.code == "poses.chain"
+    assert why in str(caught.value.got)
 
 
 @pytest.mark.parametrize("poses", [1, 5])

@@ -303,6 +303,34 @@ def test_the_sheet_of_poses_says_what_frame_and_tool_took_away() -> None:
     assert "5 poses are few for the 9 numbers" in few["notes"][-1]
 
 
+def _cube(poses: int) -> Run:
+    """Thirty cycles of poses that are off by 100 µm each way, in the frame of the robot."""
+    rng = np.random.default_rng(3)
+    target, off = rng.uniform(-400.0, 400.0, (poses, 3)), rng.normal(0.0, 0.1, (poses, 3))
+    measured = np.tile(target + off, (30, 1)) + rng.normal(0.0, 0.02, (30 * poses, 3))
+    columns = [*np.tile(target, (30, 1)).T, *measured.T]
+    names = [f"{what}_{a}_mm" for what in ("target", "measured") for a in "xyz"]
+    samples = {"t_s": 12.0 * np.arange(30.0 * poses), **dict(zip(names, columns, strict=True))}
+    return Run(RunMeta("cube", kind="poses"), samples)
+
+
+def test_accuracy_that_a_frame_of_few_poses_made_small_is_not_inside() -> None:
+    campaign = Campaign("c", "m", "poses")
+
+    def sheet(poses: int, limit: float, symbol: str = "AP") -> dict[str, Any]:
+        return sheet_of(kind_named("poses"), campaign, [_cube(poses)], limits_from({symbol: limit}, "m"))
+
+    few = sheet(5, 5000.0)
+    assert few["verdict"] == "cannot say"
+    (said,) = [note for note in few["notes"] if "cannot be decided" in note]
+    assert "AP cannot be decided: the 6 numbers of frame, fitted to 5 poses" in said
+    assert "measure 20 poses or more" in said
+    assert sheet(5, 10.0)["verdict"] == "outside"
+    assert sheet(30, 5000.0)["verdict"] == "inside"
+    # A frame keeps distances, and what readings of a pose scatter by.
+    assert sheet(5, 5000.0, "AD")["verdict"] == sheet(5, 5000.0, "RP")["verdict"] == "inside"
+
+
 def _first(run: Run, rows: int) -> Run:
     return Run(run.meta, {name: values[:rows] for name, values in run.samples.items()})
 

@@ -99,6 +99,24 @@ def test_a_decision_needs_its_uncertainty() -> None:
     assert both.decision == "outside"
 
 
+@pytest.mark.parametrize(
+    ("value", "low", "high", "decision"),
+    [
+        (5.0, None, 10.0, "cannot say"),
+        (15.0, None, 10.0, "outside"),
+        (5.0, 1.0, None, "inside"),
+        (5.0, 8.0, None, "cannot say"),
+    ],
+)
+def test_a_figure_that_is_too_small_is_never_within_a_largest_value(
+    value: float, low: float | None, high: float | None, decision: str
+) -> None:
+    c = Characteristic("AP", "accuracy", value, expanded_um=1.0, limits=Limits(low, high), too_small="few poses")
+    assert c.decision == decision
+    # The reason is told where it alone keeps a figure from being decided.
+    assert c.held_back is (decision == "cannot say")
+
+
 def test_without_repeats_nothing_is_decided() -> None:
     nothing = np.zeros(ANGLE.size)
     sheet = judged(
