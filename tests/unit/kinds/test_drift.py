@@ -118,13 +118,35 @@ def _runs(folder: Path) -> list[Run]:
 
 
 def test_a_run_in_another_unit_and_a_spoilt_one_are_found(tmp_path: Path) -> None:
-    runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 5.0, "c": 1.0}, spoilt="c"))
+    runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 25.4, "c": 1.0}, spoilt="c"))
     assert [[f.code for f in judge_drift(run)] for run in runs] == [[], [], ["drift.jump"]]
     (found,) = judge_campaign_drift(runs)
-    assert found.numbers["ratio_1"] == pytest.approx(5.0, rel=0.1)
+    assert found.severity == "warning"
+    assert "inch and mm" in found.message
+    assert "step" not in found.message
+    assert found.numbers["ratio_1"] == pytest.approx(25.4, rel=0.06)
     assert {f.code for run in runs for f in run.findings} == {"drift.no_sensor"}
     assert "temperature_dead_c" not in series_of(runs[0]).temperatures_c
     assert judge_campaign_drift(_runs(_folder(tmp_path / "d", {"a": 1.0, "b": 1.0}))) == []
+
+
+@pytest.mark.parametrize("ratio", [-1.0, 0.33, 5.0, -10.0])
+def test_two_probes_of_a_spindle_that_tilts_are_no_error(ratio: float) -> None:
+    one = _touched(0.0)
+    other = {**one.samples, "displacement_um": ratio * one.samples["displacement_um"]}
+    two = replace(one, meta=replace(one.meta, run_id="y2"), samples=other)
+    assert judge_campaign_drift([one, two]) == []
+    assert len(longest_first([one, two])) == 2
+
+
+def test_a_log_in_other_steps_than_its_file_states_is_told(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "c", {"a": 1.0, "b": 1.0})
+    for name, step in (("a", 0.0025), ("b", 0.0125)):
+        text = (folder / f"{name}.csv").read_text("utf-8").replace("displacement_um", "displacement_step")
+        (folder / f"{name}.csv").write_text(text.replace("# made here", f"# step_dist={step}"), encoding="utf-8")
+    (found,) = judge_campaign_drift(_runs(folder))
+    assert found.numbers["ratio_1"] == pytest.approx(5.0, rel=0.1)
+    assert "in other steps than are stated" in found.message
 
 
 def test_a_step_that_the_file_tells_otherwise_is_said(tmp_path: Path) -> None:
@@ -629,7 +651,7 @@ def test_a_probe_that_is_stuck_is_said() -> None:
 
 def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
     runs = [replace(_touched(0.0, seed), meta=replace(_touched(0.0).meta, run_id=f"r{seed}")) for seed in range(3)]
-    wrong = {**runs[1].samples, "displacement_um": 5.0 * runs[1].samples["displacement_um"]}
+    wrong = {**runs[1].samples, "displacement_um": 25.4 * runs[1].samples["displacement_um"]}
     runs[1] = replace(runs[1], samples=wrong)
     assert {run.meta.run_id for run in longest_first(runs)} == {"r0", "r2"}
     # Of a file with several displacements that which moved most.
