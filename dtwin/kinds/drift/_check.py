@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.documents import finite
-from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
+from dtwin.kinds.drift._model import Fitted, Series, Term, series_of, shifts, steady
+from dtwin.kinds.drift._search import Step, missing
 from dtwin.kinds.drift._standing import probe_standing
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
@@ -29,6 +30,7 @@ _UNITS = {
     25.4: "25.4, as between inch and mm",
     1000.0: "1000, as between mm and µm",
 }
+_STANDS = "a sensor stands, see the warning: what is missing is not told of this log before the sensor is left out, or the log ended there"
 _NEAR = 0.06
 """Share by which a factor may miss that of a unit."""
 _BEYOND = 1.5
@@ -171,7 +173,7 @@ def drift_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def _row(name: str, model: Mapping[str, Any]) -> list[str]:
-    told = "; ".join(f"{term['label']} {term['shown']}" for term in model["terms"])
+    told = "; ".join(f"{term['written']} {term['shown']}" for term in model["terms"])
     return [name, f"{model['left_um']:z.2f}", f"{model['held_out_um']:z.2f}", f"{model['r2']:z.4f}", told]
 
 
@@ -182,7 +184,8 @@ def _figures(run: Run) -> dict[str, Any] | None:
     if not series.temperatures_c:
         return None
     base = steady(series)
-    steps = missing(series, base)
+    stands = any(f.code == "drift.sensor_stands" for f in run.findings)
+    steps = [] if stands else missing(series, base)
     last = steps[-1].fitted if steps else base
     return {
         "readings": len(series.t_s),
@@ -190,7 +193,7 @@ def _figures(run: Run) -> dict[str, Any] | None:
         "floor_um": finite(series.floor_um),
         "steady": _model(base),
         "missing": [_step(step) for step in steps],
-        "verdict": _verdict(series, last, steps),
+        "verdict": _STANDS if stands else _verdict(series, last, steps),
     }
 
 
@@ -211,15 +214,29 @@ def _model(model: Fitted) -> dict[str, Any]:
                 "label": term.label,
                 "um_per_k": float(value),
                 "expanded": float(half),
+                "late_expanded_s": float(late_k2_s) or None,
+                "written": _late(term, float(late_k2_s)),
                 "shown": f"{value:z.{decimals(float(half))}f} ± {half:z.{decimals(float(half))}f}",
             }
-            for term, value, half in zip(model.terms, model.value[1:], model.k2[1:], strict=True)
+            for term, value, half, late_k2_s in zip(
+                model.terms, model.value[1:], model.k2[1:], model.late_k2_s, strict=True
+            )
         ],
         "intercept_um": float(model.value[0]),
         "left_um": model.left_um,
         "held_out_um": model.held_out_um,
         "r2": model.r2,
     }
+
+
+def _late(term: Term, k2_s: float) -> str:
+    """Return a term with the uncertainty of its time constant."""
+    half = k2_s / 60.0
+    if not term.tau_s or not half > 0.0:
+        return term.label
+    digits = decimals(half)
+    label = term.label.removesuffix(f"{term.tau_s / 60.0:.3g} min")
+    return f"{label}{term.tau_s / 60.0:z.{digits}f} ± {half:z.{digits}f} min"
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
-from dtwin.kinds.drift._model import Series, Term, additions, fitted, idle, missing, series_of, steady
+from dtwin.kinds.drift._model import Series, Term, fitted, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log, read_drift
+from dtwin.kinds.drift._search import additions, idle, missing
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
@@ -767,3 +768,61 @@ def test_a_spindle_s_speed_beside_a_warm_up_and_a_time_that_elapsed_are_of_a_dri
     assert is_drift_log(path)
     (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
     assert run.samples["t_s"].tolist() == [60.0 * n for n in range(10)]
+
+
+def _two_causes(seed: int) -> Series:
+    """A spindle that is followed 25 min late by 1.2 µm/K, and a room at once by -3 µm/K."""
+    rng = np.random.default_rng(seed)
+    fine_s = np.arange(0.0, 36_000.0, 5.0)
+    runs = np.where((fine_s // 5400.0) % 2 == 0, 1.0, 0.2)
+    hot, late = np.full(fine_s.size, 21.0), np.full(fine_s.size, 21.0)
+    for i in range(1, fine_s.size):
+        hot[i] = hot[i - 1] + (21.0 + 14.0 * runs[i - 1] - hot[i - 1]) * -np.expm1(-5.0 / 1500.0)
+        late[i] = late[i - 1] + (0.5 * (hot[i - 1] + hot[i]) - late[i - 1]) * -np.expm1(-5.0 / 1500.0)
+    t_s, spindle, core = (values[::12] for values in (fine_s, hot, late))
+    room = 20.0 + 1.5 * np.sin(2.0 * np.pi * t_s / 40_000.0 + 0.3 * seed)
+    moved = np.repeat(1.2 * (core - 21.0) - 3.0 * (room - 20.0), 2) + rng.normal(0.0, 0.15, 2 * t_s.size)
+    again = np.repeat(np.arange(t_s.size), 2)
+    temperatures = {"temperature_spindle_c": spindle[again], "temperature_room_c": room[again]}
+    return Series(np.repeat(t_s, 2) + np.tile([0.0, 2.0], t_s.size), moved, temperatures, again)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_causes_are_found_together_with_the_time_and_its_uncertainty(seed: int) -> None:
+    made = _two_causes(seed)
+    last = missing(made, steady(made))[-1].fitted
+    by_name = {term.name: n for n, term in enumerate(last.terms)}
+    spindle, room = by_name["spindle"], by_name["room"]
+    assert len(last.terms) == 2
+    assert last.terms[spindle].kind == "lag"
+    assert last.value[[1 + spindle, 1 + room]] == pytest.approx([1.2, -3.0], rel=0.03)
+    assert abs(last.terms[spindle].tau_s - 1500.0) < 2.0 * last.late_k2_s[spindle] < 200.0
+    assert last.late_k2_s[room] == 0.0
+    assert last.held_out_um < 0.2
+
+
+def test_what_a_sensor_that_stands_leaves_is_no_lag(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    t_s = np.arange(0.0, 21_600.0, 60.0)
+    warm = 14.0 * (1.0 - np.exp(-t_s / 4000.0)) + 2.0 * np.sin(t_s / 1500.0)
+    column = 20.0 + 0.1 * warm + rng.normal(0.0, 0.05, t_s.size)
+    spindle = 21.0 + np.where(t_s < 8000.0, warm, warm[t_s < 8000.0][-1])
+    head = "Time [s],Z [µm],spindle [°C],column [°C]"
+    rows = zip(t_s, 1.3 * warm, spindle, column, strict=True)
+    path = tmp_path / "stuck.csv"
+    path.write_text("\n".join([head, *(",".join(f"{v:.3f}" for v in row) for row in rows)]), encoding="utf-8")
+    runs = [run for runs, _ in open_source(path, {"machine": "mill-1"})[1] for run in runs]
+    assert "drift.sensor_stands" in {f.code for f in runs[0].findings}
+    (told,) = drift_figures(runs).values()
+    assert told is not None
+    assert told["missing"] == []
+    assert "a sensor stands" in told["verdict"]
+
+
+def test_a_term_whose_coefficient_is_less_than_its_uncertainty_is_not_named() -> None:
+    for seed in range(3):
+        made = _two_causes(seed)
+        for one in additions(made, [Term("steady", "temperature_room_c")]):
+            model = fitted(made, one.terms)
+            at = 1 + model.terms.index(one.added)
+            assert not one.pays or abs(model.value[at]) > model.k2[at]
