@@ -22,7 +22,7 @@ def stroke_mm(geometry: Mapping[str, Any], axis: str, where: str) -> tuple[float
         code="volumetric.stroke",
         where=f"{where} {setting}",
         got="nothing" if reach is None else f"one number: {reach}" if is_number(reach) else str(reach)[:60],
-        allowed=f"two positions in mm, ascending, as the control counts them, such as [0.0, {length:.1f}] or [{-length / 2:.1f}, {length / 2:.1f}]",
+        allowed=f"two positions in mm, ascending, as the control counts them, such as [0.0, {length:z.1f}] or [{-length / 2:z.1f}, {length / 2:z.1f}]",
         hint="state it in campaign.toml; of a campaign that is in the lake already, which a change of campaign.toml does not reach: "
         f"dtwin amend NAME --set '{setting}=[LOW, HIGH]' --because WHY",
     )
