@@ -38,6 +38,7 @@ def missing(series: Series, base: Fitted) -> list[Step]:
     may seem to pay nothing. Each step is told without what pays nothing in it.
     """
     out: list[Step] = []
+    added: list[str] = []
     terms: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
     seen = {term.channel for term in base.terms}
     for _ in range(MOST_RUNGS):
@@ -52,15 +53,20 @@ def missing(series: Series, base: Fitted) -> list[Step]:
         if best is None:
             out[-1] = replace(out[-1], fitted=model)
             continue
+        out.append(Step(model, best.said, best.gain, best.p_value))
+        added.append(best.added.channel)
+    last = {term.channel for term in out[-1].fitted.terms} if out else set()
+    told: list[Step] = []
+    for step, channel in zip(out, added, strict=True):
         further = [
             term
-            for term, value, k2 in zip(model.terms, model.value[1:], model.k2[1:], strict=True)
-            if term.kind == "steady" and term.channel not in seen and term != best.added and abs(value) > k2
+            for term, value, k2 in zip(step.fitted.terms, step.fitted.value[1:], step.fitted.k2[1:], strict=True)
+            # A sensor that stood in for what came later is none that was missing.
+            if term.channel in last - seen - {channel} and abs(value) > k2
         ]
-        seen |= {best.added.channel, *(term.channel for term in further)}
-        said = "; ".join([best.said, *(f"the sensor {term.name}" for term in further)])
-        out.append(Step(model, said, best.gain, best.p_value))
-    return out
+        seen |= {channel, *(term.channel for term in further)}
+        told.append(replace(step, said="; ".join([step.said, *(f"the sensor {term.name}" for term in further)])))
+    return told
 
 
 def rung(terms: Sequence[Term], best: Addition | None, gone: Sequence[Term]) -> tuple[Term, ...]:

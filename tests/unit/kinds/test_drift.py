@@ -826,3 +826,14 @@ def test_a_term_whose_coefficient_is_less_than_its_uncertainty_is_not_named() ->
             model = fitted(made, one.terms)
             at = 1 + model.terms.index(one.added)
             assert not one.pays or abs(model.value[at]) > model.k2[at]
+
+
+def test_a_sensor_that_stands_in_for_a_second_lag_is_not_named() -> None:
+    made = _two_causes(0)
+    once = replace(made, moved_um=made.column(Term("lag", "temperature_spindle_c", 900.0)))
+    again = {**made.temperatures_c, "temperature_spindle_c": once.moved_um}
+    late = replace(made, temperatures_c=again).column(Term("lag", "temperature_spindle_c", 900.0))
+    noise = np.random.default_rng(5).normal(0.0, 0.15, late.size)
+    found = missing(second := replace(made, moved_um=1.4 * late + noise), steady(second))
+    assert {term.name for term in found[-1].fitted.terms} == {"spindle"}
+    assert [step.said for step in found] == ["the lag of spindle", "a second lag of spindle"]
