@@ -44,4 +44,5 @@ def parse_readings(text: str, where: str) -> Floats:
 
 def usable(values: Floats) -> NDArray[np.bool_]:
     """Return which numbers can be computed with: finite ones, whose squares are finite, too."""
-    return np.abs(values) < _LARGEST
+    # As float64: of single precision the bound itself is no number.
+    return np.abs(values) < np.float64(_LARGEST)

@@ -17,7 +17,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import findings_fields
 from dtwin.lake.store import Lake
 from dtwin.people import acting
-from dtwin.schema import Finding, require_name, standard_plane
+from dtwin.schema import Finding, Run, require_name, standard_plane
 
 # Tables of a row, by the name that a setting begins with; the first two are of the campaign.
 _TABLES = {
@@ -228,10 +228,19 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
 def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
     """Return the findings of a run under what is stated now; those of its reader stay."""
     was, run = lake.load(row), lake.load(now)
-    before = judge_run(replace(was, findings=()))
+    before = [*judge_run(replace(was, findings=())), *_completing(lake, row, was)]
     kept = [finding for finding in was.findings if finding not in before]
-    fields = findings_fields([*kept, *judge_run(replace(run, findings=()))])
+    fields = findings_fields([*kept, *_completing(lake, now, run), *judge_run(replace(run, findings=()))])
     return {name: value for name, value in fields.items() if row[name] != value}
+
+
+def _completing(lake: Lake, row: Mapping[str, Any], run: Run) -> tuple[Finding, ...]:
+    """Return what its kind finds in a run beside the geometry that a row states; nothing where that is none."""
+    campaign = replace(lake.campaign(row["campaign"]), machine_geometry=json.loads(row["geometry_json"]))
+    try:
+        return tuple(kind_named(row["kind"]).completed(replace(run, findings=()), campaign).findings)
+    except InputError:
+        return ()
 
 
 def _require_not_read_with(name: str, row: Mapping[str, Any], where: str) -> None:

@@ -9,8 +9,18 @@ from dtwin.lake.store import Lake
 
 
 def in_lake(home: Home, campaign: str) -> str:
-    """Return the name of a campaign in the lake; a file or folder is ingested first."""
-    if campaign not in Lake(home.lake).campaigns() and Path(campaign).exists():
+    """Return the name of a campaign in the lake; a file or folder is ingested first.
+
+    Raises ``InputError`` where a folder beside is of that name, too, and states machine or instrument otherwise than the lake.
+    """
+    if campaign in Lake(home.lake).campaigns():
+        if (Path(campaign) / "campaign.toml").is_file():
+            from dtwin.acquire.campaign_folder import open_campaign
+
+            folder = open_campaign(Path(campaign)).campaign
+            if folder.name == campaign:
+                Lake(home.lake).require_same_statements(folder)
+    elif Path(campaign).exists():
         # Readers of every kind, and numba: not for a campaign that is there.
         from dtwin.acquire.ingest import ingest
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from dtwin.errors import InputError
 from dtwin.home_file import Bucket
-from dtwin.lake._admission import accepted, fresh
+from dtwin.lake._admission import accepted, fresh, require_same_statements
 from dtwin.lake._delta_columns import content_hash
 from dtwin.lake._file_batch import Batch, samples_part, signal_parts
 from dtwin.lake._folders import Place
@@ -109,6 +109,10 @@ class Lake:
 
     def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
         return {row["run_id"]: row for row in self.runs(campaign.name, left_out=True)}
+
+    def require_same_statements(self, campaign: Campaign) -> None:
+        """Refuse a campaign whose machine or instrument is stated otherwise than in the lake, unless that was amended."""
+        require_same_statements(campaign, self._known(campaign))
 
     def amend(self, campaign: str, records: Sequence[Mapping[str, Any]]) -> int:
         """Keep records of what is stated anew of runs, and return the version of the campaign's metadata.

@@ -121,7 +121,7 @@ def _history(
             sheet = None
         tests.append({"campaign": name, "kind": kind, "started": started, **_headline(sheet)})
         if started:
-            point = Point(name, started, 0.0, 0.0, _instrument(mine))
+            point = Point(name, started, 0.0, 0.0, instrument_of(mine))
             _with_figures(series, sheet, kind, record, point)
             _with_sizes(series, _sizes(home, name, stamp, twins), point)
         if progress is not None:
@@ -188,7 +188,7 @@ def _readable(shelf: Twins, name: str) -> Twin | None:
         return None
 
 
-def _instrument(rows: Sequence[Mapping[str, Any]]) -> str:
+def instrument_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return what a campaign was measured with, as far as it is stated."""
     stated = campaign_of(rows).instrument
     return " ".join(str(stated[name]) for name in ("model", "serial") if stated.get(name))

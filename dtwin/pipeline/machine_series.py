@@ -70,7 +70,7 @@ def judged_series(series: Sequence[Series], record: MachineRecord) -> list[dict[
     """
     length = TESTS_PER_FALSE_ALARM * max(len(series), 1)
     told = [_judged(one, record, length) for one in series]
-    order = {"changed": 0, "trend": 1, "steady": 2, "too few tests": 3}
+    order = {"changed": 0, "trend": 1, "slow trend": 2, "steady": 3, "too few tests": 4}
     return sorted(told, key=lambda one: (order[one["state"]], -len(one["points"])))
 
 
@@ -139,13 +139,16 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
     part = slice(current.first, None)
     ahead = None if limit is None else crossing(days[part], values[part], limit)
     changes = _changes(series, charted, why, record.events)
-    alarm = bool(charted.alarms) and charted.alarms[-1].first >= current.first
+    last = charted.alarms[-1] if charted.alarms and charted.alarms[-1].first >= current.first else None
+    # What later tests left of an alarm may be no more than its own uncertainty.
+    changed = last is not None and (last.trend or _sure(last.step, last.expanded))
     if len(points) < 4:
         state = "too few tests"
     elif current.trend:
         state = "trend"
     else:
-        state = "changed" if alarm else "steady"
+        # A line that leads to a limit is none of the chart's alarms yet, and no level either.
+        state = "changed" if changed else "slow trend" if ahead is not None else "steady"
     level = f"{current.mean:z.{decimals(current.expanded)}f}"
     return finite(
         {
@@ -203,10 +206,12 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
             text = f"{series.name} changes by {size} {unit} a month {over}"
         else:
             began = points[alarm.first - 1].started[:10]
-            text = (
-                f"{series.name} changed by {_signed(alarm.step, alarm.expanded)} {unit} between {began} "
-                f"and {points[alarm.first].started[:10]}"
-            )
+            size = f"{_signed(alarm.step, alarm.expanded)} {unit}"
+            between = f"between {began} and {points[alarm.first].started[:10]}"
+            if _sure(alarm.step, alarm.expanded):
+                text = f"{series.name} changed by {size} {between}"
+            else:
+                text = f"{series.name} may have changed {between}: the chart gave an alarm, and by all tests it is {size}, which may be nothing"
             noted = events_between(events, began, points[alarm.first].started)
             text += "".join(f"; noted then: {e.what}{e.note and ', '}{e.note}" for e in noted)
         out.append(
@@ -235,6 +240,11 @@ def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Seque
             }
         )
     return sorted(out, key=lambda change: -int(str(change["at"])))
+
+
+def _sure(step: float, expanded: float) -> bool:
+    """Return whether a step is more than its uncertainty, where that is known."""
+    return not abs(step) <= expanded
 
 
 def _limit_ahead(series: Series, regime: Regime) -> float | None:

@@ -16,7 +16,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import events_between, events_of
 from dtwin.pipeline.certificate import earlier_test, when
 from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
-from dtwin.pipeline.machine_history import record_of
+from dtwin.pipeline.machine_history import instrument_of, record_of
 from dtwin.report.sheet import number_of
 
 CHANGED, SAME, OPEN = "changed", "not changed", "cannot be said"
@@ -73,7 +73,8 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
     Returns
     -------
     dict
-        ``machine``, ``kind``, ``campaign``, ``earlier``; ``days`` of both; ``events`` recorded between them; ``figures``;
+        ``machine``, ``kind``, ``campaign``, ``earlier``; ``days`` of both; ``events`` recorded between them;
+        ``instruments`` of both, empty where not stated; ``figures``;
         ``counts`` of what is said; ``alone``: figures that one of them has.
 
     Raises
@@ -131,6 +132,9 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
         for n in (before["campaign"], campaign)
     ]
     events = events_between(events_of(home, known.machine), *sorted(days)) if all(days) else []
+    instruments = [
+        instrument_of([row for row in every if row["campaign"] == name]) for name in (before["campaign"], campaign)
+    ]
     return {
         "machine": known.machine,
         "kind": known.kind,
@@ -139,6 +143,7 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
         "unit": before["sheet"]["unit"],
         "days": [day[:10] for day in days],
         "events": [event.as_dict() for event in events],
+        "instruments": instruments,
         "figures": sorted(figures, key=lambda one: (CHANGED, OPEN, SAME).index(one["said"])),
         "counts": dict(Counter(one["said"] for one in figures)),
         "alone": [

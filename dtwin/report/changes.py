@@ -31,6 +31,14 @@ def changes_text(found: Mapping[str, Any]) -> list[str]:
     if all(found["days"]):
         between = " and ".join(sorted(found["days"]))
         lines.append(f"recorded between {between}: {events_words(found['events']) or 'nothing'}")
+    was, now = found["instruments"]
+    if was != now and was and now:
+        lines.append(f"measured with {now} instead of {was}: what changed may be the instrument, not the machine")
+    elif was != now:
+        which = "earlier" if now else "newer"
+        lines.append(
+            f"measured with {was or now}; the instrument of the {which} test is not stated, and may be another"
+        )
     assumed = sorted({source for one in found["figures"] for source in one["assumed"]})
     if assumed:
         lines.append(

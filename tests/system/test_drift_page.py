@@ -45,10 +45,10 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     (coefficient,) = re.findall(r"^temp_coeff: (\S+)$", (tmp_path / "z_thermal_adjust.cfg").read_text("utf-8"), re.M)
     assert float(coefficient) == pytest.approx(FRAME_UM_K / 1e3, rel=0.01)
     printed = {" ".join(command.split()[1:3]): text for command, text in said}
-    assert float(re.findall(r"frame late by ([\d.]+) min", printed["check warm-up"])[-1]) == pytest.approx(
+    assert float(re.findall(r"frame late by ([\d.]+) ± [\d.]+ min", printed["check warm-up"])[-1]) == pytest.approx(
         TAU_S / 60.0, abs=2.0
     )
-    frame, spread = map(float, re.findall(r"min (-?[\d.]+) ± ([\d.]+); bed", printed["check warm-up"])[-1])
+    frame, spread = map(float, re.findall(r"± [\d.]+ min (-?[\d.]+) ± ([\d.]+)", printed["check warm-up"])[-1])
     # What covers 95 % misses one of twenty; this seed is one.
     assert abs(frame - FRAME_UM_K) <= 1.5 * spread < 0.05 * abs(frame)
     assert "add lag@frame" in printed["twin history"]

@@ -251,6 +251,29 @@ def test_an_instrument_that_changes_and_an_event_raise_no_alarm() -> None:
     assert [r["first"] for r in same_day["chart"]["regimes"]] == [0, 6]
 
 
+def _charted(values: list[float], high: float | None = None) -> dict[str, Any]:
+    days = [f"{2024 + n // 12}-{n % 12 + 1:02d}-10T08:00:00+00:00" for n in range(len(values))]
+    points = tuple(Point("t", day, value, 0.1, "a") for day, value in zip(days, values, strict=True))
+    (one,) = judged_series([Series("axis X", "A", "um", points, high=high)], MachineRecord("mill"))
+    return one
+
+
+def test_an_alarm_that_later_tests_do_not_bear_out_is_no_change_for_good() -> None:
+    told = _charted([5.0, 5.1, 4.9, 4.7, 4.9, 4.7, 7.0, 5.4, 4.9, 4.8, 5.1, 5.1, 5.0, 4.7, 5.0, 5.2])
+    assert told["state"] == "steady"
+    (change,) = told["changes"]
+    assert "A, axis X may have changed between 2024-06-10 and 2024-07-10" in change["text"]
+    assert "+0.34 ± 0.59 µm, which may be nothing" in change["text"]
+
+
+def test_what_leads_to_a_limit_is_not_called_steady() -> None:
+    rising = [5.0, 5.0, 5.3, 5.2, 5.1, 5.4, 5.7, 5.7, 5.3, 5.2, 5.4, 5.7, 5.1, 5.7, 5.5, 5.7]
+    told = _charted(rising, 10.0)
+    assert told["crossing"]["limit"] == 10.0
+    assert told["state"] == "slow trend"
+    assert _charted(rising)["state"] == "steady"
+
+
 def test_a_calendar_file_folds_long_lines() -> None:
     text = calendar_of("mill", {"on": "2026-01-02", "why": "µ, " * 60}, datetime(2026, 1, 1, tzinfo=UTC))
     assert all(len(line.encode()) <= 75 for line in text.split("\r\n"))

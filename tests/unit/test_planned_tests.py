@@ -29,8 +29,9 @@ from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
 from dtwin.pipeline.planned_tests import draft_of, drafting_kinds, foretold, keep_plan, kept_plans, with_settings
-from dtwin.pipeline.sheet_changes import last_changes
+from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
+from dtwin.report.changes import changes_text
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench._server import application
@@ -183,6 +184,24 @@ def test_a_real_machine_waits_and_is_compared_when_its_campaign_comes(home: Home
     mirrored = {one["symbol"]: one for one in back["figures"]}["G(b)"]
     assert mirrored["difference_um"] == pytest.approx(-widest["difference_um"])
     assert [one["answer"] for one in kept_plans(home, "mill-7")] == ["t01"]
+
+
+def test_another_instrument_between_two_tests_is_told(home: Home, tmp_path: Path) -> None:
+    for n, serial in enumerate(("12A345", "77B999", "77B999")):
+        folder = tmp_path / f"mill{n}"
+        simulate_mill(folder, seed=n, quick=True)
+        text = (folder / "campaign.toml").read_text()
+        text = text.replace('"mill-backlash"', f'"mill-{n}"')
+        told = f'[campaign.instrument]\nmodel = "QC20-W"\nserial = "{serial}"\n'
+        text = text.replace("[campaign.machine_geometry]", told + "[campaign.machine_geometry]", 1)
+        (folder / "campaign.toml").write_text(text)
+        ingest(folder, Lake(home.lake))
+    first, second = (sheet_changes(home, f"mill-{n + 1}", f"mill-{n}") for n in (0, 1))
+    assert [one.split()[-1] for one in first["instruments"]] == ["12A345", "77B999"]
+    (said,) = [line for line in changes_text(first) if line.startswith("measured with")]
+    assert "77B999 instead of" in said
+    assert "may be the instrument" in said
+    assert not [line for line in changes_text(second) if line.startswith("measured with")]
 
 
 def test_what_was_assumed_claims_no_change(home: Home, tmp_path: Path) -> None:

@@ -49,7 +49,8 @@ def with_whole_angle(run: Run) -> Run:
     """Return a run whose angle runs on where the file's begins anew after a turn."""
     steps = np.diff(run.samples.get("angle_deg", np.empty(0)))
     typical = float(np.median(np.abs(steps))) if steps.size else 0.0
-    begins = np.abs(np.abs(steps) - _TURN_DEG) < max(20.0 * typical, 5.0)
+    # No step of a circle is half a turn, however far apart its readings are.
+    begins = np.abs(np.abs(steps) - _TURN_DEG) < min(max(20.0 * typical, 5.0), 0.5 * _TURN_DEG)
     if not begins.any():
         return run
     turns = np.concatenate([[0.0], np.cumsum(np.where(begins, -np.sign(steps), 0.0))])

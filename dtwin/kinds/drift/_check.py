@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.documents import finite
-from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, shifts, steady
+from dtwin.kinds.drift._model import Fitted, Series, Term, series_of, shifts, steady
+from dtwin.kinds.drift._search import Step, missing
 from dtwin.kinds.drift._standing import probe_standing
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
@@ -23,7 +24,15 @@ _CHANCE = 1e-3
 _PAUSE_S, _TIMES_PAUSE, _LISTED = 300.0, 10.0, 4
 _HOUR_S = 3600.0
 _MOST_APART = 2.0
-"""How far two runs of one machine may differ before a step size is doubted."""
+"""How far two runs of one machine may differ before a step size that is stated for one of them is doubted."""
+_UNITS = {
+    10.0: "10, a shifted decimal place",
+    25.4: "25.4, as between inch and mm",
+    1000.0: "1000, as between mm and µm",
+}
+_STANDS = "a sensor stands, see the warning: what is missing is not told of this log before the sensor is left out, or the log ended there"
+_NEAR = 0.06
+"""Share by which a factor may miss that of a unit."""
 _BEYOND = 1.5
 
 
@@ -93,35 +102,53 @@ def _still(series: Series) -> bool:
 
 
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
-    """Return what logs of one machine say together: whether they move alike for the same temperatures."""
+    """Return what logs of one machine say together: whether one is in another unit, or of another step, than is told."""
+    stepped = {run.meta.run_id for run in runs if "step_mm" in run.meta.condition}
     findings = []
     for name, (ratio, others) in contradicting(runs).items():
         which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
+        unit = _unit(ratio)
+        why = f"a factor of {_UNITS[unit]}" if unit else "one of the logs was measured in other steps than are stated"
+        if unit and stepped & {name, *others}:
+            why += ", or one of the logs was measured in other steps than are stated"
         said = (
-            f"{name} moves {ratio:z.2f} times as far as models of the same machine predict from its temperatures "
-            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
+            f"{name} moves {ratio:z.3g} times as far as models of the same machine predict from its temperatures "
+            f"({which}): {why}; it is left out of fits with the others"
         )
-        findings.append(Finding("drift.scale", "error", said, {"ratio_1": ratio}))
+        findings.append(Finding("drift.scale", "warning", said, {"ratio_1": ratio}))
     return findings
 
 
 def contradicting(runs: Sequence[Run]) -> dict[str, tuple[float, list[str]]]:
-    """Return runs that move otherwise than models of others of the same axis predict, by how many times, and of which."""
+    """Return runs that move as in another unit than models of others of the same axis predict, by how many times, and of which.
+
+    Probes at two places differ by any factor where a spindle tilts, and have other signs: no more than a unit, or a step
+    that is stated for the run, is doubted.
+    """
     sound = [r for r in runs if not r.meta.correction and not any(f.severity == "error" for f in judge_drift(r))]
     known = {r.meta.run_id: series_of(r) for r in sound}
     models = {name: steady(series) for name, series in known.items()}
     told = [name for name in known if models[name].terms]
     axis = {r.meta.run_id: r.meta.condition.get("axis") for r in sound}
+    stepped = {r.meta.run_id for r in sound if "step_mm" in r.meta.condition}
     contradictions = {}
     for n, name in enumerate(told):
         alike = [other for other in told if axis[other] == axis[name]]
         others = [other for other in alike if other != name and (len(alike) > 2 or told.index(other) < n)]
         times = [_times(models[other], known[name]) for other in others]
         times = [t for t in times if np.isfinite(t)]
-        if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:
+        if not times or not (ratio := float(np.median(times))) > 0.0:
             continue
-        contradictions[name] = (float(np.median(times)), others)
+        other_step = bool(stepped & {name, *others}) and not 1.0 / _MOST_APART < ratio < _MOST_APART
+        if other_step or _unit(ratio):
+            contradictions[name] = (ratio, others)
     return contradictions
+
+
+def _unit(ratio: float) -> float:
+    """Return the factor between units that a ratio is, either way, or 0."""
+    off = abs(float(np.log(ratio)))
+    return next((unit for unit in _UNITS if abs(off - np.log(unit)) < np.log1p(_NEAR)), 0.0)
 
 
 def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:
@@ -146,7 +173,7 @@ def drift_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def _row(name: str, model: Mapping[str, Any]) -> list[str]:
-    told = "; ".join(f"{term['label']} {term['shown']}" for term in model["terms"])
+    told = "; ".join(f"{term['written']} {term['shown']}" for term in model["terms"])
     return [name, f"{model['left_um']:z.2f}", f"{model['held_out_um']:z.2f}", f"{model['r2']:z.4f}", told]
 
 
@@ -157,7 +184,8 @@ def _figures(run: Run) -> dict[str, Any] | None:
     if not series.temperatures_c:
         return None
     base = steady(series)
-    steps = missing(series, base)
+    stands = any(f.code == "drift.sensor_stands" for f in run.findings)
+    steps = [] if stands else missing(series, base)
     last = steps[-1].fitted if steps else base
     return {
         "readings": len(series.t_s),
@@ -165,7 +193,7 @@ def _figures(run: Run) -> dict[str, Any] | None:
         "floor_um": finite(series.floor_um),
         "steady": _model(base),
         "missing": [_step(step) for step in steps],
-        "verdict": _verdict(series, last, steps),
+        "verdict": _STANDS if stands else _verdict(series, last, steps),
     }
 
 
@@ -186,15 +214,29 @@ def _model(model: Fitted) -> dict[str, Any]:
                 "label": term.label,
                 "um_per_k": float(value),
                 "expanded": float(half),
+                "late_expanded_s": float(late_k2_s) or None,
+                "written": _late(term, float(late_k2_s)),
                 "shown": f"{value:z.{decimals(float(half))}f} ± {half:z.{decimals(float(half))}f}",
             }
-            for term, value, half in zip(model.terms, model.value[1:], model.k2[1:], strict=True)
+            for term, value, half, late_k2_s in zip(
+                model.terms, model.value[1:], model.k2[1:], model.late_k2_s, strict=True
+            )
         ],
         "intercept_um": float(model.value[0]),
         "left_um": model.left_um,
         "held_out_um": model.held_out_um,
         "r2": model.r2,
     }
+
+
+def _late(term: Term, k2_s: float) -> str:
+    """Return a term with the uncertainty of its time constant."""
+    half = k2_s / 60.0
+    if not term.tau_s or not half > 0.0:
+        return term.label
+    digits = decimals(half)
+    label = term.label.removesuffix(f"{term.tau_s / 60.0:.3g} min")
+    return f"{label}{term.tau_s / 60.0:z.{digits}f} ± {half:z.{digits}f} min"
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from dtwin.documents import finite
 from dtwin.kinds.drift._effects import effect_of, written
-from dtwin.kinds.drift._model import Addition, Series, Term, additions, fitted, held_out_um, idle
+from dtwin.kinds.drift._model import Series, Term, fitted, held_out_um
+from dtwin.kinds.drift._search import Addition, additions, idle
 from dtwin.statistics import rms
 
 KIND = "drift"

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from dtwin.errors import InputError
-from dtwin.kinds.drift._model import Series, Term, best_lag
+from dtwin.kinds.drift._model import Series, Term
+from dtwin.kinds.drift._search import best_lag
 
 
 @dataclass(frozen=True)

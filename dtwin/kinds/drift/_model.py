@@ -15,15 +15,11 @@ from dtwin.kinds.drift._sense import moved_um
 from dtwin.schema import Floats, Run
 from dtwin.statistics import gain_tail, t_quantile, usual_size
 
-_BLOCKS, _LONG = 24, 6
-_TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
-_FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02))
-_ALPHA = 0.05
+_BLOCKS = 24
+ALPHA = 0.05
 _DIGITS = 4
-_MATERIAL = 0.02
+MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
-_SURELY = 0.1
-"""Share that something takes even where blocks do not agree."""
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
 # between readings that are not farther apart than so many times the usual.
 _TIMES_USUAL, _TIMES_AROUND, _BESIDE, _OF_SPAN, _STAYS, _PAUSE = 10.0, 5.0, 6, 0.05, 0.7, 3.0
@@ -113,6 +109,7 @@ class Fitted:
 
     ``value``, ``k2`` (terms + 1,): the constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication
     the block.
+    ``late_k2_s`` (terms,): of time constants; 0 for terms that are not late.
     ``left_um``: standard deviation of the residual.
     ``held_out_um``: root mean square on blocks that were held out.
     """
@@ -120,19 +117,10 @@ class Fitted:
     terms: tuple[Term, ...]
     value: Floats
     k2: Floats
+    late_k2_s: Floats
     left_um: float
     r2: float
     held_out_um: float
-
-
-@dataclass(frozen=True)
-class Step:
-    """Something that a model lacked: the model with it, the share of squares on held-out blocks, and p over blocks."""
-
-    fitted: Fitted
-    said: str
-    gain: float
-    p_value: float
 
 
 @dataclass(frozen=True)
@@ -190,8 +178,9 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     value: Floats = np.asarray(every[:told], dtype=np.float64)
     left = y - x @ every
     # A jackknife over blocks: readings near in time err alike. Time constants move along, in first order, for they were fitted, too.
-    moving = [v * _by_time(series, t) for t, v in zip(terms, value[1:], strict=True) if t.tau_s]
-    each = _without_each(series, np.column_stack([x, *moving]))[0][:, :told]
+    late = [n for n, term in enumerate(terms) if term.tau_s]
+    moving = [value[1 + n] * _by_time(series, terms[n]) for n in late]
+    each = _without_each(series, np.column_stack([x, *moving]))[0]
     squares, blocks = _without_each(series, x)[1], len(each)
     off = (each - each.mean(axis=0)) ** 2
     spread = (blocks - 1) / blocks * off.sum(axis=0)
@@ -199,138 +188,26 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     tails = blocks * (off**2).sum(axis=0) / np.maximum(off.sum(axis=0) ** 2, 1e-300)
     dof = np.clip(2.0 * blocks / np.maximum(tails - 1.0, 1e-9), 1.0, blocks - 1)
     k2 = np.array([t_quantile(0.975, float(d)) for d in dof]) * np.sqrt(spread)
+    late_k2_s = np.zeros(len(terms))
+    late_k2_s[late] = k2[x.shape[1] :] * np.array([terms[n].tau_s for n in late])
     size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
     r2 = 1.0 - float((left**2).sum()) / float(((y - y.mean()) ** 2).sum())
     held = float(np.sqrt(squares.sum() / len(y)))
-    return Fitted(tuple(terms), value, np.asarray(k2), size, r2, held)
+    return Fitted(tuple(terms), value, np.asarray(k2[:told]), late_k2_s, size, r2, held)
 
 
 def steady(series: Series) -> Fitted:
     """Return all temperatures, each taken at once, less those that do not pay on blocks held out."""
     chosen = [Term("steady", channel) for channel in series.temperatures_c]
-    now = _held_out(series, chosen)
+    now = held_out(series, chosen)
     while chosen:
-        without = [_held_out(series, [t for t in chosen if t != term]) for term in chosen]
+        without = [held_out(series, [t for t in chosen if t != term]) for term in chosen]
         least = int(np.argmin([left.sum() for left in without]))
-        if _share(without[least], now) > _MATERIAL and gain_tail(without[least], now) < _ALPHA:
+        if share_taken(without[least], now) > MATERIAL and gain_tail(without[least], now) < ALPHA:
             break
         chosen.pop(least)
         now = without[least]
     return fitted(series, chosen)
-
-
-def missing(series: Series, base: Fitted) -> list[Step]:
-    """Return what a model of steady temperatures lacks, step by step: lags, curves of sensors, further sensors."""
-    out: list[Step] = []
-    now = base
-    while (step := _next(series, now)) is not None:
-        out.append(step)
-        now = step.fitted
-    return out
-
-
-@dataclass(frozen=True, eq=False)
-class Addition:
-    """Something that a model may lack.
-
-    ``left`` (blocks,): squares that are left in each block when it was held out, µm².
-    ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
-    ``far_gain``: the share on sixths of the log: where more is left than noise, whatever is smooth fits short stretches.
-    ``added``: the term that is new, which may stand in place of an old one of the same sensor.
-    """
-
-    left: Floats
-    terms: tuple[Term, ...]
-    added: Term
-    said: str
-    gain: float
-    p_value: float
-    far_gain: float
-
-    @property
-    def pays(self) -> bool:
-        """Whether it takes enough, and surely, and on long stretches, too."""
-        return self.gain > _MATERIAL and self.p_value < _ALPHA and self.far_gain > _MATERIAL
-
-    def equals(self, other: Addition) -> bool:
-        """Tell whether another takes no more than chance may."""
-        return _share(self.left, other.left) <= _MATERIAL or gain_tail(self.left, other.left) >= _ALPHA
-
-
-def _next(series: Series, now: Fitted) -> Step | None:
-    best = next((one for one in additions(series, now.terms) if one.pays), None)
-    return None if best is None else Step(fitted(series, best.terms), best.said, best.gain, best.p_value)
-
-
-def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
-    """Return what a model may lack, those that leave least first: lags, curves of sensors, further sensors."""
-    before = _held_out(series, terms)
-    tried: list[tuple[Floats, tuple[Term, ...], Term, str]] = []
-    for i, term in enumerate(terms):
-        others = (*terms[:i], *terms[i + 1 :])
-        kinds = {"steady": ("lag",), "lag": ("lag2",)}.get(term.kind, ())
-        for kind in kinds:
-            late, each = _lags(series, others, kind, term.channel)
-            # The time constant is chosen on blocks that are not the one it is judged on.
-            best = int(np.argmin(each.sum(axis=1)))
-            nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
-            tried.append((nested, (*others, late[best]), late[best], f"the lag of {term.name}"))
-    used = {term.channel for term in terms}
-    for channel in series.temperatures_c:
-        term = Term("curve" if channel in used else "steady", channel)
-        if term not in terms:
-            left = _held_out(series, (*terms, term))
-            said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
-            tried.append((left, (*terms, term), term, said))
-    far = _held_out(series, terms, _LONG)
-    made = [
-        Addition(
-            left,
-            new,
-            term,
-            said,
-            _share(before, left),
-            min(1.0, len(tried) * gain_tail(before, left)),
-            _share(far, _held_out(series, new, _LONG)),
-        )
-        for left, new, term, said in tried
-    ]
-    return sorted(made, key=lambda one: float(one.left.sum()))
-
-
-def best_lag(series: Series, others: Sequence[Term], late: Term) -> Term:
-    """Return a lag with the time constant that leaves least on blocks held out, beside others."""
-    made, each = _lags(series, others, late.kind, late.channel)
-    return made[int(np.argmin(each.sum(axis=1)))]
-
-
-def _lags(series: Series, others: Sequence[Term], kind: str, channel: str) -> tuple[list[Term], Floats]:
-    """Return lags by their time constants, and the squares that each leaves in each block, shape (lags, blocks).
-
-    Finer about the best: a time constant that is a little off leaves what looks like a curve of the sensor.
-    """
-    made: list[Term] = []
-    each: list[Floats] = []
-    tried = np.array(_TAUS_S)
-    for finer in (*_FINER, None):
-        made += [Term(kind, channel, float(tau)) for tau in tried]
-        each += [_held_out(series, (*others, one)) for one in made[len(each) :]]
-        if finer is not None:
-            tried = made[int(np.argmin(np.array(each).sum(axis=1)))].tau_s * finer
-    return made, np.array(each)
-
-
-def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return the terms each of which pays nothing beside the others."""
-    now = _held_out(series, terms)
-    without = {term: _held_out(series, [t for t in terms if t != term]) for term in terms}
-    return tuple(t for t, left in without.items() if not _needed(left, now))
-
-
-def _needed(without: Floats, now: Floats) -> bool:
-    """Return whether a term takes enough, by the squares in each block without it and with it: surely, or much."""
-    share = _share(without, now)
-    return share > _MATERIAL and (share > _SURELY or gain_tail(without, now) < _ALPHA)
 
 
 def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
@@ -340,7 +217,7 @@ def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
     return np.asarray(series.moved_um - (x * values[series.block]).sum(axis=1))
 
 
-def _held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Floats:
+def held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Floats:
     """Return the squares that are left in each block when it was held out, µm²; ``blocks``: fewer are longer."""
     return _without_each(series, _design(series, terms), blocks)[1]
 
@@ -366,7 +243,7 @@ def _without_each(series: Series, x: Floats, most: int = _BLOCKS) -> tuple[Float
     return values, squares
 
 
-def _share(before: Floats, after: Floats) -> float:
+def share_taken(before: Floats, after: Floats) -> float:
     """Return the share of the squares on blocks held out that something takes."""
     return 1.0 - float(after.sum()) / float(before.sum())
 

@@ -160,7 +160,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         matched = _AXIS.search(name)
         letter = matched[1] if matched else None
         several = len(moved) > 1
-        condition = {"axis": letter.upper()} if several and letter else {}
+        condition: dict[str, Any] = {"axis": letter.upper()} if several and letter else {}
+        if name == _STEPS and "step_mm" not in campaign.instrument:
+            condition["step_mm"] = scale / 1e3
         run_id = name.removesuffix("_um") if several else "log"
         meta = RunMeta(run_id=run_id, kind="drift", condition=condition, sample_rate_hz=float("nan"))
         runs.append(Run(meta, kept, source=str(path), findings=tuple(findings)))

@@ -12,7 +12,8 @@ from dtwin import __version__
 from dtwin.errors import InputError
 from dtwin.kinds.drift._data import longest_first
 from dtwin.kinds.drift._effects import sensors_of
-from dtwin.kinds.drift._model import Fitted, Series, held_out_um, missing, series_of, steady
+from dtwin.kinds.drift._model import Fitted, Series, held_out_um, series_of, steady
+from dtwin.kinds.drift._search import missing
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats, Run

@@ -27,12 +27,21 @@ def parameter_table(twin: DriftTwin) -> Table:
             (
                 effect["effect"],
                 effect["axis"],
-                f"{late / 60.0:.3g} min" if late else "",
+                _minutes(late, effect.get("time_constant_uncertainty_s")),
                 f"{parameter['value']:z.{digits}f} ± {half:z.{digits}f}",
                 _UNITS[parameter["unit"]],
             )
         )
     return Table(("effect", "sensor", "time constant", "value, ± 95 %", "unit"), rows)
+
+
+def _minutes(late_s: float | None, half_s: float | None) -> str:
+    if not late_s:
+        return ""
+    if not half_s:
+        return f"{late_s / 60.0:.3g} min"
+    digits = decimals(half_s / 60.0)
+    return f"{late_s / 60.0:z.{digits}f} ± {half_s / 60.0:z.{digits}f} min"
 
 
 def twin_text(twin: DriftTwin) -> str:

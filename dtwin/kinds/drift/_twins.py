@@ -14,12 +14,12 @@ from dtwin.kinds.drift._data import Loaded, load
 from dtwin.kinds.drift._diagnosis import KIND, REPLICATION, DriftDiagnosis, diagnose, drift_figures_of
 from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, joined, same, written
 from dtwin.kinds.drift._model import Series, Term, fitted
+from dtwin.kinds.drift._search import MOST_RUNGS, rung
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 from dtwin.twins.shelf import require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
-_MOST_RUNGS = 20
 _PLACES = 5
 
 
@@ -114,14 +114,14 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         made: list[DriftTwin] = []
         groups: list[tuple[str, ...]] = []
         said = self._diagnosed(twin, loaded)
-        while (said.group or said.idle) and len(made) < _MOST_RUNGS:
+        while (said.group or said.idle) and len(made) < MOST_RUNGS:
             if said.group:
-                terms, action, group = said.group[0].terms, f"add {said.additions[0]}", said.additions
+                action, group = f"add {said.additions[0]}", said.additions
             else:
                 gone = said.idle[0]
-                terms = tuple(term for term in twin.terms if term != gone)
                 action, group = f"remove {written(gone)}: it pays nothing beside the others", ()
                 groups = [group for group in groups if group[0] != written(gone)]
+            terms = rung(twin.terms, said.group[0] if said.group else None, said.idle)
             twin = self._store(name, loaded, terms, action)
             made.append(twin)
             groups += [group] if group else []
@@ -138,8 +138,9 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
                     "label": written(t),
                     "title": effect_of(t).title,
                     "time_constant_s": t.tau_s or None,
+                    "time_constant_uncertainty_s": finite(float(k2_s)) or None,
                 }
-                for t in terms
+                for t, k2_s in zip(terms, model.late_k2_s, strict=True)
             ],
             "parameters": [
                 {

@@ -10,9 +10,10 @@ import numpy as np
 from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
+from dtwin.kinds.volumetric._strokes import stroke_mm
 from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import UM_PER_MM, is_number
+from dtwin.units import UM_PER_MM
 
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
@@ -24,12 +25,20 @@ _BEYOND = 0.05
 
 
 def with_strokes(run: Run, campaign: Campaign) -> Run:
-    """Return a cycle with what is wrong with its places beside the strokes that the campaign states, where it does."""
-    for axis in "xyz":
-        reach, at = campaign.machine_geometry.get(f"stroke_{axis}_mm"), run.samples.get(f"{axis}_mm")
-        if at is None or not isinstance(reach, list | tuple) or len(reach) != 2 or not all(map(is_number, reach)):
+    """Return a cycle with what is wrong with its places beside the strokes that the campaign states, where it does.
+
+    Raises ``InputError`` when a stroke that is stated is none: nothing could be fitted later.
+    """
+    where = f"campaign {campaign.name}"
+    strokes = {
+        axis: stroke_mm(campaign.machine_geometry, axis, where)
+        for axis in "xyz"
+        if f"stroke_{axis}_mm" in campaign.machine_geometry
+    }
+    for axis, (low, high) in strokes.items():
+        at = run.samples.get(f"{axis}_mm")
+        if at is None:
             continue
-        low, high = float(reach[0]), float(reach[1])
         if max(low - at.min(), at.max() - high) > _BEYOND * abs(high - low):
             metres = low <= UM_PER_MM * at.max() <= high and low <= UM_PER_MM * at.min()
             why = "metres under a name of millimetres" if metres else "another axis, or another zero"

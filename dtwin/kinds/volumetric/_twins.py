@@ -167,7 +167,8 @@ class HeatTwins(TwinShelf):
             terms = _joined(twin, heat_terms(said.additions[:1]))
             twin = self._store(name, loaded, terms, _added(twin, terms))
             made.append(twin)
-            groups.append(tuple(suspect.label for suspect in said.group))
+            # Motions beside it are missing, too, not instead of it: each is added in its turn.
+            groups.append(said.additions[:1])
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 

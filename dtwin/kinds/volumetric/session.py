@@ -15,6 +15,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._heat_series import require_temperatures
 from dtwin.kinds.volumetric._identify import Artefact, Balls, Identified, averaged_balls
 from dtwin.kinds.volumetric._spoilt import spoilt_in
+from dtwin.kinds.volumetric._strokes import stroke_mm
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
@@ -185,18 +186,7 @@ def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
             got=str(geometry.get("chain"))[:20],
             allowed="XZY",
         )
-    strokes: Strokes = {}
-    for axis in "xyz":
-        reach = geometry.get(f"stroke_{axis}_mm")
-        if not (isinstance(reach, list) and len(reach) == 2 and reach[0] < reach[1]):
-            raise InputError(
-                "the stroke of an axis is needed",
-                code="volumetric.stroke",
-                where=f"{where} machine_geometry.stroke_{axis}_mm",
-                got=str(reach)[:60],
-                allowed="two positions in mm, ascending",
-            )
-        strokes[axis] = (float(reach[0]), float(reach[1]))
+    strokes: Strokes = {axis: stroke_mm(geometry, axis, where) for axis in "xyz"}
     held_out = tuple(int(pose) for pose in geometry.get("held_out_poses", ()))
     repeat = float(geometry.get("pose_repeat_um", np.inf))
     return Artefact(strokes, held_out, repeat)

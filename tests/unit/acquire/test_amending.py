@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.amending import amend, amendment_findings, leave_out
+from dtwin.acquire.campaign_name import in_lake
+from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
 
@@ -132,3 +135,46 @@ def test_a_rate_that_is_not_known_is_not_stated_anew_and_what_is_the_same_is_ref
     assert set(amend(lake, "c", ["setup=s2"], "typo")["r1"]) == {"setup"}
     with pytest.raises(InputError, match="nothing would change"):
         amend(lake, "c", ["setup=s2"], "typo")
+
+
+def test_a_campaign_file_that_was_changed_is_told_with_the_amendment(lake: Lake) -> None:
+    changed = replace(CAMPAIGN, instrument={"calibrated_mm": 100.015, "model": "bar"})
+    lake.require_same_statements(CAMPAIGN)
+    for refused in (lambda: lake.commit(changed, [made("r1", 1)]), lambda: lake.require_same_statements(changed)):
+        with pytest.raises(InputError) as told:
+            refused()
+        assert "dtwin amend c --set 'instrument.calibrated_mm=100.015' --because WHY" in str(told.value.hint)
+    amend(lake, "c", ["instrument.calibrated_mm=100.015"], "wrong master")
+    for campaign in (CAMPAIGN, changed):
+        lake.require_same_statements(campaign)
+
+
+def test_a_folder_beside_that_was_changed_is_not_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    home = Home(tmp_path / "home")
+    folder = tmp_path / "c"
+    folder.mkdir()
+    text = '[campaign]\nname = "c"\nmachine = "mill-a"\n[campaign.instrument]\ncalibrated_mm = 100.0\nmodel = "bar"\n'
+    text += '[[run]]\nid = "r1"\nfile = "r1.csv"\nplane = "XY"\nradius_mm = 100.0\nfeed_mm_min = 18850.0\ndirection = "CCW"\n'
+    (folder / "r1.csv").write_text("t_s,angle_deg,deviation_um\n", encoding="utf-8")
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    Lake(home.lake).commit(CAMPAIGN, [made("r1", 1)])
+    assert in_lake(home, "c") == "c"
+    (folder / "campaign.toml").write_text(text.replace("= 100.0\nmodel", "= 100.5\nmodel"), encoding="utf-8")
+    with pytest.raises(InputError, match="was changed since it was ingested"):
+        in_lake(home, "c")
+
+
+def test_a_stroke_that_is_amended_takes_its_error_back(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    geometry = {"stroke_x_mm": [0.0, 900.0]}
+    campaign = Campaign("v", "mill-a", "volumetric", machine_geometry=geometry)
+    x_mm = np.linspace(-380.0, 380.0, 12)
+    samples = {"t_s": np.arange(12.0), "pose_1": np.ones(12), "ball_1": np.arange(1.0, 13.0), "x_mm": x_mm}
+    samples |= {name: x_mm + 400.0 for name in ("y_mm", "z_mm")}
+    samples |= {f"error_{axis}_um": np.zeros(12) for axis in "xyz"}
+    run = kind_named("volumetric").completed(Run(RunMeta("c0", "volumetric"), samples), campaign)
+    lake.commit(campaign, [run])
+    assert "balls.outside_stroke" in lake.runs("v")[0]["findings_json"]
+    amend(lake, "v", ["machine_geometry.stroke_x_mm=[-400.0, 400.0]"], "another zero")
+    assert "balls.outside_stroke" not in lake.runs("v")[0]["findings_json"]

@@ -19,6 +19,17 @@ from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
 from dtwin.schema import Campaign, Floats, Run
 
 TOLD = {"plane": "XY", "radius_mm": 150.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
+CIRCLE_FOLDER = """[campaign]
+name = "c"
+machine = "m"
+[[run]]
+id = "a"
+file = "a.csv"
+plane = "XY"
+radius_mm = 150.0
+feed_mm_min = 1000.0
+direction = "CCW"
+"""
 ANGLE: Floats = np.arange(720.0) * 0.5 + 0.25
 
 
@@ -372,3 +383,14 @@ def test_columns_of_several_conditions_are_no_repeats(tmp_path: Path, heads: str
         return
     with pytest.raises(InputError, match="several planes, feeds, radii or machines"):
         read_circle_runs(path, Campaign("a", "m"), stated)
+
+
+@pytest.mark.parametrize("step_deg", [15.0, 30.0, 45.0])
+def test_far_steps_of_the_angle_are_no_turns(tmp_path: Path, step_deg: float) -> None:
+    angle_deg = np.arange(20.0, 381.0, step_deg)
+    rows = "".join(f"{k},{a % 360.0:.1f},{np.cos(np.radians(a)):.4f}\n" for k, a in enumerate(angle_deg))
+    (tmp_path / "a.csv").write_text("t_s,angle_deg,deviation_um\n" + rows, encoding="utf-8")
+    (tmp_path / "campaign.toml").write_text(CIRCLE_FOLDER, encoding="utf-8")
+    ((run,), _), *_ = open_source(tmp_path)[1]
+    assert np.diff(run.samples["angle_deg"]) == pytest.approx(step_deg)
+    assert not {f.code for f in judge_run(run)} & {"angle.direction", "arc.long", "angle.jump"}

@@ -17,8 +17,9 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_drift
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
-from dtwin.kinds.drift._model import Series, Term, additions, fitted, idle, missing, series_of, steady
+from dtwin.kinds.drift._model import Series, Term, fitted, series_of, steady
 from dtwin.kinds.drift._read import is_drift_log, read_drift
+from dtwin.kinds.drift._search import additions, idle, missing
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
@@ -118,13 +119,35 @@ def _runs(folder: Path) -> list[Run]:
 
 
 def test_a_run_in_another_unit_and_a_spoilt_one_are_found(tmp_path: Path) -> None:
-    runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 5.0, "c": 1.0}, spoilt="c"))
+    runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 25.4, "c": 1.0}, spoilt="c"))
     assert [[f.code for f in judge_drift(run)] for run in runs] == [[], [], ["drift.jump"]]
     (found,) = judge_campaign_drift(runs)
-    assert found.numbers["ratio_1"] == pytest.approx(5.0, rel=0.1)
+    assert found.severity == "warning"
+    assert "inch and mm" in found.message
+    assert "step" not in found.message
+    assert found.numbers["ratio_1"] == pytest.approx(25.4, rel=0.06)
     assert {f.code for run in runs for f in run.findings} == {"drift.no_sensor"}
     assert "temperature_dead_c" not in series_of(runs[0]).temperatures_c
     assert judge_campaign_drift(_runs(_folder(tmp_path / "d", {"a": 1.0, "b": 1.0}))) == []
+
+
+@pytest.mark.parametrize("ratio", [-1.0, 0.33, 5.0, -10.0])
+def test_two_probes_of_a_spindle_that_tilts_are_no_error(ratio: float) -> None:
+    one = _touched(0.0)
+    other = {**one.samples, "displacement_um": ratio * one.samples["displacement_um"]}
+    two = replace(one, meta=replace(one.meta, run_id="y2"), samples=other)
+    assert judge_campaign_drift([one, two]) == []
+    assert len(longest_first([one, two])) == 2
+
+
+def test_a_log_in_other_steps_than_its_file_states_is_told(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "c", {"a": 1.0, "b": 1.0})
+    for name, step in (("a", 0.0025), ("b", 0.0125)):
+        text = (folder / f"{name}.csv").read_text("utf-8").replace("displacement_um", "displacement_step")
+        (folder / f"{name}.csv").write_text(text.replace("# made here", f"# step_dist={step}"), encoding="utf-8")
+    (found,) = judge_campaign_drift(_runs(folder))
+    assert found.numbers["ratio_1"] == pytest.approx(5.0, rel=0.1)
+    assert "in other steps than are stated" in found.message
 
 
 def test_a_step_that_the_file_tells_otherwise_is_said(tmp_path: Path) -> None:
@@ -629,7 +652,7 @@ def test_a_probe_that_is_stuck_is_said() -> None:
 
 def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:
     runs = [replace(_touched(0.0, seed), meta=replace(_touched(0.0).meta, run_id=f"r{seed}")) for seed in range(3)]
-    wrong = {**runs[1].samples, "displacement_um": 5.0 * runs[1].samples["displacement_um"]}
+    wrong = {**runs[1].samples, "displacement_um": 25.4 * runs[1].samples["displacement_um"]}
     runs[1] = replace(runs[1], samples=wrong)
     assert {run.meta.run_id for run in longest_first(runs)} == {"r0", "r2"}
     # Of a file with several displacements that which moved most.
@@ -745,3 +768,72 @@ def test_a_spindle_s_speed_beside_a_warm_up_and_a_time_that_elapsed_are_of_a_dri
     assert is_drift_log(path)
     (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
     assert run.samples["t_s"].tolist() == [60.0 * n for n in range(10)]
+
+
+def _two_causes(seed: int) -> Series:
+    """A spindle that is followed 25 min late by 1.2 µm/K, and a room at once by -3 µm/K."""
+    rng = np.random.default_rng(seed)
+    fine_s = np.arange(0.0, 36_000.0, 5.0)
+    runs = np.where((fine_s // 5400.0) % 2 == 0, 1.0, 0.2)
+    hot, late = np.full(fine_s.size, 21.0), np.full(fine_s.size, 21.0)
+    for i in range(1, fine_s.size):
+        hot[i] = hot[i - 1] + (21.0 + 14.0 * runs[i - 1] - hot[i - 1]) * -np.expm1(-5.0 / 1500.0)
+        late[i] = late[i - 1] + (0.5 * (hot[i - 1] + hot[i]) - late[i - 1]) * -np.expm1(-5.0 / 1500.0)
+    t_s, spindle, core = (values[::12] for values in (fine_s, hot, late))
+    room = 20.0 + 1.5 * np.sin(2.0 * np.pi * t_s / 40_000.0 + 0.3 * seed)
+    moved = np.repeat(1.2 * (core - 21.0) - 3.0 * (room - 20.0), 2) + rng.normal(0.0, 0.15, 2 * t_s.size)
+    again = np.repeat(np.arange(t_s.size), 2)
+    temperatures = {"temperature_spindle_c": spindle[again], "temperature_room_c": room[again]}
+    return Series(np.repeat(t_s, 2) + np.tile([0.0, 2.0], t_s.size), moved, temperatures, again)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_causes_are_found_together_with_the_time_and_its_uncertainty(seed: int) -> None:
+    made = _two_causes(seed)
+    last = missing(made, steady(made))[-1].fitted
+    by_name = {term.name: n for n, term in enumerate(last.terms)}
+    spindle, room = by_name["spindle"], by_name["room"]
+    assert len(last.terms) == 2
+    assert last.terms[spindle].kind == "lag"
+    assert last.value[[1 + spindle, 1 + room]] == pytest.approx([1.2, -3.0], rel=0.03)
+    assert abs(last.terms[spindle].tau_s - 1500.0) < 2.0 * last.late_k2_s[spindle] < 200.0
+    assert last.late_k2_s[room] == 0.0
+    assert last.held_out_um < 0.2
+
+
+def test_what_a_sensor_that_stands_leaves_is_no_lag(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    t_s = np.arange(0.0, 21_600.0, 60.0)
+    warm = 14.0 * (1.0 - np.exp(-t_s / 4000.0)) + 2.0 * np.sin(t_s / 1500.0)
+    column = 20.0 + 0.1 * warm + rng.normal(0.0, 0.05, t_s.size)
+    spindle = 21.0 + np.where(t_s < 8000.0, warm, warm[t_s < 8000.0][-1])
+    head = "Time [s],Z [µm],spindle [°C],column [°C]"
+    rows = zip(t_s, 1.3 * warm, spindle, column, strict=True)
+    path = tmp_path / "stuck.csv"
+    path.write_text("\n".join([head, *(",".join(f"{v:.3f}" for v in row) for row in rows)]), encoding="utf-8")
+    runs = [run for runs, _ in open_source(path, {"machine": "mill-1"})[1] for run in runs]
+    assert "drift.sensor_stands" in {f.code for f in runs[0].findings}
+    (told,) = drift_figures(runs).values()
+    assert told is not None
+    assert told["missing"] == []
+    assert "a sensor stands" in told["verdict"]
+
+
+def test_a_term_whose_coefficient_is_less_than_its_uncertainty_is_not_named() -> None:
+    for seed in range(3):
+        made = _two_causes(seed)
+        for one in additions(made, [Term("steady", "temperature_room_c")]):
+            model = fitted(made, one.terms)
+            at = 1 + model.terms.index(one.added)
+            assert not one.pays or abs(model.value[at]) > model.k2[at]
+
+
+def test_a_sensor_that_stands_in_for_a_second_lag_is_not_named() -> None:
+    made = _two_causes(0)
+    once = replace(made, moved_um=made.column(Term("lag", "temperature_spindle_c", 900.0)))
+    again = {**made.temperatures_c, "temperature_spindle_c": once.moved_um}
+    late = replace(made, temperatures_c=again).column(Term("lag", "temperature_spindle_c", 900.0))
+    noise = np.random.default_rng(5).normal(0.0, 0.15, late.size)
+    found = missing(second := replace(made, moved_um=1.4 * late + noise), steady(second))
+    assert {term.name for term in found[-1].fitted.terms} == {"spindle"}
+    assert [step.said for step in found] == ["the lag of spindle", "a second lag of spindle"]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._spoilt import spoilt_in
@@ -149,3 +150,15 @@ def test_places_beyond_the_stroke_are_an_error(scale: float, said: str) -> None:
     found = KIND.completed(run, Campaign("c", "m", "volumetric", machine_geometry=strokes)).findings
     assert [f.code for f in found] == ["balls.outside_stroke"] * bool(said)
     assert all(said in f.message for f in found)
+
+
+def test_a_stroke_that_is_one_number_is_refused_before_the_lake_has_it() -> None:
+    (run, *_) = runs_of(measured())
+    with pytest.raises(InputError, match="stroke") as refused:
+        KIND.completed(run, Campaign("c", "m", "volumetric", machine_geometry={"stroke_x_mm": 800.0}))
+    assert refused.value.code == "volumetric.stroke"
+    assert "[-400.0, 400.0]" in str(refused.value.allowed)
+    whole = Campaign(
+        "c", "m", "volumetric", machine_geometry={"stroke_x_mm": [0, 1600], "stroke_z_mm": [400.0, 1200.0]}
+    )
+    assert KIND.completed(run, whole).findings == ()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
@@ -14,6 +17,7 @@ from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
 from dtwin.kinds.volumetric._identify import Artefact, Balls
 from dtwin.kinds.volumetric._motions import FAMILIES, family_of, heat_terms
+from dtwin.kinds.volumetric._twins import HeatTwins
 
 NOISE = 0.5
 MOTIONS = ("EX0", "EXX1", "EZX2", "EXZ1")
@@ -198,3 +202,20 @@ def test_too_few_cycles_are_refused() -> None:
     with pytest.raises(InputError) as caught:
         fit_heat(series({}, n=12), ())
     assert caught.value.code == "volumetric.cycles"
+
+
+def test_motions_that_are_missing_together_are_findings_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = series({"EXX1": 2.0 * BED, "EZX2": 3.0 * RAM})
+    shelf = HeatTwins(Home(tmp_path))
+    monkeypatch.setattr(HeatTwins, "_store", lambda self, name, loaded, terms, action: SimpleNamespace(terms=terms))
+    monkeypatch.setattr(HeatTwins, "newest", lambda self, name: SimpleNamespace(terms=()))
+    monkeypatch.setattr(HeatTwins, "_loaded", lambda self, twin: made)
+    monkeypatch.setattr(
+        HeatTwins, "_diagnosed", lambda self, twin, loaded: diagnose_heat(loaded, fit_heat(loaded, twin.terms), ())
+    )
+    _, groups, last = shelf.discover("t")
+    assert sorted(len(group) for group in groups) == [1, 1]
+    assert {group[0].partition("@")[0] for group in groups} == {"EXX1", "EZX2"}
+    assert last.verdict == "nothing_missing"

@@ -1,0 +1,194 @@
+"""What a model of drift lacks, and what pays nothing in it: the one search of checks, training and twins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dtwin.kinds.drift._model import ALPHA, MATERIAL, Fitted, Series, Term, fitted, held_out, share_taken
+from dtwin.schema import Floats
+from dtwin.statistics import gain_tail
+
+_LONG = 6
+MOST_RUNGS = 20
+"""Terms that a search adds or takes out at most."""
+_TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
+_FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02, 0.004))
+_SURELY = 0.1
+"""Share that something takes even where blocks do not agree."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Something that a model lacked: the model with it, the share of squares on held-out blocks, and p over blocks."""
+
+    fitted: Fitted
+    said: str
+    gain: float
+    p_value: float
+
+
+def missing(series: Series, base: Fitted) -> list[Step]:
+    """Return what a model of steady temperatures lacks, step by step: lags, curves of sensors, further sensors.
+
+    The search begins with every sensor, as that of a twin does: beside a lag that is not yet there, a sensor that is needed
+    may seem to pay nothing. Each step is told without what pays nothing in it.
+    """
+    out: list[Step] = []
+    added: list[str] = []
+    terms: tuple[Term, ...] = tuple(Term("steady", channel) for channel in series.temperatures_c)
+    seen = {term.channel for term in base.terms}
+    for _ in range(MOST_RUNGS):
+        best = next((one for one in additions(series, terms) if one.pays), None)
+        gone = idle(series, terms) if best is None else ()
+        if best is None and not gone:
+            break
+        terms = rung(terms, best, gone)
+        if best is None and not out:
+            continue
+        model = fitted(series, _needed_alone(series, terms))
+        if best is None:
+            out[-1] = replace(out[-1], fitted=model)
+            continue
+        out.append(Step(model, best.said, best.gain, best.p_value))
+        added.append(best.added.channel)
+    last = {term.channel for term in out[-1].fitted.terms} if out else set()
+    told: list[Step] = []
+    for step, channel in zip(out, added, strict=True):
+        further = [
+            term
+            for term, value, k2 in zip(step.fitted.terms, step.fitted.value[1:], step.fitted.k2[1:], strict=True)
+            # A sensor that stood in for what came later is none that was missing.
+            if term.channel in last - seen - {channel} and abs(value) > k2
+        ]
+        seen |= {channel, *(term.channel for term in further)}
+        told.append(replace(step, said="; ".join([step.said, *(f"the sensor {term.name}" for term in further)])))
+    return told
+
+
+def rung(terms: Sequence[Term], best: Addition | None, gone: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the next model of a search: with what pays best, else without the first of what pays nothing."""
+    return best.terms if best is not None else tuple(term for term in terms if term != gone[0])
+
+
+def _needed_alone(series: Series, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """Return terms without those that pay nothing, taken out one after the other."""
+    while gone := idle(series, terms):
+        terms = rung(terms, None, gone)
+    return terms
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """Something that a model may lack.
+
+    ``left`` (blocks,): squares that are left in each block when it was held out, µm².
+    ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
+    ``far_gain``: the share on sixths of the log: where more is left than noise, whatever is smooth fits short stretches.
+    ``added``: the term that is new, which may stand in place of an old one of the same sensor.
+    ``series``: of the log.
+    """
+
+    left: Floats
+    terms: tuple[Term, ...]
+    added: Term
+    said: str
+    gain: float
+    p_value: float
+    far_gain: float
+    series: Series
+
+    @cached_property
+    def pays(self) -> bool:
+        """Whether it takes enough, and surely, and on long stretches, too, and its coefficient is more than its uncertainty."""
+        if not (self.gain > MATERIAL and self.p_value < ALPHA and self.far_gain > MATERIAL):
+            return False
+        model = fitted(self.series, self.terms)
+        at = 1 + model.terms.index(self.added)
+        return abs(float(model.value[at])) > float(model.k2[at])
+
+    def equals(self, other: Addition) -> bool:
+        """Tell whether another takes no more than chance may."""
+        return share_taken(self.left, other.left) <= MATERIAL or gain_tail(self.left, other.left) >= ALPHA
+
+
+def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
+    """Return what a model may lack, those that leave least first: lags, curves of sensors, further sensors."""
+    before = held_out(series, terms)
+    tried: list[tuple[Floats, tuple[Term, ...], Term, str]] = []
+    for i, term in enumerate(terms):
+        others = (*terms[:i], *terms[i + 1 :])
+        kinds = {"steady": ("lag",), "lag": ("lag2",)}.get(term.kind, ())
+        for kind in kinds:
+            late, each = _lags(series, others, kind, term.channel)
+            # The time constant is chosen on blocks that are not the one it is judged on.
+            best = int(np.argmin(each.sum(axis=1)))
+            nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
+            tried.append(
+                (
+                    nested,
+                    (*others, late[best]),
+                    late[best],
+                    f"{'a second' if kind == 'lag2' else 'the'} lag of {term.name}",
+                )
+            )
+    used = {term.channel for term in terms}
+    for channel in series.temperatures_c:
+        term = Term("curve" if channel in used else "steady", channel)
+        if term not in terms:
+            left = held_out(series, (*terms, term))
+            said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
+            tried.append((left, (*terms, term), term, said))
+    far = held_out(series, terms, _LONG)
+    made = [
+        Addition(
+            left,
+            new,
+            term,
+            said,
+            share_taken(before, left),
+            min(1.0, len(tried) * gain_tail(before, left)),
+            share_taken(far, held_out(series, new, _LONG)),
+            series,
+        )
+        for left, new, term, said in tried
+    ]
+    return sorted(made, key=lambda one: float(one.left.sum()))
+
+
+def best_lag(series: Series, others: Sequence[Term], late: Term) -> Term:
+    """Return a lag with the time constant that leaves least on blocks held out, beside others."""
+    made, each = _lags(series, others, late.kind, late.channel)
+    return made[int(np.argmin(each.sum(axis=1)))]
+
+
+def _lags(series: Series, others: Sequence[Term], kind: str, channel: str) -> tuple[list[Term], Floats]:
+    """Return lags by their time constants, and the squares that each leaves in each block, shape (lags, blocks).
+
+    Finer about the best: a time constant that is a little off leaves what looks like a curve of the sensor.
+    """
+    made: list[Term] = []
+    each: list[Floats] = []
+    tried = np.array(_TAUS_S)
+    for finer in (*_FINER, None):
+        made += [Term(kind, channel, float(tau)) for tau in tried]
+        each += [held_out(series, (*others, one)) for one in made[len(each) :]]
+        if finer is not None:
+            tried = made[int(np.argmin(np.array(each).sum(axis=1)))].tau_s * finer
+    return made, np.array(each)
+
+
+def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the terms each of which pays nothing beside the others."""
+    now = held_out(series, terms)
+    without = {term: held_out(series, [t for t in terms if t != term]) for term in terms}
+    return tuple(t for t, left in without.items() if not _needed(left, now))
+
+
+def _needed(without: Floats, now: Floats) -> bool:
+    """Return whether a term takes enough, by the squares in each block without it and with it: surely, or much."""
+    share = share_taken(without, now)
+    return share > MATERIAL and (share > _SURELY or gain_tail(without, now) < ALPHA)
