@@ -10,6 +10,7 @@ from itertools import takewhile
 from typing import Any
 
 from dtwin.errors import InputError
+from dtwin.kinds.kind import Kind
 from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
@@ -17,23 +18,16 @@ _COLDEST_C = -273.15
 _LONGEST = 400
 _AXIS = re.compile(r"[a-cu-z]\d?")
 _FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
-_READ = {
+_OF_EVERY_KIND = {
     "instrument": (
-        "model serial certificate calibrated_on operator calibrator_temperature_c nominal_mm calibrated_mm offset_mm sample_rate_hz columns tolerances length_unit "
-        "reading_period_s step_mm uncertainty_um uncertainty_arcsec uncertainty_um_per_m uncertainty_percent calibration_um height_difference_mm "
-        "alignment_mm temperature_uncertainty_k expansion_um_per_m_k expansion_uncertainty_um_per_m_k"
+        "model serial certificate calibrated_on operator calibrator_temperature_c sample_rate_hz columns tolerances "
+        "uncertainty_um uncertainty_arcsec uncertainty_um_per_m uncertainty_percent temperature_uncertainty_k "
+        "expansion_um_per_m_k expansion_uncertainty_um_per_m_k"
     ),
-    "machine_geometry": (
-        "type chain controller tcp_mm centre_mm centre_small_mm centre_large_mm large_radius_from_mm joint_branch screw_pitch_mm z_bandwidth_hz virtual hidden truth corrected "
-        "correction_delay_s urdf urdf_tip held_out_poses pose_repeat_um stroke_x_mm stroke_y_mm stroke_z_mm"
-    ),
-    "condition": (
-        "axis test reads step_mm feed_mm_min screw_pitch_mm frequency_hz amplitude_um z_bandwidth_hz speed_rpm form probe sense angle angle_log "
-        "features joints_log leave_out chain time_h instrument motion"
-    ),
+    "machine_geometry": "type chain controller tcp_mm virtual hidden truth corrected correction_delay_s",
+    "condition": "axis test instrument chain time_h feed_mm_min",
 }
-"""What is read of tables in which everything may be noted."""
-_KNOWN = {table: frozenset(names.split()) for table, names in _READ.items()}
+"""What is read of tables in which everything may be noted, whatever is measured."""
 _OTHER_UNIT = re.compile(r"_(mm|um|m|in|inch|deg|rad|s|ms|hz|rpm|k|c|arcsec|percent|pct|mm_min|h|min)$")
 _SHORT = 5
 """Letters below which words that differ in one letter are other words; two that changed places are mistyped in any."""
@@ -88,11 +82,11 @@ def covariates(value: object, where: str) -> dict[str, float]:
     return told
 
 
-def condition(value: object, where: str) -> dict[str, float | str]:
+def condition(value: object, kind: Kind, where: str) -> dict[str, float | str]:
     """Return what was set for a run: numbers and words by name; ``axis = "c"`` is C, with which it is compared."""
     if not isinstance(value, Mapping):
         raise _refused("condition", where, value, "a table of numbers and words")
-    _require_not_mistyped(value, "condition", where)
+    _require_not_mistyped(value, "condition", kind, where)
     return {
         name: v.upper()
         if name == "axis" and isinstance(v, str) and _AXIS.fullmatch(v)
@@ -112,29 +106,30 @@ def correction(value: object, name: str, where: str) -> str:
     raise _refused(name, where, value, "64 hexadecimal digits, as dtwin record writes them")
 
 
-def table(value: object, name: str, where: str) -> dict[str, Any]:
+def table(value: object, name: str, kind: Kind, where: str) -> dict[str, Any]:
     """Return a table whose numbers are finite and that is not nested too deep."""
     if not isinstance(value, Mapping):
         raise _refused(name, where, value, "a table")
-    _require_not_mistyped(value, name, where)
+    _require_not_mistyped(value, name, kind, where)
     for key, part in value.items():
         _plain(part, f"{name}.{key}", where, _DEEPEST)
     return dict(value)
 
 
-def instrument(value: object, where: str) -> dict[str, Any]:
+def instrument(value: object, kind: Kind, where: str) -> dict[str, Any]:
     """Return the table of an instrument; its ``columns`` name the house's column for heads of the file."""
-    told = table(value, "campaign.instrument", where)
+    told = table(value, "campaign.instrument", kind, where)
     columns = told.get("columns", {})
     if not isinstance(columns, Mapping) or not all(isinstance(name, str) for name in columns.values()):
         raise _refused("campaign.instrument.columns", where, columns, "a table of names by head")
     return told
 
 
-def _require_not_mistyped(told: Mapping[str, Any], name: str, where: str) -> None:
+def _require_not_mistyped(told: Mapping[str, Any], name: str, kind: Kind, where: str) -> None:
     """Refuse a name that is nearly one that is read: it would do nothing. Other names are notes, which are free."""
     table = name.rpartition(".")[2]
-    known = _KNOWN.get(table, frozenset())
+    own = (setting.split(".") for setting in kind.settings)
+    known = {*_OF_EVERY_KIND.get(table, "").split(), *(setting for where_read, setting in own if where_read == table)}
     for key in sorted(set(told) - known):
         meant = [
             word

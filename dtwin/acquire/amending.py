@@ -182,16 +182,20 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
     """Return the fields of a row that one setting states."""
     table, dot, key = name.partition(".")
     if dot and key and table in _TABLES:
-        field = _TABLES[table]
+        field, kind = _TABLES[table], kind_named(row["kind"])
         there = json.loads(row[field])
         if value == "":
             there.pop(key, None)
         else:
-            check = {"condition": stated.condition, "covariates": stated.covariates}.get(table)
             one = {key: value}
-            there |= stated.table(one, table, where) if check is None else check(one, where)
+            if table == "covariates":
+                there |= stated.covariates(one, where)
+            elif table == "condition":
+                there |= stated.condition(one, kind, where)
+            else:
+                there |= stated.table(one, table, kind, where)
         if table == "condition":
-            kind_named(row["kind"]).require_condition(there, where)
+            kind.require_condition(there, where)
         return {field: json.dumps(there, default=str)}
     if name in _OF_CIRCLES and not kind_named(row["kind"]).goes_round:
         raise InputError(

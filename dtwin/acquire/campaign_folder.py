@@ -18,6 +18,7 @@ from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.signal_files import is_table_of_signals, read_signals
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
+from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kind_names
 from dtwin.lake.store import RejectedRows
 from dtwin.schema import (
@@ -181,8 +182,10 @@ def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
         machine=require_name(head.get("machine"), "campaign.machine"),
         kind=kind,
         started=stated.iso_time(head.get("started", ""), "campaign.started", str(path)),
-        machine_geometry=stated.table(head.get("machine_geometry", {}), "campaign.machine_geometry", str(path)),
-        instrument=stated.instrument(head.get("instrument", {}), str(path)),
+        machine_geometry=stated.table(
+            head.get("machine_geometry", {}), "campaign.machine_geometry", kind_named(kind), str(path)
+        ),
+        instrument=stated.instrument(head.get("instrument", {}), kind_named(kind), str(path)),
     )
 
 
@@ -226,7 +229,7 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         runs = [_completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}") for t in traces]
         return [_with_programmed_angles(run) for run in runs], []
     kind = kind_named(campaign.kind)
-    checked = _checked(entry)
+    checked = _checked(entry, kind)
     kind.require_condition(checked.get("condition", {}), str(entry.file))
     reader = kind.reader_of(entry.file)
     if reader is not None:
@@ -237,7 +240,7 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     return _read_table(entry, campaign)
 
 
-def _checked(entry: FolderEntry) -> dict[str, Any]:
+def _checked(entry: FolderEntry, kind: Kind) -> dict[str, Any]:
     """Return what is stated of a run with what readers compute with checked."""
     told, where = dict(entry.stated), str(entry.file)
     for name in _NUMBERS:
@@ -246,7 +249,7 @@ def _checked(entry: FolderEntry) -> dict[str, Any]:
     if "repeat" in told:
         told["repeat"] = stated.count(told["repeat"], "repeat", where)
     if "condition" in told:
-        told["condition"] = stated.condition(told["condition"], where)
+        told["condition"] = stated.condition(told["condition"], kind, where)
     return told
 
 
@@ -305,7 +308,9 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, by_reader: bool = F
     changes["setup"] = require_name(told.get("setup", meta.setup), "setup")
     if "started" in told:
         changes["started"] = stated.iso_time(told["started"], "started", where)
-    changes["condition"] = dict(meta.condition) | stated.condition(told.get("condition", {}), where)
+    changes["condition"] = dict(meta.condition) | stated.condition(
+        told.get("condition", {}), kind_named(meta.kind), where
+    )
     changes["covariates"] = dict(meta.covariates) | stated.covariates(told.get("covariates", {}), where)
     return replace(run, meta=replace(meta, **changes), findings=tuple(findings))
 

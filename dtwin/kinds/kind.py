@@ -173,6 +173,9 @@ class Kind:
         Those that another kind has, too: a tolerance of a machine is of these where it is stated as ``NAME:SYMBOL``.
     read_with : tuple of str
         What a file is read with, as ``dtwin amend`` names it: stated anew, it would change nothing.
+    settings : tuple of str
+        What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside what every kind reads: other
+        names there are notes, and a name that is nearly one of these is refused.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
@@ -196,6 +199,7 @@ class Kind:
     unit: ClassVar[str] = "um"
     prefixed: ClassVar[tuple[str, ...]] = ()
     read_with: ClassVar[tuple[str, ...]] = ("instrument.sample_rate_hz",)
+    settings: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
     export_forms: ClassVar[tuple[str, ...]] = ()

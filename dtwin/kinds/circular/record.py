@@ -33,6 +33,18 @@ if TYPE_CHECKING:
 
 class _Circular(PathKind):
     name = "circular"
+    settings = (
+        "instrument.nominal_mm",
+        "instrument.calibrated_mm",
+        "instrument.calibration_um",
+        "instrument.height_difference_mm",
+        "machine_geometry.centre_mm",
+        "machine_geometry.centre_small_mm",
+        "machine_geometry.centre_large_mm",
+        "machine_geometry.large_radius_from_mm",
+        "machine_geometry.joint_branch",
+        "machine_geometry.screw_pitch_mm",
+    )
     columns = ("t_s", "angle_deg", "deviation_um")
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True

@@ -38,6 +38,7 @@ class _Drift(Kind):
     sheet_columns = campaign_columns
     figures = ("d", "d(1 h)")
     read_with = (*Kind.read_with, "instrument.columns", "instrument.step_mm", "condition.step_mm")
+    settings = ("instrument.step_mm", "condition.reads", "condition.step_mm")
     export_forms = ("klipper",)
     always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {

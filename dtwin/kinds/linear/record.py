@@ -39,6 +39,15 @@ class _Linear(PathKind):
     sheet_columns = columns
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
     read_with = (*Kind.read_with, "instrument.length_unit", "instrument.reading_period_s", "condition.instrument")
+    settings = (
+        "instrument.length_unit",
+        "instrument.reading_period_s",
+        "instrument.step_mm",
+        "instrument.alignment_mm",
+        "machine_geometry.screw_pitch_mm",
+        "condition.screw_pitch_mm",
+        "condition.step_mm",
+    )
     always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {

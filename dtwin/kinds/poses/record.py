@@ -36,6 +36,7 @@ class _Poses(Kind):
     sheet_columns = campaign_columns
     figures = ("AP", "AP mean", "AD", "AD rms", "RP", "dAP", "dRP")
     read_with = (*Kind.read_with, "instrument.columns", "condition.joints_log", "condition.leave_out")
+    settings = ("machine_geometry.urdf", "machine_geometry.urdf_tip", "condition.joints_log", "condition.leave_out")
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {

@@ -27,6 +27,15 @@ class _Rotation(Kind):
     sheet_columns = campaign_columns
     figures = ("TIR", "T", "e", "S", "R", "A")
     read_with = (*Kind.read_with, "instrument.columns", "condition.angle_log", "condition.speed_rpm")
+    settings = (
+        "condition.speed_rpm",
+        "condition.form",
+        "condition.probe",
+        "condition.sense",
+        "condition.angle",
+        "condition.angle_log",
+        "condition.features",
+    )
     prefixed = ("A", "R")
     instead: ClassVar[Mapping[str, str]] = {
         "twins": "dtwin check CAMPAIGN names what the run-out follows over speed",

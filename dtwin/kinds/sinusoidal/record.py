@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 
 class _Sinusoidal(PathKind):
     name = "sinusoidal"
+    settings = (
+        "machine_geometry.z_bandwidth_hz",
+        "condition.frequency_hz",
+        "condition.amplitude_um",
+        "condition.z_bandwidth_hz",
+    )
     columns = ("t_s", "cmd_z_mm", "act_z_mm")
     in_one_table = True
     always_fitted = "The zero of every set-up is always fitted."

@@ -24,6 +24,14 @@ if TYPE_CHECKING:
 
 class _Volumetric(Kind):
     name = "volumetric"
+    settings = (
+        "machine_geometry.held_out_poses",
+        "machine_geometry.pose_repeat_um",
+        "machine_geometry.stroke_x_mm",
+        "machine_geometry.stroke_y_mm",
+        "machine_geometry.stroke_z_mm",
+        "condition.motion",
+    )
     columns = ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um")
     campaign_columns = (*columns, "pose_1", "ball_1")
     sheet_columns = campaign_columns

@@ -173,12 +173,11 @@ def test_a_campaign_file_of_windows_is_read_and_a_mistyped_setting_is_refused(tm
     ("table", "setting", "meant"),
     [
         ("[campaign.instrument]", "uncertanty_um", "uncertainty_um"),
-        ("[campaign.instrument]", "offset", "offset_mm"),
+        ("[campaign.instrument]", "nominal", "nominal_mm"),
         ("[campaign.instrument]", "Calibration_um", "calibration_um"),
         ("[campaign.instrument]", "calibration-um", "calibration_um"),
         ("[campaign.machine_geometry]", "screw_ptich_mm", "screw_pitch_mm"),
         ("[campaign.machine_geometry]", "screw_pitch_in", "screw_pitch_mm"),
-        ("[run.condition]", "frequncy_hz", "frequency_hz"),
         ("[run.condition]", "axsi", "axis"),
     ],
 )
@@ -192,6 +191,16 @@ def test_a_mistyped_setting_of_a_table_with_notes_is_refused(
     assert refused.value.code == "campaign.setting"
     assert f".{meant};" in str(refused.value.hint)
     assert f"did you mean: {meant}" in refused.value.render()
+
+
+def test_each_kind_names_what_it_reads_and_another_one_takes_the_same_as_a_note(tmp_path: Path) -> None:
+    of_run = "[run.condition]\nfrequncy_hz = 5.0\n"
+    ((runs, _),) = open_campaign(folder(tmp_path, RUN + of_run))
+    assert runs[0].meta.condition == {"frequncy_hz": 5.0}
+    (tmp_path / "campaign.toml").write_text(HEAD.replace("circular", "sinusoidal") + RUN + of_run)
+    with pytest.raises(InputError, match="nearly one that is read") as refused:
+        [run for runs, _ in open_campaign(tmp_path) for run in runs]
+    assert "condition.frequency_hz;" in str(refused.value.hint)
 
 
 def test_notes_of_instrument_machine_and_run_are_free(tmp_path: Path) -> None:
