@@ -178,11 +178,14 @@ def _held_out_resonance(values: Floats, n: Floats, group: Floats) -> float:
 
 
 def _resonance(values: Floats, n: Floats, use: NDArray[np.bool_]) -> tuple[Floats, float]:
-    """Return values fitted by a constant and a rotor with one critical speed, and that speed (of the largest one)."""
+    """Return values fitted by a constant and a rotor with one critical speed, and that speed (of the largest one).
+
+    Values are the angles of the high spot on a rotor that turns forward: it comes the later, the nearer the resonance.
+    """
     v = values[:, 0] + 1j * values[:, 1]
     critical, damping = (grid.ravel() for grid in np.meshgrid(_CRITICAL, _DAMPING))
     r = n / critical[:, None]
-    shape = r**2 / (1.0 - r**2 + 2j * damping[:, None] * r)
+    shape = r**2 / (1.0 - r**2 - 2j * damping[:, None] * r)
     # A straight line through complex numbers, for all shapes at once.
     off = shape[:, use] - shape[:, use].mean(axis=1, keepdims=True)
     moved = v[use] - v[use].mean()

@@ -119,7 +119,8 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
     once = np.array([p.figures.once for p in points])
     if delay is not None:
         once = once * np.exp(1j * np.radians(delay.ms * 6e-3 * speed))
-    vectors = np.column_stack([once.real, once.imag])
+    # A high spot that lags lies at a larger angle, of a spindle that turns backwards at a smaller one.
+    vectors = np.column_stack([once.real, once.imag if points[0].turns.forward else -once.imag])
     within = [p.figures.once_covariance for p in points]
     noise = [float(np.trace(c)) / 2.0 for c in within if np.isfinite(c).all()]
     mean = np.array([[p.figures.mean_um] for p in points])

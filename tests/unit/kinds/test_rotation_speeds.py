@@ -41,12 +41,17 @@ class Story:
 
 
 def measured(
-    story: Story, seed: int, speeds: Sequence[float] = SPEEDS, sense: str = "radial", clock: bool = True
+    story: Story,
+    seed: int,
+    speeds: Sequence[float] = SPEEDS,
+    sense: str = "radial",
+    clock: bool = True,
+    forward: bool = True,
 ) -> list[Run]:
     runs = []
     for k, rpm in enumerate(speeds):
         rng = np.random.default_rng([seed, k])
-        angle, hour = turned(12.2, readings=120), 0.2 * k
+        angle, hour = turned(12.2, readings=120) * (1.0 if forward else -1.0), 0.2 * k
         # From run to run a mounting gives a little, more than turns of one run differ by.
         mounted = 8.0 * np.exp(1j * np.radians(30.0)) + story.once(rpm, hour) + 0.01 * complex(*rng.normal(size=2))
         order = story.orders(rpm)
@@ -59,7 +64,7 @@ def measured(
         condition: dict[str, float | str] = {"probe": "p", "sense": sense, "angle": "encoder", "speed_rpm": rpm}
         started = (datetime(2026, 3, 2, tzinfo=UTC) + timedelta(hours=hour)).isoformat() if clock else ""
         told = angle - 6e-3 * story.late_ms * rpm
-        samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": told, "displacement_um": um}
+        samples = {"t_s": np.abs(angle - angle[0]) / 6.0 / rpm, "angle_deg": told, "displacement_um": um}
         runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition, started=started), samples))
     return runs
 
@@ -79,8 +84,10 @@ def unbalance(n: float, h: float) -> complex:
 
 
 def resonance(n: float, h: float) -> complex:
+    """Return the high spot of a mass on springs, 0.05 of critical damping: it falls behind as the speed rises."""
     r = n / 9000.0
-    return complex(0.5 * r**2 / (1.0 - r**2 + 0.1j * r) * np.exp(2j))
+    size, lag = 0.5 * r**2 / np.hypot(1.0 - r**2, 0.1 * r), np.arctan2(0.1 * r, 1.0 - r**2)
+    return complex(size * np.exp(1j * (2.0 + lag)))
 
 
 @pytest.mark.parametrize(
@@ -106,6 +113,10 @@ def test_a_resonance_is_named_where_speeds_held_out_show_it() -> None:
     named = [f for one in found for f in one if f.code == "rotation.resonance"]
     assert len(named) >= 19
     assert all(abs(float(np.asarray(f.numbers["critical_rpm"])) - 9000.0) < 300.0 for f in named)
+    # A spindle that turns backwards has its high spot on the other side.
+    back = Story(once=lambda n, h: resonance(n, h).conjugate())
+    told = [f for f in KIND.judge_campaign(measured(back, 0, dense, forward=False)) if f.code == "rotation.resonance"]
+    assert [abs(float(np.asarray(f.numbers["critical_rpm"])) - 9000.0) < 300.0 for f in told] == [True]
     # With fewer it is said that one looks so.
     for seed in SEEDS:
         told = " ".join(f.message for f in KIND.judge_campaign(measured(Story(once=resonance), seed)))
@@ -307,7 +318,7 @@ def test_a_display_of_whole_micrometres_shows_neither_delay_nor_resonance() -> N
         at = 10.0 * np.exp(1j * np.radians(30.0)) + 6.0 * (rpm / 1e4) ** 2 * np.exp(1j * np.radians(120.0))
         um = np.round(Target(once=(abs(at), float(np.degrees(np.angle(at)))), noise_um=0.15).read(angle, k))
         condition: dict[str, float | str] = {"probe": "p", "sense": "radial", "angle": "encoder", "speed_rpm": rpm}
-        samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": angle, "displacement_um": um}
+        samples = {"t_s": np.abs(angle - angle[0]) / 6.0 / rpm, "angle_deg": angle, "displacement_um": um}
         runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
     assert codes(KIND.judge_campaign(runs)) == {"rotation.unbalance"}
 
