@@ -292,12 +292,14 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
     """Judge the names of a group by the other tests; None when none of them sees any."""
     others = [other for other in measured if other is not one]
     judged: list[_Judged] = []
+    weak = set()
     for label in group:
         cause = one.cause_of(label)
         here, there = one.size(label, group), None if cause is None else _elsewhere(cause, others)
         mates = _mates(label, group)
-        if here is not None and mates and not _is_there(here):
-            here = one.size(label, group, mates)
+        if mates and (here is None or not _is_there(here)):
+            weak.add(label)
+            here = here and one.size(label, group, mates)
         if here is None or there is None:
             continue
         said = _said(here, there)
@@ -307,6 +309,8 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
         return None
     agreed = tuple(j.label for j in judged if j.said == "agrees")
     ruled_out = {j.label for j in judged}
+    # What is the cause only together with the same on other axes falls with them.
+    ruled_out |= {label for label in weak if ruled_out.issuperset(_mates(label, group))}
     left = agreed or tuple(label for label in group if label not in ruled_out)
     return Settled(one.test.campaign, group, tuple(judged), left)
 

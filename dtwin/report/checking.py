@@ -293,7 +293,7 @@ def _render_run(run: dict[str, Any]) -> list[str]:
 
 
 def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line for each run, with figures where runs have some of their own, and one for each kind of error and warning."""
+    """Return a line for each run that has figures or findings of its own, and one for each kind of error and warning."""
     figures = {"circular_deviation_um": "circular deviation, µm", "rms_um": "RMS, µm"}
     known = [name for name in figures if any(name in run.get("by_file_indices", {}) for run in runs)]
     rows = [
@@ -304,7 +304,10 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
         ]
         for run in runs
     ]
-    lines = table(("run", *(figures[name] for name in known), "findings"), rows).splitlines()
+    shown = [row for row in rows if known or row[-1] != "-"]
+    lines = table(("run", *(figures[name] for name in known), "findings"), shown).splitlines() if shown else []
+    if len(shown) < len(rows):
+        lines.append(f"{len(rows) - len(shown)} of {len(rows)} runs: no error and no warning")
     told: dict[str, list[str]] = {}
     for severity in ("error", "warning"):
         for run in runs:

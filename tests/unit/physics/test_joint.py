@@ -63,6 +63,14 @@ def test_friction_is_told_from_backlash(lost_um: float, said: str) -> None:
     assert judged.there.value == pytest.approx(lost_um, abs=judged.there.uncertainty)
 
 
+def test_lost_motion_of_two_axes_falls_with_that_of_one() -> None:
+    # Little friction of X: what it leaves at both axes is lost motion of X and Y together, of Y alone it is not.
+    bar = circles(MillParameters().with_axis("X", friction_mm_s2=0.8545), seed=105)
+    assert {"friction X", "backlash X", "backlash Y"} <= {s.label for group in bar.found.found for s in group}
+    settled = settled_with(joint([bar, laser("X", 0.0, 0.0, 210), laser("Y", 0.0, 0.0, 211)], LIBRARY), "friction X")
+    assert settled.left == ("friction X",)
+
+
 def test_one_axis_of_two_settles_nothing_of_their_difference() -> None:
     bar = circles(MillParameters().with_axis("X", scale_ppm=30.0))
     assert joint([bar, laser("X", 30.0, 0.0)], LIBRARY).settled == ()
