@@ -24,12 +24,22 @@ def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
     out = {}
     for candidate in effect.group[:SHOWN]:
         if candidate.term.label not in effect.absorbed:
-            tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
             out[candidate.term.label] = [
                 test if test.variable == "delay" else replace(test, p_value=min(1.0, effects * test.p_value))
-                for test in tests
+                for test in _own_tests(effect, candidate)
             ]
     return out
+
+
+def _own_tests(effect: Found, candidate: Candidate) -> list[LawTest]:
+    """Test the law of a member of a group, beside its likes where only all of them together are a rival."""
+    problem, library, own = effect.problem, effect.candidates, candidate.term
+    if own.label not in effect.together:
+        return law_tests(problem, library, candidate, effect.level)
+    like = [c.term for c in effect.group if c.term.instance.effect is own.instance.effect and c is not candidate]
+    problem = library.given(problem, like)
+    beside = library.tested_term(problem, own, effect.level)
+    return [] if beside is None else law_tests(problem, library, beside, effect.level)
 
 
 def survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:

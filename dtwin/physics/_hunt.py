@@ -33,6 +33,8 @@ _NEAR_REVERSAL_DEG = 2.6
 _SHARP = 1.5
 # A law without a name is one of hundreds, and can do what two effects do.
 _NAMELESS = 3.0
+# Columns from which on an effect may stand for several simpler ones.
+_MANY = 3
 # Of the targets of an axis: more numbers than this share would draw any curve through them, of the same both ways or not.
 _CARRIED = 2.0 / 3.0
 
@@ -128,7 +130,7 @@ class Hunt:
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
-            other = self._two_replaced(chosen)
+            other = self._simplified(self._two_replaced(chosen))
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
@@ -147,14 +149,16 @@ class Hunt:
     def _is_worth(self, gain: float, left: float, entry: Entry) -> bool:
         return gain > max(self._price(entry), _SHARE_OF_REST * (left - self._noise))
 
-    def _best(self, chosen: Sequence[Entry]) -> tuple[Entry, float] | None:
-        """Return the entry that would lower the cost most beside a set, and its gain."""
+    def _best(self, chosen: Sequence[Entry], fewer: float = np.inf) -> tuple[Entry, float] | None:
+        """Return the entry of fewer numbers than so many that would lower the cost most beside a set, and its gain."""
         entries = self.dictionary.entries
         self._prices += [self._price(entry) for entry in entries[len(self._prices) :]]
         gains = self.dictionary.gains(chosen)
         worth = gains - np.array(self._prices)
         worth[self.dictionary.numbers_of({entry.label for entry in chosen})] = -np.inf
         worth[self._too_many(chosen)] = -np.inf
+        if np.isfinite(fewer):
+            worth[[entry.free >= fewer for entry in entries]] = -np.inf
         if not np.isfinite(worth).any():
             return None
         number = len(worth) - 1 - int(np.argmax(worth[::-1]))
@@ -221,6 +225,26 @@ class Hunt:
                     cost = self._cost(rest)
                     if cost < least:
                         best, least = rest, cost
+        return best
+
+    def _simplified(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with an effect of many numbers, on all its axes, replaced by simpler ones that leave noise only.
+
+        Guideways of any shape take up what axes do that lean in three planes, and none of them alone can be replaced.
+        """
+        best = chosen
+        for name in dict.fromkeys(entry.term.instance.effect.name for entry in chosen if entry.width >= _MANY):
+            own = [entry for entry in chosen if entry.term.instance.effect.name == name]
+            rest = [entry for entry in chosen if entry not in own]
+            for _ in range(len(own) + 2):
+                found = self._best(rest, min(entry.free for entry in own))
+                if found is None:
+                    break
+                rest = [*rest, found[0]]
+                if self.left(rest) < _MISFIT * self._noise:
+                    # What was there for what the effect misses is no more needed.
+                    best = min(best, self._improved(rest), key=self._cost)
+                    break
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:

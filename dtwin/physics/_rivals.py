@@ -35,6 +35,7 @@ class Found:
     ``top``: the effect, tested against what all the others leave.
     ``group``: it, and what these runs cannot tell from it, best first.
     ``absorbed``: those of the group that cannot be seen beside the effect: they may be there as well.
+    ``together``: those that are rivals only with their likes on other axes.
     ``problem``: the campaign with all the other effects that were found.
     ``candidates``: the library where it was tested.
     ``gain``: gain on conditions that were left out.
@@ -45,6 +46,7 @@ class Found:
     top: Candidate
     group: tuple[Candidate, ...]
     absorbed: frozenset[str]
+    together: frozenset[str]
     problem: Problem
     candidates: Candidates
     level: NoiseLevel
@@ -100,7 +102,8 @@ def described(
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
         tested = [candidates.tested_term(given, t, level) for t in simpler]
         group += tuple(c for c in tested if c is not None)
-        group += _sets(problem, candidates, terms, term, rivals, group, level)
+        sets = _sets(problem, candidates, terms, term, rivals, group, level)
+        group += sets
         group += _two_instead(given, candidates, top, rivals, group, level)
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
@@ -111,7 +114,8 @@ def described(
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = everywhere.size_um(bare, term)
-        out.append(Found(top, group, absorbed, given, candidates, level, gain, size_um, fitted))
+        together = frozenset(c.term.label for c in sets)
+        out.append(Found(top, group, absorbed, together, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
 

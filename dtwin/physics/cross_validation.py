@@ -12,6 +12,10 @@ _RIDGE = 1e-9
 _MOST_PLACES = 150
 
 
+_IN_ONE = 0.99
+"""Share of its squares that a candidate has in the one condition in which it acts."""
+
+
 def left_out_gain(problem: Problem, whitened: Floats) -> float:
     """Return the mean relative gain on left-out conditions.
 
@@ -26,22 +30,32 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     -------
     float
         One when the residual vanishes, below zero when the candidate makes it worse. A whole
-        (plane, radius, feed) is left out at a time, or a run when there is only one. Centre and
+        (plane, radius, feed) is left out at a time, or a run where the candidate acts in one of
+        them only, as a leaning axis does in its plane: no other foretells that. Centre and
         radius come from the other runs of the set-up; a set-up that is left out as a whole has
         its own.
     """
     obs = problem.obs
-    groups = obs.place_of if len(set(obs.place_of.tolist())) > 1 else obs.run_of
+    groups = obs.place_of
+    acts = np.bincount(groups, (whitened**2).reshape(obs.n_rows, -1).sum(axis=1))
+    among = groups == int(np.argmax(acts))
+    if acts.max() < _IN_ONE * acts.sum():
+        among[:] = True
+    else:
+        groups = obs.run_of
     n_setup = obs.n_setup
     size = np.sqrt((whitened**2).sum(axis=0))
     both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
     columns = both.reshape(obs.n_rows, obs.n_bins, -1)
     y = problem.y.reshape(obs.n_rows, obs.n_bins)
     names = sorted(set(groups.tolist()))
+    asked = set(groups[among].tolist())
     grams = np.array([_gram(columns[groups == g], columns[groups == g]) for g in names])
     rights = np.array([_gram(columns[groups == g], y[groups == g][:, :, None]) for g in names])
     gains = []
     for number, group in enumerate(names):
+        if group not in asked:
+            continue
         gram, right = grams.sum(axis=0) - grams[number], rights.sum(axis=0) - rights[number]
         left = []
         for k in (problem.raw.shape[1], columns.shape[2]):

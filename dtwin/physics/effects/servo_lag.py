@@ -40,6 +40,6 @@ EFFECT = Effect(
         "influence of typical machine errors on circular paths"
     ),
     per="machine",
-    confusables=("inertial_compliance", "radius_offset", "structural_resonance"),
+    confusables=("inertial_compliance", "radius_offset", "structural_resonance", "scale_mismatch"),
     correctable="Radius correction by feed, or feed forward.",
 )
