@@ -1,22 +1,23 @@
 """Machines of an outside examiner, who saw no source of dtwin: what is named of them, and what is named falsely?
 
 Axes are simulated in time (``outside/drives.py``), share no code and no formula with dtwin, and are wrong in ways that
-the examiner thought of (``outside/faults.py``). Four rows of machines, each diagnosed once, from nothing:
+the examiner thought of (``outside/faults.py``). Five rows of machines, each diagnosed once, from nothing:
 
 - full: three to eight faults; one plane or three, two or three radii, three feeds, two repeats
 - everyday: three to six faults; one radius and one feed, two or three repeats
+- planes: four to seven of the same faults; three planes, one radius and one feed, two or three repeats
 - null: nothing wrong
 - unknown: three faults and one thing that no effect describes: a door, a hose, a cable chain or a cover
 
 A fault shows when it makes, beside all others, at least the noise (RMS). It is named when it is in a group of at most three
-effects with their axes; in everyday tests of four effects, axes not counted. A name is false when no member of its group
+effects with their axes; in everyday tests, of one plane or three, of four effects, axes not counted. A name is false when no member of its group
 is a fault of the machine or a consequence of one: the tilt of a bent guideway is a squareness, the wind-up of friction is a
 backlash, the guideway that holds a nut with play rubs, a warm axis has a scale and drifts, a mode far above is a
 lag. What no effect describes has no name, and is not asked for. Unit of replication: the machine.
 
 Two further tables tell, of all rows together, how often each mechanism was named, and which names were false.
 
-Run: python benchmarks/outside_machine.py [--cases N] [--first SEED] [--rows full,everyday,null,unknown] [--each] [--short] [--json]
+Run: python benchmarks/outside_machine.py [--cases N] [--first SEED] [--rows full,everyday,null,unknown,planes] [--each] [--short] [--json]
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from session import Machine, left_out_um, measured
 
 from dtwin.physics.diagnosis import Suspect
 
-ROWS = ("full", "everyday", "null", "unknown")
+ROWS = ("full", "everyday", "null", "unknown", "planes")
+_ONE_SPEED = ("everyday", "planes")
 MOST_EVERYDAY = 4
 _SEED = 77
 _FEEDS = (500.0, 1500.0, 4000.0)
@@ -44,6 +46,7 @@ _EVERYDAY = ("backlash", "friction", "cyclic", "scale", "squareness", "kv_mismat
 KINDS: Mapping[str, tuple[str, ...]] = {
     "full": (*_EVERYDAY, "servo_lag", "mode", "heat", "drift"),
     "everyday": _EVERYDAY,
+    "planes": _EVERYDAY,
     "null": (),
     "unknown": ("backlash", "friction", "squareness", "scale", "cyclic", "kv_mismatch", "straightness"),
 }
@@ -51,6 +54,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 COUNTS: Mapping[str, tuple[int, ...]] = {
     "full": (3, 4, 5, 5, 6, 6, 7, 8),
     "everyday": (3, 3, 4, 4, 5, 5, 6, 6),
+    "planes": (4, 5, 6, 7),
     "null": (0,),
     "unknown": (3,),
 }
@@ -73,9 +77,10 @@ def machine(row: str, number: int) -> Case:
 
 
 def _design(row: str, number: int, rng: np.random.Generator) -> Design:
-    if row == "everyday":
+    if row in _ONE_SPEED:
         radius, feed = float(rng.choice([100.0, 150.0])), float(rng.choice([1000.0, 1500.0, 2500.0]))
-        return Design(("XY",), (radius,), (feed,), int(rng.choice([2, 3])))
+        planes = ("XY",) if row == "everyday" else ("XY", "YZ", "ZX")
+        return Design(planes, (radius,), (feed,), int(rng.choice([2, 3])))
     if row == "null":
         three = Design(("XY", "YZ", "ZX"), (100.0, 150.0), _FEEDS, 2)
         return (_ONE_PLANE, three, _ONE_PLANE, Design(("XY",), (150.0,), (1000.0,), 3))[number % 4]
@@ -86,7 +91,7 @@ def _design(row: str, number: int, rng: np.random.Generator) -> Design:
 
 
 def _is_small(row: str, group: Sequence[Suspect]) -> bool:
-    if row == "everyday":
+    if row in _ONE_SPEED:
         return len({suspect.effect for suspect in group}) <= MOST_EVERYDAY
     return at_most_three(row, group)
 

@@ -10,10 +10,8 @@ from dtwin.schema import Floats
 
 _RIDGE = 1e-9
 _MOST_PLACES = 150
-
-
 _IN_ONE = 0.99
-"""Share of its squares that a candidate has in the one condition in which it acts."""
+"""Share of its squares that a column has in the one condition in which it acts."""
 
 
 def left_out_gain(problem: Problem, whitened: Floats) -> float:
@@ -30,19 +28,17 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     -------
     float
         One when the residual vanishes, below zero when the candidate makes it worse. A whole
-        (plane, radius, feed) is left out at a time, or a run where the candidate acts in one of
-        them only, as a leaning axis does in its plane: no other foretells that. Centre and
+        (plane, radius, feed) is left out at a time, or a run where a number of the candidate acts
+        in one of them only, as a leaning axis does in its plane: no other foretells that. Centre and
         radius come from the other runs of the set-up; a set-up that is left out as a whole has
         its own.
     """
     obs = problem.obs
-    groups = obs.place_of
-    acts = np.bincount(groups, (whitened**2).reshape(obs.n_rows, -1).sum(axis=1))
-    among = groups == int(np.argmax(acts))
-    if acts.max() < _IN_ONE * acts.sum():
-        among[:] = True
-    else:
-        groups = obs.run_of
+    groups, power = obs.place_of, (whitened**2).reshape(obs.n_rows, obs.n_bins, -1).sum(axis=1)
+    acts = np.array([power[groups == place].sum(axis=0) for place in range(int(groups.max()) + 1)])
+    among = np.ones(obs.n_rows, dtype=np.bool_)
+    if (acts.max(axis=0) > _IN_ONE * acts.sum(axis=0)).any():
+        groups, among = obs.run_of, acts.sum(axis=1)[groups] > 0.0
     n_setup = obs.n_setup
     size = np.sqrt((whitened**2).sum(axis=0))
     both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
