@@ -22,7 +22,7 @@ _TIME = "timestamp_s"
 _FRAMES = ("base_x", "base_y", "base_z")
 
 
-def logs_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle) -> ChampionError:
+def logs_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, *_: object) -> ChampionError:
     """Return a bundle's error over all readings; each log begins at its own zero, and its lags begin anew."""
     runs = [lake.load(row) for row in rows]
     known = set.intersection(*({n for n in run.samples if n.startswith("temperature_")} for run in runs))

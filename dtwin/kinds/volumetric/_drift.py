@@ -20,7 +20,7 @@ from dtwin.train.champion_error import ChampionError, HeldOut, held_out
 
 
 def heat_error(
-    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, progress: Progress | None = None
+    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, metrics: object, progress: Progress | None = None
 ) -> ChampionError:
     """Return a bundle's error in the changes of distances since the first cycles, as training states it.
 
