@@ -82,10 +82,7 @@ def act_as(name: str) -> None:
 def read_people(home: Home) -> People:
     """Return who is known; nobody without the file.
 
-    Raises
-    ------
-    InputError
-        When the file is not usable.
+    Raises ``InputError`` when the file is not usable.
     """
     path = home.root / _FILE
     try:
@@ -112,10 +109,7 @@ def read_people(home: Home) -> People:
 def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
     """Make a token for a person, in the place of an earlier one, and return it: it is kept nowhere.
 
-    Raises
-    ------
-    InputError
-        When a role is not known.
+    Raises ``InputError`` when a role is not known.
     """
     require_name(name, "the person")
     unknown = sorted(set(roles) - set(ROLES))
@@ -134,10 +128,7 @@ def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
 def remove_person(home: Home, name: str) -> None:
     """Take a person's token away; the name stays under what was done.
 
-    Raises
-    ------
-    InputError
-        When nobody has the name.
+    Raises ``InputError`` when nobody has the name.
     """
     with _changing(home) as known:
         others = tuple(p for p in known.people if p.name != name)
@@ -160,10 +151,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
     Each line has the hash of the one before: none can be changed or taken out without those after it.
 
-    Raises
-    ------
-    StoreError
-        When it cannot be written.
+    Raises ``StoreError`` when it cannot be written.
     """
     path = home.made().root / AUDIT
     try:
@@ -190,10 +178,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 def audit(home: Home) -> list[dict[str, Any]]:
     """Return the record, oldest first.
 
-    Raises
-    ------
-    StoreError
-        When a line was changed, taken out or put in.
+    Raises ``StoreError`` when a line was changed, taken out or put in.
     """
     path, before, entries = home.root / AUDIT, _FIRST, []
     lines = path.read_bytes().splitlines() if path.exists() else []

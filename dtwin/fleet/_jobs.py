@@ -42,14 +42,10 @@ class Unit:
 class Job:
     """Work for many machines.
 
-    Attributes
-    ----------
-    units : callable
-        Returns what is to do in a home for some machines (all without names), and what is passed over: names and why.
-    work : callable
-        Returns the result of a unit; takes the home's folder, the unit and a seed, all of which can be sent.
-    keep : callable
-        Keeps a result, and returns what is said of it, JSON-ready.
+    ``units``: returns what is to do in a home for some machines (all without names), and what is passed over: names and
+    why.
+    ``work``: returns the result of a unit; takes the home's folder, the unit and a seed, all of which can be sent.
+    ``keep``: keeps a result, and returns what is said of it, JSON-ready.
     """
 
     name: str

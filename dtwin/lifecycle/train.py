@@ -40,10 +40,7 @@ def train(
 ) -> Registered:
     """Train every candidate on a campaign, log them, register the proposed one.
 
-    Raises
-    ------
-    InputError
-        When a correction was in force while it was measured, or it cannot be used otherwise.
+    Raises ``InputError`` when a correction was in force while it was measured, or it cannot be used otherwise.
     """
     return registered(home, trained(home, campaign, seed=seed, engine=engine, progress=progress), progress)
 

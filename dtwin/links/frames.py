@@ -25,10 +25,7 @@ _CRC = struct.Struct("<H")
 class Frame:
     """A frame that arrived whole.
 
-    Attributes
-    ----------
-    sequence : int
-        0 to 65535, counted by the sender.
+    ``sequence``: 0 to 65535, counted by the sender.
     """
 
     sequence: int

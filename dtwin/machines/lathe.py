@@ -39,10 +39,7 @@ class _Screw(Protocol):
 class NetworkScrew:
     """The error of a real lathe as a network printed it, taken as two flanks.
 
-    Attributes
-    ----------
-    network : LatheNetwork
-        Forward error is the lower limit, reverse error the upper; ends of the map are held.
+    ``network``: forward error is the lower limit, reverse error the upper; ends of the map are held.
     """
 
     network: LatheNetwork
@@ -77,16 +74,10 @@ class ThreadScrew:
     The nut rests on the highest of its contacts around the thread. Each flank has its own form, and
     the tilted nut meets them with opposite sides: so the cyclic error differs with the direction.
 
-    Attributes
-    ----------
-    lead_um_per_m, wave_um, wave_mm : float
-        Slow lead error: slope, and a wave with its length.
-    leading, trailing : FlankForm
-        The flank that pushes up, and the one that pushes down.
-    tilt_um, tilt_rad : float
-        How far the nut's rim stands off, and where.
-    play_um, wear_um, worn_at_mm, worn_mm : float
-        Play, and what wear adds around a place.
+    ``lead_um_per_m``, ``wave_um``, ``wave_mm``: slow lead error: slope, and a wave with its length.
+    ``leading``, ``trailing``: the flank that pushes up, and the one that pushes down.
+    ``tilt_um``, ``tilt_rad``: how far the nut's rim stands off, and where.
+    ``play_um``, ``wear_um``, ``worn_at_mm``, ``worn_mm``: play, and what wear adds around a place.
     """
 
     pitch_mm: float = 6.35
@@ -129,16 +120,12 @@ class ThreadScrew:
 class Wander:
     """What moves while nothing is commanded: instrument, foundation, temperature.
 
-    Attributes
-    ----------
-    offset_um, scale_um_per_m, time_constant_s : float
-        Standard deviations of a wandering zero and a wandering scale, and how long they remember.
-    reading_um, quantum_um : float
-        Noise of a single reading, and the laser's step.
-    heating_c, heating_time_s, expansion_um_per_m_c : float
-        By how much the running screw warms up in the end, how fast, and what that does.
-    fixed_at_mm : float
-        Where the screw's fixed bearing is.
+    ``offset_um``, ``scale_um_per_m``, ``time_constant_s``: standard deviations of a wandering zero and a wandering
+    scale, and how long they remember.
+    ``reading_um``, ``quantum_um``: noise of a single reading, and the laser's step.
+    ``heating_c``, ``heating_time_s``, ``expansion_um_per_m_c``: by how much the running screw warms up in the end, how
+    fast, and what that does.
+    ``fixed_at_mm``: where the screw's fixed bearing is.
     """
 
     offset_um: float = 0.00045 * UM_PER_IN
@@ -156,16 +143,10 @@ class Wander:
 class LatheRecording:
     """What the laser recorded, and what it was.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        End of each reading after the zeroing.
-    error_um : ndarray, shape (n,)
-        Actual minus commanded, as the laser shows it.
-    air_f, air_inhg, material_f : ndarray, shape (n,)
-        What its sensors show.
-    truth_um : ndarray, shape (n,)
-        The slide's error without wander, noise and zeroing.
+    ``t_s``, shape (n,): end of each reading after the zeroing.
+    ``error_um``, shape (n,): actual minus commanded, as the laser shows it.
+    ``air_f``, ``air_inhg``, ``material_f``, shape (n,): what its sensors show.
+    ``truth_um``, shape (n,): the slide's error without wander, noise and zeroing.
     """
 
     triggered: Triggered
@@ -205,10 +186,7 @@ class VirtualLathe:
     ) -> LatheRecording:
         """Let the laser watch a motion.
 
-        Parameters
-        ----------
-        t_s, screw_mm : ndarray, shape (n,), optional
-            Where the screw was sent instead, when a correction changed the command.
+        ``t_s``, ``screw_mm``, shape (n,): where the screw was sent instead, when a correction changed the command.
         """
         times = motion.t_s if t_s is None else t_s
         slide = self.slide_mm(motion.position_mm if screw_mm is None else screw_mm)

@@ -24,23 +24,15 @@ _SOFTEST_UM = 0.02
 class Slide:
     """Servo and structure. The defaults come closest to the printed figures of a real slide.
 
-    Attributes
-    ----------
-    servo_hz, servo_damping : float
-        Natural frequency and damping ratio of the closed position loop.
-    velocity_feedforward : float
-        Share of the commanded velocity that the loop is told beforehand; 1 is perfect.
-    structure_hz, structure_damping : float
-        Mode of the tool on its structure, damped against the frame; its frequency holds at the
-        deflection ``hardening_um``.
-    hardening : float
-        Exponent of force over deflection of the joint in the structure: 1 is a spring, more is a joint
-        of rough faces, which grows stiffer under load.
-    hardening_um : float
-        Deflection at which the joint is as stiff as the spring.
-    friction_um, friction_reach_um : float
-        Guideway friction as the deflection of the servo that it causes, and the travel over which it
-        turns round; none by default.
+    ``servo_hz``, ``servo_damping``: natural frequency and damping ratio of the closed position loop.
+    ``velocity_feedforward``: share of the commanded velocity that the loop is told beforehand; 1 is perfect.
+    ``structure_hz``, ``structure_damping``: mode of the tool on its structure, damped against the frame; its frequency
+    holds at the deflection ``hardening_um``.
+    ``hardening``: exponent of force over deflection of the joint in the structure: 1 is a spring, more is a joint of
+    rough faces, which grows stiffer under load.
+    ``hardening_um``: deflection at which the joint is as stiff as the spring.
+    ``friction_um``, ``friction_reach_um``: guideway friction as the deflection of the servo that it causes, and the
+    travel over which it turns round; none by default.
     """
 
     servo_hz: float = 81.78
@@ -76,14 +68,9 @@ class Accelerometer:
 class AnaloguePath:
     """How a correction comes into the loop: volts out, volts in, pulses.
 
-    Attributes
-    ----------
-    um_per_v, offset_v : float
-        Scale of the output, and the voltage that stands for no correction.
-    pulses_per_v, um_per_pulse : float
-        What the controller makes of a volt.
-    delay_ticks : int
-        Servo ticks from the output to the motion command.
+    ``um_per_v``, ``offset_v``: scale of the output, and the voltage that stands for no correction.
+    ``pulses_per_v``, ``um_per_pulse``: what the controller makes of a volt.
+    ``delay_ticks``: servo ticks from the output to the motion command.
     """
 
     um_per_v: float = 2.0
@@ -102,17 +89,10 @@ class AnaloguePath:
     def arrived_um(self, wanted_um: Floats, held: Floats) -> tuple[Floats, Floats, int]:
         """Return what reaches the motion command.
 
-        Parameters
-        ----------
-        wanted_um : ndarray, shape (n,)
-            Correction at successive ticks.
-        held : ndarray, shape (delay_ticks,)
-            What was on its way before.
-
-        Returns
-        -------
-        arrived, held, saturated : tuple
-            Correction in um, shape (n,); what is on its way afterwards; ticks that clipped.
+        ``wanted_um``, shape (n,): correction at successive ticks.
+        ``held``, shape (delay_ticks,): what was on its way before.
+        Returns ``arrived``, ``held``, ``saturated``: correction in um, shape (n,); what is on its way afterwards; ticks
+        that clipped.
         """
         step = 2.0 * self.range_v / 2.0**self.bits
         volts = wanted_um / self.um_per_v + self.offset_v
@@ -170,10 +150,7 @@ class TurningSlide:
 class Instruments:
     """Capacitance probe at the tool, encoder, accelerometer.
 
-    Attributes
-    ----------
-    probe_um, encoder_um : float
-        Noise of a reading of the probe; step of the encoder.
+    ``probe_um``, ``encoder_um``: noise of a reading of the probe; step of the encoder.
     """
 
     probe_um: float = 0.005

@@ -15,14 +15,9 @@ from dtwin.schema import Floats
 class RoomDrift:
     """A room whose temperature wanders, and a slide that follows it.
 
-    Attributes
-    ----------
-    room_c : float
-        Standard deviation of the room's temperature about its mean.
-    oil_per_c : float
-        Share of the servo's damping that a warmer, thinner guideway oil takes away.
-    softening_per_c : float
-        Share of its stiffness that the warmer structure loses.
+    ``room_c``: standard deviation of the room's temperature about its mean.
+    ``oil_per_c``: share of the servo's damping that a warmer, thinner guideway oil takes away.
+    ``softening_per_c``: share of its stiffness that the warmer structure loses.
     """
 
     room_c: float = 0.8

@@ -39,10 +39,7 @@ class CellFile:
     def begin(self, parts: int, seed: int) -> dict[str, Any]:
         """Write the state of a new job, with every step of every part waiting.
 
-        Raises
-        ------
-        InputError
-            When a job is there that is not done, or the number of parts makes no sense.
+        Raises ``InputError`` when a job is there that is not done, or the number of parts makes no sense.
         """
         if not 1 <= parts <= _MOST_PARTS:
             raise InputError(
@@ -101,10 +98,7 @@ class CellFile:
     def clear(self) -> None:
         """Forget the job.
 
-        Raises
-        ------
-        InputError
-            When it is running.
+        Raises ``InputError`` when it is running.
         """
         with self.alone():
             self._path.unlink(missing_ok=True)

@@ -79,11 +79,7 @@ def run_demo(
 ) -> dict[str, Any]:
     """Run the five steps, by plain functions without others, and return what they found.
 
-    Returns
-    -------
-    dict
-        JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report,
-        seconds by step.
+    Returns, JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report, seconds by step.
     """
     clock = _Clock(screen, steps or PlainSteps(home, screen.progress))
     sections: list[Section] = []

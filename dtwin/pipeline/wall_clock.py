@@ -23,22 +23,10 @@ def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float
     Serving runs in a process of its own, as it would beside a machine: no other thread may
     hold its interpreter.
 
-    Parameters
-    ----------
-    circle : tuple
-        Plane, radius in mm and feed in mm/min that the robot runs.
-    duration_s : float
-        For how long, in s.
-
-    Returns
-    -------
-    dict
-        What ``dtwin serve --json`` printed.
-
-    Raises
-    ------
-    DeviceError
-        When the process printed no status.
+    ``circle``: plane, radius in mm and feed in mm/min that the robot runs.
+    ``duration_s``: for how long, in s.
+    Returns what ``dtwin serve --json`` printed.
+    Raises ``DeviceError`` when the process printed no status.
     """
     plane, radius, feed = circle
     log = home.logs / "virtual-controller.log"

@@ -19,16 +19,10 @@ _NEAR = 0.01
 def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_um: Floats) -> go.Figure:
     """Return the corrections of the newest ticks with their limit and their uncertainty.
 
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,)
-        Time before the newest tick, zero or negative.
-    correction_um : ndarray, shape (n, 3)
-        What was sent, along the axes of the robot's base.
-    clamp_um : float
-        Longest correction that is allowed.
-    band_um : ndarray, shape (n, 3)
-        Half width (k = 2) of what the model asked for; NaN where it does not tell.
+    ``t_s``, shape (n,): time before the newest tick, zero or negative.
+    ``correction_um``, shape (n, 3): what was sent, along the axes of the robot's base.
+    ``clamp_um``: longest correction that is allowed.
+    ``band_um``, shape (n, 3): half width (k = 2) of what the model asked for; NaN where it does not tell.
     """
     step = max(1, len(t_s) // _MOST_DRAWN)
     figure = go.Figure()
@@ -81,21 +75,11 @@ def circle_figure(position_mm: Floats, centre_mm: Floats, radius_mm: Floats, cor
     The radial part of the correction is what it added to the path: without it, that much would
     be missing. What the controller cannot see, as a ball bar would, is in neither of the two.
 
-    Parameters
-    ----------
-    position_mm : ndarray, shape (n, 3)
-        Actual tool positions, oldest first.
-    centre_mm : ndarray, shape (n, 3)
-        Centre of the circle that is run; any value beside one.
-    radius_mm : ndarray, shape (n,)
-        Its radius; 0 beside one.
-    correction_um : ndarray, shape (n, 3)
-        Corrections that were sent.
-
-    Returns
-    -------
-    Figure or None
-        None when no whole turn is in it.
+    ``position_mm``, shape (n, 3): actual tool positions, oldest first.
+    ``centre_mm``, shape (n, 3): centre of the circle that is run; any value beside one.
+    ``radius_mm``, shape (n,): its radius; 0 beside one.
+    ``correction_um``, shape (n, 3): corrections that were sent.
+    Returns none when no whole turn is in it.
     """
     arm = position_mm - centre_mm
     length = np.linalg.norm(arm, axis=1)

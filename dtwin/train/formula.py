@@ -38,12 +38,8 @@ _MAX_CHARS = 20_000
 class Formula:
     """A formula as a tree.
 
-    Attributes
-    ----------
-    op : str
-        ``constant``, ``input`` or an operation.
-    place : int
-        Of a constant, in the vector of constants.
+    ``op``: ``constant``, ``input`` or an operation.
+    ``place``: of a constant, in the vector of constants.
     """
 
     op: str

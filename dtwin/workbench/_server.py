@@ -85,14 +85,9 @@ def run(
 ) -> None:
     """Serve until a signal ends it.
 
-    Parameters
-    ----------
-    host : str
-        Address as it was asked for.
-    effects_path : Path or None
-        Folder of the user's own effects.
-    announce : callable
-        Gets the address, once it answers.
+    ``host``: address as it was asked for.
+    ``effects_path``: folder of the user's own effects.
+    ``announce``: gets the address, once it answers.
     """
     # Plotly looks into a pandas that is loaded: while the thread below loaded it (MLflow does), a page that draws failed.
     import_module("pandas")

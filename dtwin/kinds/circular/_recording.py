@@ -30,10 +30,7 @@ _GRADES = {ARC_DIP.name: "description only"}
 class Study:
     """A recording and what was found in it.
 
-    Attributes
-    ----------
-    residual_um : tuple of ndarray, shape (n,)
-        What is left of each pass by the model that was fitted to the other.
+    ``residual_um``, shape (n,): what is left of each pass by the model that was fitted to the other.
     """
 
     passes: models.Passes
@@ -44,12 +41,8 @@ class Study:
 def ur10e_geometry(centre_mm: Sequence[float], zero_deg: float) -> dict[str, Any]:
     """Return the geometry of a UR10e in the frame of the bar.
 
-    Parameters
-    ----------
-    centre_mm : sequence of float
-        Centre of the circle in the robot's base frame.
-    zero_deg : float
-        Where the bar's 0 deg lies, as an angle about the base's vertical axis.
+    ``centre_mm``: centre of the circle in the robot's base frame.
+    ``zero_deg``: where the bar's 0 deg lies, as an angle about the base's vertical axis.
     """
     turn = np.radians(-zero_deg)
     x, y, z = centre_mm
@@ -66,17 +59,9 @@ def ur10e_geometry(centre_mm: Sequence[float], zero_deg: float) -> dict[str, Any
 def study_recording(path: Path, library: Mapping[str, Effect], geometry: Mapping[str, Any] | None = None) -> Study:
     """Align a ball-bar file by its stops, fit on one pass and judge on the other.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.b5r`` file whose runs stop every half turn and pass parts of the path twice.
-    geometry : dict, optional
-        ``machine_geometry``; without one, effects of joints are left out.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, or a run cannot be aligned or repeats nothing.
+    ``path``: a ``.b5r`` file whose runs stop every half turn and pass parts of the path twice.
+    ``geometry``: ``machine_geometry``; without one, effects of joints are left out.
+    Raises ``InputError`` when the file cannot be read, or a run cannot be aligned or repeats nothing.
     """
     test = read_b5r(path)
     passes = models.passes_of([align(run, geometry or {}) for run in test.runs])

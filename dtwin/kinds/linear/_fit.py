@@ -38,17 +38,9 @@ class _Fitted:
 def fitted(campaign: Path | None, model: str, seed: int) -> _Fitted:
     """Fit an equation to a positioning campaign.
 
-    Parameters
-    ----------
-    campaign : Path or None
-        Campaign folder; None for the printed networks.
-    model : str
-        ``flanks``, ``pair`` or ``printed``.
-
-    Raises
-    ------
-    InputError
-        When the campaign has too few targets in a turn of the screw, or none at whole turns.
+    ``campaign``: campaign folder; None for the printed networks.
+    ``model``: ``flanks``, ``pair`` or ``printed``.
+    Raises ``InputError`` when the campaign has too few targets in a turn of the screw, or none at whole turns.
     """
     if campaign is None or model == "printed":
         network = read_network()
@@ -73,10 +65,7 @@ def judged(made: _Fitted) -> list[Verdict]:
 def write_judged(made: _Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
     """Write a bundle with what the gates said in its provenance; return True.
 
-    Raises
-    ------
-    InputError
-        When the file is there.
+    Raises ``InputError`` when the file is there.
     """
     require_new(out, force=force)
     provenance = replace(made.bundle.provenance, gates={v.gate: v.passed for v in verdicts})

@@ -129,10 +129,7 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
 def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None) -> dict[str, Any]:
     """Return figures of the virtual lathe without a bundle and with it in the loop; of the published plan without one.
 
-    Parameters
-    ----------
-    truth : str
-        As for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
+    ``truth``: as for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
     """
     chosen = plan or verification_plan()
     lathe = virtual_lathe(truth, seed)

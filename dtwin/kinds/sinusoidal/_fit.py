@@ -46,10 +46,7 @@ class FittedTones:
 def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, ToneGroups]:
     """Return the machine and the groups of a campaign folder, runs with errors left out.
 
-    Raises
-    ------
-    InputError
-        When it is of another kind, or no run can be learned from.
+    Raises ``InputError`` when it is of another kind, or no run can be learned from.
     """
     campaign, sources, total = open_source(folder)
     if campaign.kind != "sinusoidal":
@@ -80,10 +77,7 @@ def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Actio
 def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
     """Write the bundle.
 
-    Raises
-    ------
-    InputError
-        When the file is there.
+    Raises ``InputError`` when the file is there.
     """
     require_new(out, force=force)
     save_bundle(made.bundle, out)

@@ -106,12 +106,8 @@ def trial_text(trial: Mapping[str, Any]) -> str:
 def trial_section(trial: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]) -> Section:
     """Return the section about surfaces without and with a correction.
 
-    Parameters
-    ----------
-    trial : mapping
-        From ``dtwin.kinds.sinusoidal.trial.trial``.
-    surfaces : mapping of float to (Surface, Surface)
-        Without and with, by frequency; may be empty.
+    ``trial``: from ``dtwin.kinds.sinusoidal.trial.trial``.
+    ``surfaces``: without and with, by frequency; may be empty.
     """
     figures = trial_figures(trial["rows"])
     if surfaces:

@@ -40,20 +40,12 @@ class HeatFit:
 class HeatTwin:
     """A fitted twin.
 
-    Attributes
-    ----------
-    version : int
-        From 1.
-    machine, campaign, action : str
-        What it is of, what it was fitted to, and what was done to it.
-    uncertainties : tuple of tuple of float
-        Expanded (k = 2) uncertainty of what a kelvin does, for each model.
-    seen_c : dict of str to tuple of float
-        Least and largest reading of every temperature that it uses.
-    figures : dict of str to float
-        Errors before and after, and the noise floor, in um.
-    by_condition : tuple of dict
-        The same for every day.
+    ``version``: from 1.
+    ``machine``, ``campaign``, ``action``: what it is of, what it was fitted to, and what was done to it.
+    ``uncertainties``: expanded (k = 2) uncertainty of what a kelvin does, for each model.
+    ``seen_c``: least and largest reading of every temperature that it uses.
+    ``figures``: errors before and after, and the noise floor, in um.
+    ``by_condition``: the same for every day.
     """
 
     name: str
@@ -77,10 +69,7 @@ class HeatTwin:
     def expected(self, series: HeatSeries) -> Floats:
         """Return what the twin says of every motion of a campaign, shape (n, m).
 
-        Raises
-        ------
-        InputError
-            When a temperature is missing there.
+        Raises ``InputError`` when a temperature is missing there.
         """
         return _expected(series, self.models)
 
@@ -173,7 +162,7 @@ def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
 def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     """Fit terms to a campaign; each motion was identified already, so that none disturbs another.
 
-    Raises ``InputError``: with too few cycles, or when a temperature is not known.
+    Raises ``InputError`` with too few cycles, or when a temperature is not known.
     """
     if len(series.hour) < FEWEST_CYCLES:
         raise InputError(

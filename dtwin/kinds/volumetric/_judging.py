@@ -27,12 +27,8 @@ def models_of(
 ) -> tuple[list[ThermalModel], Session]:
     """Fit a thermal model to every error motion; return them and the session with what was offered.
 
-    Parameters
-    ----------
-    offered : sequence of str
-        Other logged temperatures that may be used, too.
-    static : bool
-        Without memory.
+    ``offered``: other logged temperatures that may be used, too.
+    ``static``: without memory.
     """
     whole = with_offered(training, offered)
     names = whole.artefact.names
@@ -51,18 +47,10 @@ def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
 def judged(models: Sequence[ThermalModel], measured: Session, training: Session | None = None) -> dict[str, Any]:
     """Compare the models with a campaign.
 
-    Parameters
-    ----------
-    measured : Session
-        Another campaign than that of the fit, when the figures shall say anything.
-    training : Session, optional
-        The campaign of the fit: causes of what is unexplained are fitted there, and judged here.
-
-    Returns
-    -------
-    dict
-        ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how
-        long), ``slots``, ``unexplained`` and ``worse``.
+    ``measured``: another campaign than that of the fit, when the figures shall say anything.
+    ``training``: the campaign of the fit: causes of what is unexplained are fitted there, and judged here.
+    Returns ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how long), ``slots``,
+    ``unexplained`` and ``worse``.
     """
     expected = _predicted(models, measured)
     left = measured.values - expected

@@ -71,12 +71,8 @@ def serving_bundle(
 ) -> Bundle:
     """Return models without memory as an equation.
 
-    Parameters
-    ----------
-    training : Session
-        Gives what the thermocouples read, in the reference and in all.
-    switched_off : collection of str
-        Error motions that are worse than none.
+    ``training``: gives what the thermocouples read, in the reference and in all.
+    ``switched_off``: error motions that are worse than none.
     """
     begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
     absolute = training.rise_c + training.begun_c

@@ -35,10 +35,7 @@ _MOST_RUNGS = 30
 class HeatComparison:
     """A twin of heat against a campaign.
 
-    Attributes
-    ----------
-    left : ndarray, shape (cycles, motions)
-        Motions less what the twin says of them.
+    ``left``, shape (cycles, motions): motions less what the twin says of them.
     """
 
     twin: HeatTwin
