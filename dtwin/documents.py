@@ -17,10 +17,7 @@ _HINT = "restore the file from a backup, or remove it and fit again"
 
 
 def write_document(path: Path, document: Mapping[str, Any], what: str) -> None:
-    """Write a JSON document with a hash of itself; NaN becomes null.
-
-    ``what``: what it is, for the error message.
-    """
+    """Write a JSON document with a hash of itself; NaN becomes null. ``what``: what it is, for the error message."""
     # As it will be read back, keys and tuples included.
     content = json.loads(json.dumps(finite(document)))
     sealed = {**content, _SEAL: _digest(content)}

@@ -35,10 +35,7 @@ _acting: ContextVar[str] = ContextVar("acting", default="")
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody with a token of his own.
-
-    ``token_sha256``: of the token, which is shown once and kept nowhere.
-    """
+    """Somebody with a token of his own. ``token_sha256``: of the token, which is shown once and kept nowhere."""
 
     name: str
     roles: tuple[str, ...]
@@ -80,10 +77,7 @@ def act_as(name: str) -> None:
 
 
 def read_people(home: Home) -> People:
-    """Return who is known; nobody without the file.
-
-    Raises ``InputError`` when the file is not usable.
-    """
+    """Return who is known; nobody without the file. Raises ``InputError`` when the file is not usable."""
     path = home.root / _FILE
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -176,10 +170,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
 
 def audit(home: Home) -> list[dict[str, Any]]:
-    """Return the record, oldest first.
-
-    Raises ``StoreError`` when a line was changed, taken out or put in.
-    """
+    """Return the record, oldest first. Raises ``StoreError`` when a line was changed, taken out or put in."""
     path, before, entries = home.root / AUDIT, _FIRST, []
     lines = path.read_bytes().splitlines() if path.exists() else []
     for number, line in enumerate(lines, start=1):

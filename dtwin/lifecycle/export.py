@@ -129,10 +129,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
 
 
 def export(source: Source, request: Request) -> Export:
-    """Write a correction in one form.
-
-    Raises ``InputError`` when the form cannot hold it.
-    """
+    """Write a correction in one form. Raises ``InputError`` when the form cannot hold it."""
     require_used(request)
     if request.form in _EQUATIONS:
         return _equation(source, request.form)

@@ -93,10 +93,7 @@ class SerialLink(OpenAndClose):
                 )
 
     def arrived(self) -> list[Frame]:
-        """Return the frames that have arrived, without waiting.
-
-        Raises ``DeviceError`` when the device is gone.
-        """
+        """Return the frames that have arrived, without waiting. Raises ``DeviceError`` when the device is gone."""
         with self._faults():
             waiting = self._device.in_waiting
             return self._reader.feed(self._device.read(waiting)) if waiting else []

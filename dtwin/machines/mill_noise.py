@@ -38,10 +38,7 @@ class NoiseParameters:
 def noise_um(
     parameters: NoiseParameters, angle_rad: Floats, feed_mm_min: float, rng: np.random.Generator, *, bad: bool
 ) -> Floats:
-    """Return the noise of one run, shape (n,).
-
-    ``angle_rad``, (n,): path angle of the samples.
-    """
+    """Return the noise of one run, shape (n,). ``angle_rad``, (n,): path angle of the samples."""
     per_degree = len(angle_rad) / _GRID
     fast = 0.3 * np.sqrt(max(per_degree, 1.0)) * _draw(parameters, len(angle_rad), rng)
     slow = 0.3 * _slow(parameters, rng)

@@ -71,10 +71,7 @@ class LatheNetwork:
 
 
 def read_network() -> LatheNetwork:
-    """Read the printed networks, which travel with the package.
-
-    Raises ``InputError`` when the file lacks weights.
-    """
+    """Read the printed networks, which travel with the package. Raises ``InputError`` when the file lacks weights."""
     file = published_table("lathe_z_network.json")
     try:
         document = json.loads(file.read_text(encoding="utf-8"))

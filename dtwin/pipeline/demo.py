@@ -47,10 +47,7 @@ class _Screen(Protocol):
 
 @dataclass(frozen=True)
 class _DemoSize:
-    """How much is measured.
-
-    ``evidence``: circles with and without correction.
-    """
+    """How much is measured. ``evidence``: circles with and without correction."""
 
     plan: Plan
     evidence: EvidencePlan

@@ -27,10 +27,7 @@ _WORD = re.compile("[a-z0-9]{1,20}")
 
 @dataclass(frozen=True)
 class Question:
-    """What an operator is asked to do or to say.
-
-    ``answers``: what may be answered, the usual one first.
-    """
+    """What an operator is asked to do or to say. ``answers``: what may be answered, the usual one first."""
 
     run: str
     text: str
@@ -120,10 +117,7 @@ def _alive(pid: object) -> bool:
 
 
 def give_answer(folder: Path, question_id: str, answer: str) -> None:
-    """Answer a question.
-
-    Raises ``InputError`` when this is not asked now, or not answered so.
-    """
+    """Answer a question. Raises ``InputError`` when this is not asked now, or not answered so."""
     asked = open_question(folder)
     if asked is None or asked["id"] != question_id or answer not in asked["answers"]:
         raise InputError(

@@ -59,10 +59,7 @@ def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None)
 
 
 def keep(home: Home, what: str, campaign: str, stamp: str, made: Any) -> None:
-    """Keep what was made of the runs of a campaign.
-
-    Raises ``StoreError`` when the home cannot be written.
-    """
+    """Keep what was made of the runs of a campaign. Raises ``StoreError`` when the home cannot be written."""
     write_document(_file_of(home, what, campaign), {"stamp": f"{__version__} {stamp}", "made": made}, what)
 
 

@@ -266,10 +266,7 @@ def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
 
 
 def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of a table with a line for each condition.
-
-    ``sheet``: as :meth:`Sheet.as_dict` gave it.
-    """
+    """Return head and rows of a table with a line for each condition. ``sheet``: as :meth:`Sheet.as_dict` gave it."""
     parts = sheet["parts"]
     symbols = list(dict.fromkeys(c["symbol"] for part in parts for c in part["characteristics"]))
     rows = []

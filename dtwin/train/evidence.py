@@ -30,10 +30,7 @@ _Key = tuple[tuple[str, str | float], ...]
 
 @dataclass(frozen=True)
 class EvidenceRun:
-    """A run of the lake that counts as evidence.
-
-    ``way``: whether the correction was in force.
-    """
+    """A run of the lake that counts as evidence. ``way``: whether the correction was in force."""
 
     way: Way
     campaign: str

@@ -17,10 +17,7 @@ from dtwin.train.evidence import WITH, WITHOUT, EvidenceRun, Way, started_at
 
 @dataclass(frozen=True)
 class Gathered:
-    """Runs that may count.
-
-    ``kind``: ``virtual`` when anything that was measured, or what was served, is.
-    """
+    """Runs that may count. ``kind``: ``virtual`` when anything that was measured, or what was served, is."""
 
     runs: tuple[EvidenceRun, ...]
     kind: str

@@ -133,10 +133,7 @@ class PySREngine:
         }
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
-        """Return PySR's hall of fame.
-
-        Raises ``MissingPart`` when PySR or Julia is absent.
-        """
+        """Return PySR's hall of fame. Raises ``MissingPart`` when PySR or Julia is absent."""
         self.require()
         from pysr import PySRRegressor
 

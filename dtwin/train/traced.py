@@ -159,10 +159,7 @@ class NotTold(Traced):
 
 
 def expressions_of(traced: Any, builder: GraphBuilder, count: int) -> list[Expression]:
-    """Return the columns that an effect returned.
-
-    ``traced``, (1, count): what its regressors gave.
-    """
+    """Return the columns that an effect returned. ``traced``, (1, count): what its regressors gave."""
     columns = _columns(traced, builder)
     if len(columns) != count:
         raise NotTraceable(f"{len(columns)} columns for {count} parameters")

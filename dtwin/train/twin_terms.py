@@ -28,10 +28,7 @@ _NOT_BY_OFFSETS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class TermChoice:
-    """What becomes of one effect of a twin.
-
-    ``how``: how an offset corrects it, or why it is left out.
-    """
+    """What becomes of one effect of a twin. ``how``: how an offset corrects it, or why it is left out."""
 
     label: str
     included: bool

@@ -100,10 +100,7 @@ class TwinShelf:
         return document, paths[-1]
 
     def folder(self, name: str) -> Path:
-        """Return the folder of a twin.
-
-        Raises ``InputError`` when there is none.
-        """
+        """Return the folder of a twin. Raises ``InputError`` when there is none."""
         require_name(name, "the twin")
         folder = self.root / name
         # A first fit that could not be written leaves an empty one.

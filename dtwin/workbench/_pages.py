@@ -66,10 +66,7 @@ _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
-    """Return a page.
-
-    ``context``: what the template shows; everything is escaped.
-    """
+    """Return a page. ``context``: what the template shows; everything is escaped."""
     bench = bench_of(request)
     text = _ENVIRONMENT.get_template(template).render(
         allowed=request.state.allowed,

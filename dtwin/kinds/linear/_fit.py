@@ -24,10 +24,7 @@ from dtwin.train.gates import Verdict
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A fitted equation.
-
-    ``pitch_mm``: travel in one turn of the screw.
-    """
+    """A fitted equation. ``pitch_mm``: travel in one turn of the screw."""
 
     bundle: Bundle
     pitch_mm: float

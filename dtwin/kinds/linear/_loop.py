@@ -73,10 +73,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
 
 
 def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
-    """Return a recording of a whole plan in matrices.
-
-    ``recording``: every reading of the plan, none missed.
-    """
+    """Return a recording of a whole plan in matrices. ``recording``: every reading of the plan, none missed."""
     if len(recording.error_um) != plan.readings:
         raise InputError(
             "the laser missed readings", code="lathe.missed", got=f"{len(recording.error_um)} of {plan.readings}"

@@ -94,10 +94,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
 
 
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
-    """Return a plan whose numbers obey every rule.
-
-    ``where``: where they come from, for error messages.
-    """
+    """Return a plan whose numbers obey every rule. ``where``: where they come from, for error messages."""
     plan = filled(LinearPlan, stated, where)
     _check_linear(plan, where)
     return plan

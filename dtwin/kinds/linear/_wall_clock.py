@@ -25,10 +25,7 @@ Send = Callable[[int, float], None]
 
 
 class _Cycles:
-    """What happened to each cycle.
-
-    ``n``: cycles that are due.
-    """
+    """What happened to each cycle. ``n``: cycles that are due."""
 
     def __init__(self, n: int) -> None:
         self.begun_s = np.full(n, np.nan)

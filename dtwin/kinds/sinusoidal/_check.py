@@ -100,10 +100,7 @@ def heard(run: Run) -> Tone | None:
 
 
 def judge_sinusoidal_run(run: Run) -> list[Finding]:
-    """Return the findings of one run of a tone.
-
-    ``run``: with samples, and with signals where there are any.
-    """
+    """Return the findings of one run of a tone. ``run``: with samples, and with signals where there are any."""
     told = commanded(run)
     findings = judge_clock(run) + _sampling(run, told) + _tone(run, told)
     bandwidth = run.meta.condition.get("z_bandwidth_hz")
@@ -126,10 +123,7 @@ def judge_sinusoidal_run(run: Run) -> list[Finding]:
 
 
 def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the groups of a campaign lack together.
-
-    ``runs``: samples are not needed.
-    """
+    """Return what the groups of a campaign lack together. ``runs``: samples are not needed."""
     told = [commanded(run) for run in runs]
     count = Counter(told)
     single = sum(n == 1 for n in count.values())

@@ -75,9 +75,6 @@ def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Actio
 
 
 def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
-    """Write the bundle.
-
-    Raises ``InputError`` when the file is there.
-    """
+    """Write the bundle. Raises ``InputError`` when the file is there."""
     require_new(out, force=force)
     save_bundle(made.bundle, out)

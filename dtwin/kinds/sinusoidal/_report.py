@@ -15,10 +15,7 @@ from dtwin.schema import Run
 
 
 def tone_result(run: Run) -> dict[str, Any]:
-    """Return ``tone``: how a run followed its tone, JSON-ready.
-
-    ``run``: of kind ``sinusoidal``.
-    """
+    """Return ``tone``: how a run followed its tone, JSON-ready. ``run``: of kind ``sinusoidal``."""
     told, errors, sensed = commanded(run), followed(run), heard(run)
     figures: dict[str, Any] = asdict(told)
     if errors is not None:

@@ -164,10 +164,7 @@ def tone_run(
     repeat: int = 1,
     covariates: Mapping[str, float] | None = None,
 ) -> Run:
-    """Return a recorded tone as a run.
-
-    ``number``: of the group, from 1.
-    """
+    """Return a recorded tone as a run. ``number``: of the group, from 1."""
     condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency_hz, "amplitude_um": amplitude_um}
     meta = RunMeta(
         f"g{number:03d}",

@@ -193,10 +193,7 @@ def heat_twin_of(
     action: str,
     data: Mapping[str, Any],
 ) -> HeatTwin:
-    """Return the twin that a fit makes.
-
-    ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`.
-    """
+    """Return the twin that a fit makes. ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`."""
     left = series.values - fitted.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}

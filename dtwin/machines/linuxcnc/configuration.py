@@ -89,10 +89,7 @@ def read_faults(path: Path) -> MillFaults:
 
 
 def ini_text(compensation: Mapping[str, str]) -> str:
-    """Return LinuxCNC's ini file.
-
-    ``compensation``: name of a compensation file in the same folder, by axis.
-    """
+    """Return LinuxCNC's ini file. ``compensation``: name of a compensation file in the same folder, by axis."""
     lines = [
         "[EMC]",
         "VERSION = 1.1",
