@@ -11,8 +11,8 @@ import numpy as np
 
 from dtwin.acquire.b5r import BallbarTest, read_b5r
 from dtwin.kinds.circular import _recording_models as models
-from dtwin.kinds.circular._recording_harmonics import chosen_harmonics
 from dtwin.kinds.circular._recording_passes import Aligned, align, within_run_floor_um
+from dtwin.kinds.circular._recording_search import Search
 from dtwin.kinds.circular._recording_vendor import vendor_figures
 from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Term
@@ -23,6 +23,7 @@ from dtwin.schema import Floats
 _ELBOW_UP_DEG = (-18.5, -86.3, 137.0, -140.7, -90.0, -108.5)
 _ASKED_HZ = (9.0, 9.8)
 _REPEATS = 3
+_HIGHEST, _PER_ORDER = 90, 3
 _GRADES = {ARC_DIP.name: "description only"}
 
 
@@ -161,23 +162,49 @@ def _best_harmonics(passes: models.Passes, most: int, *, by_direction: bool) -> 
         return models.judge(passes.y_um, waves)[1]
 
     best = min(range(3, most + 1, 2), key=held_out)
-    waves = models.harmonic_columns(passes, best, by_direction=by_direction)
-    return {
-        "at_most": most,
-        "parameters": best,
-        "held_out_um": models.judge(passes.y_um, waves)[1],
-        "unseen_path_um": models.unseen_path_um(passes, waves),
-    }
+    return _judged_harmonics(passes, most, best, models.harmonic_columns(passes, best, by_direction=by_direction))
 
 
-def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
-    parameters, waves = chosen_harmonics(passes, most, by_direction=True)
+def _judged_harmonics(
+    passes: models.Passes, most: int, parameters: int, waves: tuple[Floats, Floats]
+) -> dict[str, Any]:
     return {
         "at_most": most,
         "parameters": parameters,
         "held_out_um": models.judge(passes.y_um, waves)[1],
         "unseen_path_um": models.unseen_path_um(passes, waves),
     }
+
+
+def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
+    """Return what is left by harmonics of each direction, added one after the other by what they leave on the other pass.
+
+    An order counts as three parameters: two amplitudes and its number, as shapes of effects do.
+    """
+    runs = range(len(passes.aligned))
+    model = models.stack([_wave(passes, 0, run) for run in runs])
+    pool = [_wave(passes, order, run) for run in runs for order in range(1, _HIGHEST + 1)]
+    search = Search(passes.y_um, pool)
+    search.add(model)
+    chosen: list[int] = []
+    while len(runs) + _PER_ORDER * (len(chosen) + 1) <= most and len(chosen) < len(pool):
+        left_um = search.left_um()
+        left_um[chosen] = np.inf
+        best = int(np.argmin(left_um))
+        search.add(pool[best])
+        chosen.append(best)
+    model = models.stack([model, *(pool[number] for number in chosen)])
+    return _judged_harmonics(passes, most, len(runs) + _PER_ORDER * len(chosen), model)
+
+
+def _wave(passes: models.Passes, order: int, run: int) -> tuple[Floats, Floats]:
+    """Return the waves of one order in one run, nothing in the others, of both passes."""
+    whole = []
+    for number, aligned in enumerate(passes.aligned):
+        phase = order * aligned.state.angle_rad
+        waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)[:, : 2 if order else 1]
+        whole.append(waves * float(number == run))
+    return passes.both(whole)
 
 
 def _unseen_by_rung(passes: models.Passes, base: Sequence[Term], rungs: Sequence[models.Rung]) -> list[float]:

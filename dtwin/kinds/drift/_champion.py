@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._model import series_of
-from dtwin.kinds.drift._sense import moved_um
+from dtwin.kinds.drift._model import moved_um, series_of
 from dtwin.kinds.drift._training import HELD_OUT
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run

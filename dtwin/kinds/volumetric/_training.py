@@ -17,6 +17,7 @@ from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
+from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
@@ -193,3 +194,26 @@ def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
 def _readable(model: ThermalModel) -> str:
     terms = " ".join(f"{k:+.4g} {s}" for s, k in zip(model.sensors, model.per_k.tolist(), strict=True))
     return f"{model.name} = {terms or '0'} (rises since the reference)"
+
+
+_LEAST_R2 = 0.5
+
+
+def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+    """Judge a bundle for heat by everything that needs no other campaign.
+
+    ``metrics``: what training logged: scores of hours left out, latency.
+    """
+    r2 = metrics.get("leave_hours_out.r2", float("nan"))
+    worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
+    return [
+        Verdict("held-out hours", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
+        Verdict(
+            "no slice worse than no correction",
+            worst < 1.0,
+            f"the worst span of hours keeps {100 * worst:z.0f} % of its error",
+        ),
+        bounded_output(bundle),
+        vectors_proved(bundle),
+        latency_gate(metrics),
+    ]

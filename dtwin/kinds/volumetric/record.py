@@ -32,7 +32,7 @@ class _Volumetric(Kind):
         "twin_report": "_twin_report",
         "training": "_training:train_volumetric",
         "recognises": "_bundle:is_volumetric_bundle",
-        "gates": "_gates:volumetric_gates",
+        "gates": "_training:volumetric_gates",
         "champion_error": "_drift:heat_error",
         "held_out": "_drift:heat_held_out",
     }
