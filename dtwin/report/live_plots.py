@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, styled
+from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -32,15 +32,8 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_
     ):
         if known:
             figure.add_trace(_strip(t_s[::step], correction_um[::step, column], band_um[::step, column], name, colour))
-        figure.add_trace(
-            go.Scatter(
-                x=t_s[::step].round(3).tolist(),
-                y=correction_um[::step, column].round(3).tolist(),
-                name=name,
-                mode="lines",
-                line={"color": colour, "dash": ("solid", "dot", "dash")[column]},
-            )
-        )
+        x, y = (values[::step].round(3).tolist() for values in (t_s, correction_um[:, column]))
+        draw_line(figure, x, y, name, color=colour, dash=("solid", "dot", "dash")[column])
     for limit in (-clamp_um, clamp_um):
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
     told = "shaded: its uncertainty, k = 2" if known else "the model does not tell its uncertainty"
@@ -125,15 +118,7 @@ def _turn_figure(arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: F
         ("without it", seen_um - radial_um, COLOURS["measured"], "dot"),
     ):
         mean = np.bincount(bins, values[newest], _BINS)[known] / count[known]
-        figure.add_trace(
-            go.Scatter(
-                x=middle[known].tolist(),
-                y=mean.round(3).tolist(),
-                name=name,
-                mode="lines",
-                line={"color": colour, "dash": dash},
-            )
-        )
+        draw_line(figure, middle[known].tolist(), mean.round(3).tolist(), name, color=colour, dash=dash)
     figure.update_layout(
         title=f"The newest circle of R{radius_mm:g} as the controller's own encoders see it",
         xaxis_title=f"angle in the {'XYZ'[first]}{'XYZ'[second]} plane, degrees",

@@ -15,6 +15,7 @@ from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,
     draw_floor_band,
+    draw_line,
     floor_rings,
     magnification_for,
     say_no_floor,
@@ -104,16 +105,11 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
     """
     figure = go.Figure()
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
-        figure.add_trace(
-            go.Scatter(
-                x=grid.points,
-                y=[round(float(v), 4) for v in curve],
-                mode="lines",
-                name=name,
-                line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
-                hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
-            )
+        y, hover = (
+            [round(float(v), 4) for v in curve],
+            "%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
         )
+        draw_line(figure, grid.points, y, name, hover=hover, color=colour, width=1.6, dash=_dash_of(name))
     draw_floor_band(figure, floor_um)
     figure.update_layout(title=title, xaxis=_axis(grid), yaxis_title="error, µm")
     return styled(figure)
@@ -141,15 +137,8 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
             )
         )
     if floor_um is not None:
-        figure.add_trace(
-            go.Scatter(
-                x=numbers,
-                y=np.round(floor_um[1 : most + 1], 4),
-                mode="lines",
-                name="noise floor of one run",
-                line={"color": COLOURS["floor"], "dash": "dash"},
-            )
-        )
+        floor = np.round(floor_um[1 : most + 1], 4)
+        draw_line(figure, numbers, floor, "noise floor of one run", color=COLOURS["floor"], dash="dash")
     figure.update_layout(
         title=title,
         barmode="group",
