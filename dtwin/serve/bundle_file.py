@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dtwin.atomic import whole_file
-from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.atomic import whole_file, write_text
+from dtwin.errors import GateRefusal, InputError
 from dtwin.features.windows import WindowContract
 from dtwin.serve.band import Band
 from dtwin.serve.bundle import Bundle
@@ -169,28 +167,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     StoreError
         When the folder cannot be written.
     """
-    plain = json_text(content)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, draft = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w") as file:
-                file.write(plain)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(draft).replace(path)
-        except BaseException:
-            Path(draft).unlink(missing_ok=True)
-            raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise StoreError(
-            "the file cannot be written", code="bundle.write", where=str(path), got=error.strerror or str(error)
-        ) from error
+    write_text(path, json_text(content), "the file", private=True)
 
 
 def read_json(path: Path, max_bytes: int) -> Any:

@@ -29,7 +29,7 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.symbolic import Found
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]
 # Where a kind has no virtual machine.

@@ -25,7 +25,7 @@ from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.tolerances import limits_from
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]
 

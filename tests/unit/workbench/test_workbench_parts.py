@@ -30,14 +30,14 @@ from dtwin.serve import safety
 from dtwin.serve._lease import lease
 from dtwin.serve.live_board import _PID, _SHOWN, live_board
 from dtwin.twins.measured import pure_rms_um
-from dtwin.workbench import _server
+from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench, Cache
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._live_routes import sessions
-from dtwin.workbench._server import Connection, application
 from dtwin.workbench._twin_routes import decimal
+from dtwin.workbench.server import Connection, application
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ _BEGUN = """
 import socket, sys, threading
 from pathlib import Path
 from dtwin.config import Home
-from dtwin.workbench import _server
+from dtwin.workbench import server as _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
 _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
 """

@@ -9,8 +9,8 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, Interrupted, StoreError
-from dtwin.fleet._engine import Engine, engine, require_engine
-from dtwin.fleet._jobs import Job, Unit
+from dtwin.fleet.engine import Engine, engine, require_engine
+from dtwin.fleet.jobs import Job, Unit
 from dtwin.locks import locked
 from dtwin.progress import Progress
 
@@ -53,7 +53,7 @@ def run_fleet(
     depend on the engine.
 
     ``machines``: all of the home without names.
-    ``on``, ``workers``: as for :func:`dtwin.fleet.engine`.
+    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
     Raises ``StoreError`` when another process does the same job in this home, or the scheduler died.
     """
     require_engine(on, workers)

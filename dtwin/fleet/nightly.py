@@ -12,10 +12,10 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError
-from dtwin.fleet._alerts import Alert, Told, sorted_alerts, tell
-from dtwin.fleet._channels import channels_of
-from dtwin.fleet._jobs import DIAGNOSE, Job, recheck_job
-from dtwin.fleet._run import FleetRun, run_fleet
+from dtwin.fleet.alerts import Alert, Told, sorted_alerts, tell
+from dtwin.fleet.channels import channels_of
+from dtwin.fleet.jobs import DIAGNOSE, Job, recheck_job
+from dtwin.fleet.run import FleetRun, run_fleet
 from dtwin.local_time import local_day
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
@@ -69,7 +69,7 @@ def nightly(
 
     ``folder``: where new measurements arrive; only those of machines that are known are taken in.
     ``machines``: all without names.
-    ``on``, ``workers``: as for :func:`dtwin.fleet.engine`.
+    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
     ``today``: the day by which a test is overdue.
     ``settle_s``: time for which a file must stand still; what does not within a minute is left to the next night.
     """

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.fleet.jobs import DIAGNOSES
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record

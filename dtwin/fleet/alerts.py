@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
-from dtwin.fleet._channels import Channel
+from dtwin.fleet.channels import Channel
 from dtwin.local_time import local_day
 from dtwin.locks import locked
 
