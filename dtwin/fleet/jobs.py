@@ -92,8 +92,7 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
     started = min((meta.started or "" for meta in loaded.obs.runs), default="")
     head = {"campaign": unit.name, "machine": unit.machine, "kind": loaded.obs.campaign.kind, "started": started}
     # As it is after being written and read: the same wherever it was computed.
-    as_kept: dict[str, Any] = json.loads(json.dumps(finite(head | diagnosis.as_dict())))
-    return as_kept
+    return json.loads(json.dumps(finite(head | diagnosis.as_dict())))
 
 
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:

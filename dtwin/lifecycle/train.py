@@ -92,8 +92,7 @@ def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> P
 
 def geometry_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any]:
     """Return the machine's geometry that a version was trained with."""
-    geometry: dict[str, Any] = registry.read_json(version, "geometry.json")
-    return geometry
+    return registry.read_json(version, "geometry.json")
 
 
 def _description(training: Training, verdicts: list[Verdict]) -> str:

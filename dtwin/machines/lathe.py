@@ -112,8 +112,7 @@ class ThreadScrew:
         stand = stand + form.twice_um * np.cos(2 * on_thread - form.twice_phase_rad)
         stand = stand + self.tilt_um * np.cos(around - self.tilt_rad)
         bears = stand.max(axis=1) if highest else stand.min(axis=1)
-        bearing: Floats = bears - bears.mean()
-        return bearing
+        return bears - bears.mean()
 
 
 @dataclass(frozen=True)
@@ -226,12 +225,10 @@ class VirtualLathe:
         scale = wander.scale_um_per_m * wandering(rng, at, wander.time_constant_s)
         reach = x_m - wander.fixed_at_mm / 1000.0
         grown = wander.expansion_um_per_m_c * self._warm_c(at - motion.t_s[0]) * reach
-        moved: Floats = offset + scale * x_m + grown
-        return moved
+        return offset + scale * x_m + grown
 
     def _warm_c(self, elapsed_s: Floats) -> Floats:
-        warm: Floats = self.wander.heating_c * (1.0 - np.exp(-elapsed_s / self.wander.heating_time_s))
-        return warm
+        return self.wander.heating_c * (1.0 - np.exp(-elapsed_s / self.wander.heating_time_s))
 
 
 def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floats:
@@ -241,14 +238,11 @@ def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floa
     def until(t: Floats) -> Floats:
         k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         there = np.interp(t, times, values)
-        reached: Floats = area[k] + (t - times[k]) * (values[k] + there) / 2.0
-        return reached
+        return area[k] + (t - times[k]) * (values[k] + there) / 2.0
 
-    mean: Floats = (until(end) - until(begin)) / (end - begin)
-    return mean
+    return (until(end) - until(begin)) / (end - begin)
 
 
 def _periodic(turned: Floats, over_one_turn: Floats) -> Floats:
     n = len(over_one_turn)
-    there: Floats = np.interp(turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0]))
-    return there
+    return np.interp(turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0]))

@@ -31,8 +31,7 @@ class Motion:
 
     def at(self, t_s: Floats) -> Floats:
         """Return commanded positions in mm at times, shape (n,)."""
-        position: Floats = np.interp(t_s, self.t_s, self.position_mm)
-        return position
+        return np.interp(t_s, self.t_s, self.position_mm)
 
 
 def run_program(text: str, axis: str) -> Motion:

@@ -40,8 +40,7 @@ class Layer:
         reverse = np.asarray(direction, float)[:, None] >= 0.5
         bias = np.where(reverse, self.reverse_bias, self.forward_bias)
         activation = np.outer(position, self.position_weight) + bias
-        out: Floats = self.output_weight @ (1.0 / (1.0 + np.exp(-activation))).T + self.output_bias
-        return out
+        return self.output_weight @ (1.0 / (1.0 + np.exp(-activation))).T + self.output_bias
 
 
 @dataclass(frozen=True)

@@ -180,8 +180,7 @@ class AccelerationChannel:
         passed, self._memory = lfilter(self._b, self._a, felt, zi=self._memory)
         pushes = sensor.drift_g * np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=n)
         wander, self._wander = lfilter([1.0], [1.0, -self._keep], pushes, zi=self._wander)
-        shown: Floats = np.clip((passed + wander)[::every], -sensor.range_g, sensor.range_g)
-        return shown
+        return np.clip((passed + wander)[::every], -sensor.range_g, sensor.range_g)
 
 
 @njit(cache=True, error_model="numpy")

@@ -28,8 +28,7 @@ class RoomDrift:
     def rises_c(self, t_s: Floats, seed: int) -> Floats:
         """Return the room's temperature over its mean at ascending times, shape (n,)."""
         rng = np.random.default_rng([seed, 31])
-        rises: Floats = self.room_c * wandering(rng, t_s, self.time_constant_s)
-        return rises
+        return self.room_c * wandering(rng, t_s, self.time_constant_s)
 
     def slide_at(self, slide: Slide, rise_c: float) -> Slide:
         """Return the slide in a room that is warmer by ``rise_c``."""

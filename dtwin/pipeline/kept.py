@@ -99,11 +99,10 @@ def sheet_of_campaign(
     ``variation``: of the machine, as ``variation_of`` gives it.
     """
     limits = tolerances_of(home, machine)
-    made: dict[str, Any] = kept(
+    return kept(
         home,
         "sheets",
         campaign,
         f"findings {stamp} {limits} {variation}",
         lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
-    return made

@@ -185,8 +185,7 @@ class Registry:
 
     def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
-        loaded: dict[str, Any] = self.read_json(version, f"{_BUNDLE_FOLDER}/bundle.json")
-        return loaded
+        return self.read_json(version, f"{_BUNDLE_FOLDER}/bundle.json")
 
     def read_json(self, version: RegisteredVersion, name: str) -> Any:
         """Return a JSON artifact of the run behind a version.

@@ -324,8 +324,7 @@ _BUILT: dict[Any, Callable[..., Expression]] = {
 
 def _where(builder: GraphBuilder, condition: Any, then: Any, other: Any) -> Traced:
     chosen = Traced(_columns(condition, builder))
-    made: Traced = other + chosen * (then - other)
-    return made
+    return other + chosen * (then - other)
 
 
 def _stack(builder: GraphBuilder, parts: Sequence[Any], axis: int = 0) -> Traced:
@@ -335,8 +334,7 @@ def _stack(builder: GraphBuilder, parts: Sequence[Any], axis: int = 0) -> Traced
 
 
 def _clip(builder: GraphBuilder, value: Any, low: Any, high: Any) -> Traced:
-    made: Traced = np.minimum(np.maximum(value, low), high)
-    return made
+    return np.minimum(np.maximum(value, low), high)
 
 
 def _like(number: float) -> Callable[..., Traced]:

@@ -98,8 +98,7 @@ class _Logged(Mapping[str, Any]):
         if source == name:
             return value
         mean = _mean(self.obs, source)
-        lowered: Traced = value - mean
-        return lowered
+        return value - mean
 
     def __iter__(self) -> Any:
         return iter(self.names)

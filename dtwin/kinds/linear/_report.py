@@ -136,5 +136,4 @@ def _phases(result: Mapping[str, Any]) -> str:
 
 def _waves(angle: Floats, harmonics: int) -> Floats:
     orders = np.arange(1, harmonics + 1)
-    waves: Floats = np.hstack([np.sin(np.outer(angle, orders)), np.cos(np.outer(angle, orders))])
-    return waves
+    return np.hstack([np.sin(np.outer(angle, orders)), np.cos(np.outer(angle, orders))])
