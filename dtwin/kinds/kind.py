@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.kinds.volumetric import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
+    from dtwin.report.twin_of_kind import TwinReport
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle

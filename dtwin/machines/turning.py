@@ -6,11 +6,12 @@ beyond the encoder is outside of the loop: no controller gain can take it away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
 
+from dtwin.machines._wandering import wandering
 from dtwin.schema import Floats
 
 SERVO_HZ = 8000.0
@@ -221,3 +222,31 @@ def _tool(x: float, w: float, e: float, mode: float, loss: float, power: float, 
     if power != 1.0:
         force *= ((bent * bent + softest * softest) / (scale * scale)) ** (0.5 * (power - 1.0))
     return -force - 2.0 * loss * mode * w
+
+
+@dataclass(frozen=True)
+class RoomDrift:
+    """A room whose temperature wanders, and a slide that follows it.
+
+    ``room_c``: standard deviation of the room's temperature about its mean.
+    ``oil_per_c``: share of the servo's damping that a warmer, thinner guideway oil takes away.
+    ``softening_per_c``: share of its stiffness that the warmer structure loses.
+    """
+
+    room_c: float = 0.8
+    time_constant_s: float = 1800.0
+    oil_per_c: float = 0.03
+    softening_per_c: float = 0.002
+
+    def rises_c(self, t_s: Floats, seed: int) -> Floats:
+        """Return the room's temperature over its mean at ascending times, shape (n,)."""
+        rng = np.random.default_rng([seed, 31])
+        return self.room_c * wandering(rng, t_s, self.time_constant_s)
+
+    def slide_at(self, slide: Slide, rise_c: float) -> Slide:
+        """Return the slide in a room that is warmer by ``rise_c``."""
+        return replace(
+            slide,
+            servo_damping=slide.servo_damping * (1.0 - self.oil_per_c * rise_c),
+            structure_hz=slide.structure_hz * (1.0 - self.softening_per_c * rise_c) ** 0.5,
+        )

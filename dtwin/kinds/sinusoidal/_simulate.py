@@ -12,8 +12,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.machine import require_no_campaign
 from dtwin.kinds.sinusoidal._folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal._plan import BETWEEN_S, TonePlan
-from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, Slide, TurningSlide
-from dtwin.machines.turning_drift import RoomDrift
+from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, RoomDrift, Slide, TurningSlide
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 

@@ -26,7 +26,7 @@ class _Sinusoidal(Kind):
         "judge_run": "_check:judge_sinusoidal_run",
         "judge_campaign": "_check:judge_sinusoidal_campaign",
         "run_figures": "_report:tone_result",
-        "drawings": "_drawings:DRAWINGS",
+        "drawings": "_plots:DRAWINGS",
         "rows": "_grid:tone_rows",
         "run_errors": "_run_errors:tone_errors",
         "training": "_training:train_tones",
