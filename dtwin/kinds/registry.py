@@ -30,13 +30,7 @@ def kind_names() -> tuple[str, ...]:
 
 @cache
 def kind_named(name: str) -> Kind:
-    """Return a kind by its name.
-
-    Raises
-    ------
-    InputError
-        When there is none of that name.
-    """
+    """Return a kind by its name. Raises ``InputError`` when there is none of that name."""
     if name in _OWN:
         kind = import_module(f"dtwin.kinds.{name}.record").KIND
     elif name in _of_others():
@@ -89,13 +83,7 @@ def machines(of: Iterable[Kind] | None = None) -> Iterator[VirtualMachine]:
 
 
 def machine_named(name: str) -> VirtualMachine:
-    """Return a virtual machine by its name.
-
-    Raises
-    ------
-    InputError
-        When there is none of that name.
-    """
+    """Return a virtual machine by its name. Raises ``InputError`` when there is none of that name."""
     for machine in machines():
         if machine.name == name:
             return machine
