@@ -20,15 +20,7 @@ _NUMPY: dict[str, Callable[..., Floats]] = {
     "mul": np.multiply,
     "div": np.divide,
     "neg": np.negative,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "exp": np.exp,
-    "log": np.log,
-    "sqrt": np.sqrt,
-    "square": np.square,
-    "abs": np.abs,
-    "tanh": np.tanh,
+    **{name: getattr(np, name) for name in _FUNCTIONS},
 }
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 _MAX_CHARS = 20_000

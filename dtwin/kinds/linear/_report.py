@@ -139,11 +139,6 @@ def _waves(angle: Floats, harmonics: int) -> Floats:
     return np.hstack([np.sin(np.outer(angle, orders)), np.cos(np.outer(angle, orders))])
 
 
-def gate_lines(verdicts: Sequence[Any]) -> list[str]:
-    """Return one line for each gate."""
-    return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
-
-
 def wall_clock_text(timed: Mapping[str, Any]) -> str:
     """Return how the loop kept its time."""
     begun, work = timed["jitter_ms"], timed["work_ms"]
