@@ -45,7 +45,7 @@ def place_map(obs: Observations, residual_um: Floats) -> PlaceMap:
     feeds and power, both summed over the circles.
 
     ``residual_um``, shape (rows, 360): what the twin leaves.
-    Raises ``GateRefusal`` with fewer than two places (plane and radius), each at two feeds, nothing could be left out.
+    Raises ``GateRefusal`` with fewer than two places (plane and radius), each at two feeds: nothing could be left out.
     """
     spectra = _spectra(obs, residual_um)
     places = sorted({circle[:2] for circle in spectra})
