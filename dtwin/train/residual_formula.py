@@ -53,7 +53,7 @@ def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed
     """Search a formula for what repeats agree on, each time without one condition, then with all.
 
     ``residual_um``, shape (rows, 360): what the twin leaves.
-    Raises ``GateRefusal`` with fewer than three conditions: nothing could be left out, or no formula is finite.
+    Raises ``GateRefusal`` with fewer than three conditions, of which none could be left out, or without a finite formula.
     """
     inputs, target, place_of = _table(obs, residual_um)
     places = sorted(set(place_of.tolist()))

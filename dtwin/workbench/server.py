@@ -28,7 +28,6 @@ from dtwin.workbench import _delivery_routes as delivery_routes
 from dtwin.workbench import _effect_routes as effect_routes
 from dtwin.workbench import _heat_pages as heat_pages
 from dtwin.workbench import _import_routes as import_routes
-from dtwin.workbench import _job_routes as job_routes
 from dtwin.workbench import _live_routes as live_routes
 from dtwin.workbench import _machine_routes as machine_routes
 from dtwin.workbench import _measuring_routes as measuring_routes
@@ -63,7 +62,6 @@ def application(bench: Bench) -> Guarded:
         model_routes,
         live_routes,
         measuring_routes,
-        job_routes,
         delivery_routes,
     ):
         app.include_router(part.router, dependencies=[Depends(_require_home)])
