@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._evidence import corrections
-from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um
 from dtwin.kinds.volumetric._training import HELD_OUT
 from dtwin.kinds.volumetric.session import session_in
 from dtwin.lake.store import Lake
@@ -39,10 +39,7 @@ def heat_error(
     off, trusted = corrections(bundle, measured)
     was = [distance_changes_um(where, moved) for where, moved in measured.moved]
     left = [distance_changes_um(where, moved - by) for (where, moved), by in zip(measured.moved, off, strict=True)]
-    seen = [
-        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
-        for (where, moved), values in zip(measured.moved, measured.values, strict=True)
-    ]
+    seen = changes_left_um(measured, measured.values)
     return ChampionError(
         rms_um=rms(np.concatenate(left)),
         before_um=rms(np.concatenate(was)),

@@ -40,7 +40,7 @@ def models_of(
     return made, whole
 
 
-def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
@@ -53,7 +53,7 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
     Returns ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how long), ``slots``,
     ``unexplained`` and ``worse``.
     """
-    expected = _predicted(models, measured)
+    expected = predicted(models, measured)
     left = measured.values - expected
     rows = [_row(model, measured, i, left[:, i]) for i, model in enumerate(models)]
     lines = _lines(measured, left)
@@ -136,15 +136,21 @@ def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
     return np.concatenate(changes_um)
 
 
+def changes_left_um(measured: Session, expected: Floats) -> list[Floats]:
+    """Return what is left of the changes of distances between balls, cycle by cycle, shape (pairs,) each.
+
+    ``expected``, (cycles, coefficients): error motions that are taken off.
+    """
+    return [
+        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
+        for (where, moved), values in zip(measured.moved, expected, strict=True)
+    ]
+
+
 def _distances(measured: Session, expected: Floats) -> dict[str, float]:
     """Return how distances between balls change, before and after; fitted and held-out poses."""
-    before: list[Floats] = []
-    after: list[Floats] = []
-    for (where, moved), values in zip(measured.moved, expected, strict=True):
-        rest = moved - measured.artefact.predicted_um(where, values)
-        before.append(distance_changes_um(where, moved))
-        after.append(distance_changes_um(where, rest))
-    was, is_now = np.concatenate(before), np.concatenate(after)
+    was = np.concatenate([distance_changes_um(where, moved) for where, moved in measured.moved])
+    is_now = np.concatenate(changes_left_um(measured, expected))
     return {
         "p2p_um": float(np.ptp(was)),
         "p2p_left_um": float(np.ptp(is_now)),

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.kinds.volumetric._bundle import volumetric_bundle
-from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import changes_left_um, predicted
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
 from dtwin.kinds.volumetric.session import Session, session_in
 from dtwin.lake.store import Lake
@@ -46,7 +46,7 @@ def train_volumetric(
         found.append(_candidate(title, fit, measured, campaign.machine))
         tell("candidates", done, len(_FITS), title)
     found.sort(key=lambda c: c.held_out.rms_um)
-    before, floor = (_distances(measured, values) for values in (np.zeros_like(measured.values), measured.values))
+    before, floor = (changes_left_um(measured, values) for values in (np.zeros_like(measured.values), measured.values))
     equations = [c for c in found if c.promotable]
     report = TrainingReport(
         machine=campaign.machine,
@@ -106,7 +106,7 @@ _FAMILY: Mapping[str, _Family] = {"zero": "baseline", "all temperatures": "linea
 def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candidate:
     expected, spans = _left_out(fit, measured)
     models = _models(fit, measured, np.ones(len(measured.hour), bool))
-    fitted = _run(models, measured)
+    fitted = predicted(models, measured)
     family = _FAMILY.get(title, "symbolic")
     bundle: Bundle | None = None
     worse: tuple[str, ...] = ()
@@ -119,7 +119,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
         scores={HELD_OUT: _scores(measured, expected, spans)},
-        train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
+        train_rms_um=rms(np.concatenate(changes_left_um(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
         bundle=None if bundle is None else bundle.to_dict(),
@@ -135,7 +135,7 @@ def _left_out(fit: _Fit, measured: Session) -> tuple[Floats, list[Any]]:
     for span in spans:
         kept = np.ones(len(measured.hour), bool)
         kept[span] = False
-        expected[span] = _run(_models(fit, measured, kept), measured)[span]
+        expected[span] = predicted(_models(fit, measured, kept), measured)[span]
     return expected, spans
 
 
@@ -146,26 +146,14 @@ def _models(fit: _Fit, measured: Session, kept: Any) -> list[ThermalModel]:
     ]
 
 
-def _run(models: Sequence[ThermalModel], measured: Session) -> Floats:
-    return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
-
-
 def _worse(measured: Session, expected: Floats) -> tuple[str, ...]:
     left = measured.values - expected
     return tuple(name for i, name in enumerate(measured.artefact.names) if rms(left[:, i]) > rms(measured.values[:, i]))
 
 
-def _distances(measured: Session, expected: Floats) -> list[Floats]:
-    """Return what is left of the changes of distances between balls, cycle by cycle."""
-    return [
-        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
-        for (where, moved), values in zip(measured.moved, expected, strict=True)
-    ]
-
-
 def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores:
-    before = _distances(measured, np.zeros_like(expected))
-    after = _distances(measured, expected)
+    before = changes_left_um(measured, np.zeros_like(expected))
+    after = changes_left_um(measured, expected)
     ratios = {}
     for span in spans:
         was, is_now = (np.concatenate([part[i] for i in span]) for part in (before, after))
