@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from dtwin.kinds.circular._dynamics_report import dynamics_text as dynamics_text
     from dtwin.kinds.circular._dynamics_ways import TWIN_EFFECTS as TWIN_EFFECTS
     from dtwin.kinds.circular._dynamics_ways import DynamicsRequest as DynamicsRequest
+    from dtwin.kinds.circular._particle_swarm import SwarmSettings as SwarmSettings
     from dtwin.kinds.circular._physics_fit import PhysicsFit as PhysicsFit
     from dtwin.kinds.circular._recording import Study as Study
     from dtwin.kinds.circular._recording import study_recording as study_recording
@@ -23,6 +24,7 @@ _PLACES = {
     "_dynamics": "split_campaign",
     "_dynamics_report": "dynamics_page dynamics_text",
     "_dynamics_ways": "DynamicsRequest TWIN_EFFECTS",
+    "_particle_swarm": "SwarmSettings",
     "_physics_fit": "PhysicsFit",
     "_recording": "Study study_recording ur10e_geometry",
     "_recording_report": "recording_sections recording_text",
