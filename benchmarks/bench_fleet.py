@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import Home
-from dtwin.fleet import DIAGNOSE, run_fleet
+from dtwin.fleet.jobs import DIAGNOSE
+from dtwin.fleet.run import run_fleet
 from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta
 

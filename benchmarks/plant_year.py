@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from machine_years import FIRST_DAY, steady, stepping, wearing, write_tests
 
 from dtwin.config import Home, quiet_environment
-from dtwin.fleet import nightly
+from dtwin.fleet.nightly import nightly
 from dtwin.lake.store import Lake
 from dtwin.machine_record import keep_record
 from dtwin.report.text import table

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.fleet import compared
+from dtwin.fleet.sisters import compared
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import AxisParameters, CircularTest, MillParameters

@@ -18,15 +18,8 @@ from dtwin.errors import StoreError
 def whole_file(path: Path, what: str) -> Iterator[Path]:
     """Yield a name to write to; the file gets its own name once it is complete and on disk.
 
-    Parameters
-    ----------
-    what : str
-        What it is, for the error message.
-
-    Raises
-    ------
-    StoreError
-        When it is the name of no file, or the folder is read-only or full; nothing is left behind.
+    ``what``: what it is, for the error message.
+    Raises ``StoreError`` when it is the name of no file, or the folder is read-only or full; nothing is left behind.
     """
     if not path.name:
         raise StoreError(f"{what} has no name to be written under", code="store.write", where=repr(str(path)))

@@ -55,10 +55,7 @@ class Stored(NamedTuple):
 class Objects:
     """The objects below a folder of a shared store.
 
-    Raises
-    ------
-    InputError
-        When the environment asks for writes without conditions.
+    Raises ``InputError`` when the environment asks for writes without conditions.
     """
 
     def __init__(self, bucket: Bucket) -> None:
@@ -67,12 +64,8 @@ class Objects:
     def read(self, name: str) -> bytes:
         """Return the content of an object.
 
-        Raises
-        ------
-        FileNotFoundError
-            When there is none.
-        StoreError
-            When the store does not answer, or refuses.
+        Raises ``FileNotFoundError`` when there is none.
+        Raises ``StoreError`` when the store does not answer, or refuses.
         """
         import obstore
 
@@ -140,10 +133,7 @@ class Objects:
 
         Once in a process for each store.
 
-        Raises
-        ------
-        StoreError
-            When it does not refuse, or does not answer.
+        Raises ``StoreError`` when it does not refuse, or does not answer.
         """
         _probed(Bucket(self.bucket.url, self.bucket.endpoint), _environment())
 
@@ -205,10 +195,7 @@ def _opened(bucket: Bucket, _environment: tuple[tuple[str, str], ...]) -> S3Stor
 def delta_options(bucket: Bucket) -> dict[str, str]:
     """Return what the library of Delta tables is told of a store, besides the environment.
 
-    Raises
-    ------
-    InputError
-        When the environment asks for commits without a condition.
+    Raises ``InputError`` when the environment asks for commits without a condition.
     """
     _environment()
     options = {

@@ -68,10 +68,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
 class Home:
     """The folder that holds all state of dtwin.
 
-    Attributes
-    ----------
-    root : Path
-        ``DTWIN_HOME``, by default ``.dtwin`` in the current folder; absolute.
+    ``root``: ``DTWIN_HOME``, by default ``.dtwin`` in the current folder; absolute.
     """
 
     root: Path
@@ -79,10 +76,7 @@ class Home:
     def made(self) -> Home:
         """Make the folder, readable by its owner alone, and return the home.
 
-        Raises
-        ------
-        OSError
-            When it can neither be made nor is there.
+        Raises ``OSError`` when it can neither be made nor is there.
         """
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
         return self._closed()
@@ -201,10 +195,7 @@ class Home:
     def mlflow_at_once(self) -> bool:
         """Whether MLflow is told of a twin's version before the command ends: ``DTWIN_MLFLOW``.
 
-        Raises
-        ------
-        InputError
-            When it is neither ``now`` nor ``later``.
+        Raises ``InputError`` when it is neither ``now`` nor ``later``.
         """
         when = os.environ.get("DTWIN_MLFLOW") or "later"
         if when not in ("now", "later"):

@@ -35,20 +35,12 @@ _STRICT = 1.5
 class Regime:
     """Tests in a row between two changes.
 
-    Attributes
-    ----------
-    first, last : int
-        Of its tests.
-    why : str
-        ``start``, ``alarm`` or ``restart``: what began it.
-    mean, expanded : float
-        Of its values, half width that covers 95 %; NaN of a single one.
-    slope, slope_expanded : float
-        Per day; NaN of fewer than four tests, or of one day.
-    ends : tuple of float
-        Values of that line at the first and the last test; NaN without a slope.
-    trend : bool
-        Whether a line, not a level, describes it, so that its change is the slope.
+    ``first``, ``last``: of its tests.
+    ``why``: ``start``, ``alarm`` or ``restart``: what began it.
+    ``mean``, ``expanded``: of its values, half width that covers 95 %; NaN of a single one.
+    ``slope``, ``slope_expanded``: per day; NaN of fewer than four tests, or of one day.
+    ``ends``: values of that line at the first and the last test; NaN without a slope.
+    ``trend``: whether a line, not a level, describes it, so that its change is the slope.
     """
 
     first: int
@@ -91,12 +83,9 @@ class _ChartLimits:
 class Chart:
     """A chart of n values.
 
-    Attributes
-    ----------
-    single, ewma, cusum_up, cusum_down : ndarray, shape (n,)
-        In standard deviations; zero where a regime is too young to compare with.
-    limits : ChartLimits
-        An alarm is beyond any of them.
+    ``single``, ``ewma``, ``cusum_up``, ``cusum_down``, shape (n,): in standard deviations; zero where a regime is too
+    young to compare with.
+    ``limits``: an alarm is beyond any of them.
     """
 
     single: Floats
@@ -111,14 +100,9 @@ class Chart:
 def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: float) -> Chart:
     """Watch the values of a figure.
 
-    Parameters
-    ----------
-    days, values : ndarray, shape (n,)
-        In the order of time.
-    restarts : sequence of int
-        Tests before which something is known to have changed: what came before is not compared with.
-    run_length : float
-        Mean number of tests between two false alarms.
+    ``days``, ``values``, shape (n,): in the order of time.
+    ``restarts``: tests before which something is known to have changed: what came before is not compared with.
+    ``run_length``: mean number of tests between two false alarms.
     """
     n = len(values)
     limits = limits_for(run_length)

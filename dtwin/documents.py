@@ -17,13 +17,7 @@ _HINT = "restore the file from a backup, or remove it and fit again"
 
 
 def write_document(path: Path, document: Mapping[str, Any], what: str) -> None:
-    """Write a JSON document with a hash of itself; NaN becomes null.
-
-    Parameters
-    ----------
-    what : str
-        What it is, for the error message.
-    """
+    """Write a JSON document with a hash of itself; NaN becomes null. ``what``: what it is, for the error message."""
     # As it will be read back, keys and tuples included.
     content = json.loads(json.dumps(finite(document)))
     sealed = {**content, _SEAL: _digest(content)}
@@ -33,15 +27,8 @@ def write_document(path: Path, document: Mapping[str, Any], what: str) -> None:
 def read_document(path: Path, hint: str = _HINT) -> dict[str, Any]:
     """Return a stored JSON document, after comparing it with its hash.
 
-    Parameters
-    ----------
-    hint : str
-        What to do when it is damaged.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be read, or is not what was written.
+    ``hint``: what to do when it is damaged.
+    Raises ``StoreError`` when it cannot be read, or is not what was written.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -22,14 +22,9 @@ _STORE = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9_=-][A-Za
 class Bucket:
     """A folder of an S3-compatible store.
 
-    Attributes
-    ----------
-    url : str
-        Where the home lies: ``s3://bucket/prefix``.
-    endpoint : str
-        Address of the server; empty for what the usual environment says, else Amazon's.
-    below : str
-        The folder inside the home; empty for all of it.
+    ``url``: where the home lies: ``s3://bucket/prefix``.
+    ``endpoint``: address of the server; empty for what the usual environment says, else Amazon's.
+    ``below``: the folder inside the home; empty for all of it.
     """
 
     url: str
@@ -57,16 +52,10 @@ class Bucket:
 class HomeFile:
     """What ``home.toml`` states; what is empty is local.
 
-    Attributes
-    ----------
-    store : str
-        ``s3://bucket/prefix``: lake, twins, records of machines, bundles.
-    endpoint : str
-        Address of the store's server.
-    registry : str
-        ``postgresql://host/database``, or an MLflow server's address: models.
-    flows : str
-        ``postgresql://host/database``: Prefect's runs and schedules.
+    ``store``: ``s3://bucket/prefix``: lake, twins, records of machines, bundles.
+    ``endpoint``: address of the store's server.
+    ``registry``: ``postgresql://host/database``, or an MLflow server's address: models.
+    ``flows``: ``postgresql://host/database``: Prefect's runs and schedules.
     """
 
     store: str = ""
@@ -87,10 +76,7 @@ class HomeFile:
 def read_home_file(root: Path) -> HomeFile:
     """Return what ``home.toml`` of a home states.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read, or states what is not known.
+    Raises ``InputError`` when it cannot be read, or states what is not known.
     """
     path = root / HOME_FILE
     try:
@@ -114,10 +100,7 @@ def _read(path: Path, _changed: int, size: int) -> HomeFile:
 def home_file_of(stated: Mapping[str, Any], where: str) -> HomeFile:
     """Check what is stated of a home.
 
-    Raises
-    ------
-    InputError
-        When a key or a value is not usable; a password is refused, too: files are copied.
+    Raises ``InputError`` when a key or a value is not usable; a password is refused, too: files are copied.
     """
     known = [f.name for f in fields(HomeFile)]
     for key, value in stated.items():

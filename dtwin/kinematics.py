@@ -53,19 +53,10 @@ def _past_joint(q_rad: float, dh: Floats, rotation: Floats, position: Floats) ->
 def forward_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> tuple[Floats, Floats]:
     """Return the tool centre point and the tool's rotation for one joint vector.
 
-    Parameters
-    ----------
-    q_rad : ndarray, shape (6,)
-        Joint angles.
-    dh : ndarray, shape (6, 4)
-        Rows of length a and offset d in mm, twist alpha and zero offset theta in rad.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point in the flange frame.
-
-    Returns
-    -------
-    tuple of ndarray, shapes (3,) and (3, 3)
-        Position in mm and rotation matrix, both in the base frame.
+    ``q_rad``, shape (6,): joint angles.
+    ``dh``, shape (6, 4): rows of length a and offset d in mm, twist alpha and zero offset theta in rad.
+    ``tcp_mm``, shape (3,): tool centre point in the flange frame.
+    Returns, shapes (3,) and (3, 3): position in mm and rotation matrix, both in the base frame.
     """
     rotation = np.eye(3)
     position = np.zeros(3)
@@ -83,10 +74,7 @@ def jacobian_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> Floats:
 
     Parameters are those of ``forward_kernel``.
 
-    Returns
-    -------
-    ndarray, shape (6, 6)
-        Rows 0-2 in mm/rad (translation), rows 3-5 in rad/rad (rotation), base frame.
+    Returns, shape (6, 6): rows 0-2 in mm/rad (translation), rows 3-5 in rad/rad (rotation), base frame.
     """
     axes = np.zeros((6, 3))
     origins = np.zeros((6, 3))
@@ -150,19 +138,10 @@ def inverse_kernel(
 ) -> tuple[Floats, float]:
     """Return the joint angles nearest to a seed that reach a pose, by damped Newton steps.
 
-    Parameters
-    ----------
-    position_mm, rotation : ndarray, shapes (3,) and (3, 3)
-        Wanted tool centre point and rotation in the base frame.
-    dh, tcp_mm
-        As in ``forward_kernel``.
-    seed_q_rad : ndarray, shape (6,)
-        Start of the iteration; decides the joint branch.
-
-    Returns
-    -------
-    tuple of ndarray, shape (6,), and float
-        Joint angles, and the pose error that is left (mm; rotation times 300 mm).
+    ``position_mm``, ``rotation``, shapes (3,) and (3, 3): wanted tool centre point and rotation in the base frame.
+    ``dh``, ``tcp_mm``: as in ``forward_kernel``.
+    ``seed_q_rad``, shape (6,): start of the iteration; decides the joint branch.
+    Returns, shape (6,): joint angles, and the pose error that is left (mm; rotation times 300 mm).
     """
     q = seed_q_rad.copy()
     error = np.empty(6)
@@ -245,10 +224,7 @@ def _published_ur10e() -> Floats:
 class KinematicChain:
     """Serial chain of six revolute joints.
 
-    Attributes
-    ----------
-    dh : ndarray, shape (6, 4)
-        Standard Denavit-Hartenberg rows: a_mm, d_mm, alpha_rad, theta_rad.
+    ``dh``, shape (6, 4): standard Denavit-Hartenberg rows: a_mm, d_mm, alpha_rad, theta_rad.
     """
 
     name: str
@@ -272,10 +248,7 @@ class KinematicChain:
     def inverse(self, position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
         """Return joint angles (6,) that reach a pose, on the branch of the seed.
 
-        Raises
-        ------
-        InputError
-            When the pose is out of reach from this branch.
+        Raises ``InputError`` when the pose is out of reach from this branch.
         """
         q_rad, left = inverse_kernel(position_mm, rotation, self.dh, tcp_mm, seed_q_rad)
         self._require_reached(left)
@@ -284,10 +257,7 @@ class KinematicChain:
     def inverse_many(self, positions_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
         """Return joint angles (n, 6) along a path of constant rotation, each seeding the next.
 
-        Raises
-        ------
-        InputError
-            When a pose of the path is out of reach from this branch.
+        Raises ``InputError`` when a pose of the path is out of reach from this branch.
         """
         joints, worst = _inverse_many(positions_mm, rotation, self.dh, tcp_mm, seed_q_rad)
         self._require_reached(worst)
@@ -309,10 +279,7 @@ UR10E = KinematicChain("UR10e")
 def plane_axes(plane: str) -> tuple[Floats, Floats]:
     """Return the base-frame unit vectors (3,) of a plane's first and second axis.
 
-    Raises
-    ------
-    InputError
-        When the plane is not XY, YZ or ZX, or one of these with its letters exchanged.
+    Raises ``InputError`` when the plane is not XY, YZ or ZX, or one of these with its letters exchanged.
     """
     name, direction = standard_plane(plane, "CCW")
     first = np.eye(3)["XYZ".index(name[0])]

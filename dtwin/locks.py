@@ -27,10 +27,7 @@ def take(file: int | IO[Any], *, shared: bool = False, wait: bool = False) -> bo
 def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
     """Hold a lock alone and yield True; without ``wait``, yield False while another holds it.
 
-    Raises
-    ------
-    StoreError
-        When the file cannot be made.
+    Raises ``StoreError`` when the file cannot be made.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -46,18 +46,11 @@ class Event:
 class MachineRecord:
     """What a user stated of a machine.
 
-    Attributes
-    ----------
-    facts : mapping of str to str
-        Some of ``FACTS``.
-    axes : mapping of str to mapping
-        ``travel_mm`` and ``pitch_mm`` of an axis, where they are known.
-    tolerances : mapping of str to Limits
-        By the symbol of a test sheet, such as ``G(b)`` or ``A``.
-    events : tuple of Event
-        In the order of their days.
-    test_every_days : float
-        Longest time between two tests; 0 when none is stated.
+    ``facts``: some of ``FACTS``.
+    ``axes``: ``travel_mm`` and ``pitch_mm`` of an axis, where they are known.
+    ``tolerances``: by the symbol of a test sheet, such as ``G(b)`` or ``A``.
+    ``events``: in the order of their days.
+    ``test_every_days``: longest time between two tests; 0 when none is stated.
     """
 
     name: str
@@ -81,10 +74,7 @@ class MachineRecord:
 def read_record(home: Home, machine: str) -> MachineRecord | None:
     """Return the record of a machine, None when there is none.
 
-    Raises
-    ------
-    InputError
-        When the name is not usable, or the file is not a record.
+    Raises ``InputError`` when the name is not usable, or the file is not a record.
     """
     path = record_file(home, machine)
     try:
@@ -129,10 +119,7 @@ def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
 
     An axis or a tolerance that is stated as None is taken back.
 
-    Raises
-    ------
-    InputError
-        When a field is unknown or not usable, or what is taken back was never stated.
+    Raises ``InputError`` when a field is unknown or not usable, or what is taken back was never stated.
     """
     for symbol, limit in stated.get("tolerances", {}).items():
         if is_number(limit) and limit <= 0 and "Fmin" not in symbol:
@@ -160,10 +147,7 @@ def keep_record(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
 def with_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
     """Add an event to a record, which is made when there is none; an empty day is today, where this computer stands.
 
-    Raises
-    ------
-    InputError
-        When it is not usable, or did not happen yet.
+    Raises ``InputError`` when it is not usable, or did not happen yet.
     """
     day = local_day()
     event = _event({"on": on or day.isoformat(), "what": what, "note": note}, "the event")
@@ -177,10 +161,7 @@ def with_event(home: Home, machine: str, what: str, on: str, note: str) -> Machi
 def without_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
     """Take an event back; an empty day is today, and an empty note fits any that is the only one.
 
-    Raises
-    ------
-    InputError
-        When no such event is noted, or several that differ.
+    Raises ``InputError`` when no such event is noted, or several that differ.
     """
     wanted = _event({"on": on or local_day().isoformat(), "what": what, "note": note}, "the event")
     with _alone(home, machine):

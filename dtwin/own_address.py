@@ -17,12 +17,8 @@ def names_this_computer(host: str | None, *, also: str = "", any_address: bool =
     A page of another site can point its own name at this computer (DNS rebinding); then the
     header holds that name.
 
-    Parameters
-    ----------
-    also : str
-        Another name that is ours.
-    any_address : bool
-        Whether every numeric address is: for servers that listen on more than loopback.
+    ``also``: another name that is ours.
+    ``any_address``: whether every numeric address is: for servers that listen on more than loopback.
     """
     match = _HOST.fullmatch(host or "")
     if match is None:

@@ -35,10 +35,7 @@ _acting: ContextVar[str] = ContextVar("acting", default="")
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody with a token of his own.
-
-    ``token_sha256``: of the token, which is shown once and kept nowhere.
-    """
+    """Somebody with a token of his own. ``token_sha256``: of the token, which is shown once and kept nowhere."""
 
     name: str
     roles: tuple[str, ...]
@@ -80,13 +77,7 @@ def act_as(name: str) -> None:
 
 
 def read_people(home: Home) -> People:
-    """Return who is known; nobody without the file.
-
-    Raises
-    ------
-    InputError
-        When the file is not usable.
-    """
+    """Return who is known; nobody without the file. Raises ``InputError`` when the file is not usable."""
     path = home.root / _FILE
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -112,10 +103,7 @@ def read_people(home: Home) -> People:
 def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
     """Make a token for a person, in the place of an earlier one, and return it: it is kept nowhere.
 
-    Raises
-    ------
-    InputError
-        When a role is not known.
+    Raises ``InputError`` when a role is not known.
     """
     require_name(name, "the person")
     unknown = sorted(set(roles) - set(ROLES))
@@ -134,10 +122,7 @@ def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
 def remove_person(home: Home, name: str) -> None:
     """Take a person's token away; the name stays under what was done.
 
-    Raises
-    ------
-    InputError
-        When nobody has the name.
+    Raises ``InputError`` when nobody has the name.
     """
     with _changing(home) as known:
         others = tuple(p for p in known.people if p.name != name)
@@ -160,10 +145,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
     Each line has the hash of the one before: none can be changed or taken out without those after it.
 
-    Raises
-    ------
-    StoreError
-        When it cannot be written.
+    Raises ``StoreError`` when it cannot be written.
     """
     path = home.made().root / AUDIT
     try:
@@ -188,13 +170,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
 
 def audit(home: Home) -> list[dict[str, Any]]:
-    """Return the record, oldest first.
-
-    Raises
-    ------
-    StoreError
-        When a line was changed, taken out or put in.
-    """
+    """Return the record, oldest first. Raises ``StoreError`` when a line was changed, taken out or put in."""
     path, before, entries = home.root / AUDIT, _FIRST, []
     lines = path.read_bytes().splitlines() if path.exists() else []
     for number, line in enumerate(lines, start=1):

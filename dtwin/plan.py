@@ -35,12 +35,8 @@ _TURNAROUND_S = 10.0
 class PlannedTest:
     """One file's worth of motion: a condition, run once in each direction.
 
-    Attributes
-    ----------
-    test_id : str
-        ``t001`` ... in the order of measurement.
-    setup : str
-        Mounting of the instrument; changes with plane and radius.
+    ``test_id``: ``t001`` ... in the order of measurement.
+    ``setup``: mounting of the instrument; changes with plane and radius.
     """
 
     test_id: str
@@ -55,14 +51,9 @@ class PlannedTest:
 class Plan:
     """An ordered list of tests on one machine.
 
-    Attributes
-    ----------
-    tests : tuple of PlannedTest
-        In the order of measurement.
-    directions : tuple of str
-        Directions of every test, in order.
-    seed : int
-        Seed of the random order inside each set-up.
+    ``tests``: in the order of measurement.
+    ``directions``: directions of every test, in order.
+    ``seed``: seed of the random order inside each set-up.
     """
 
     name: str
@@ -124,15 +115,8 @@ def training_plan(
 def read_plan(path: Path) -> Plan:
     """Read a plan file.
 
-    Parameters
-    ----------
-    path : Path
-        TOML with the tables ``[plan]``, ``[grid]`` and, optional, ``[limits]``.
-
-    Raises
-    ------
-    InputError
-        With the place of the first thing that is wrong.
+    ``path``: TOML with the tables ``[plan]``, ``[grid]`` and, optional, ``[limits]``.
+    Raises ``InputError`` with the place of the first thing that is wrong.
     """
     document = read_plan_file(path)
     return expand(document, str(path))
@@ -330,12 +314,8 @@ def _directions(grid: Mapping[str, Any], where: str) -> list[Direction]:
 class EvidencePlan:
     """Which circles are measured.
 
-    Attributes
-    ----------
-    conditions : tuple of (plane, radius_mm, feed_mm_min)
-        Each is run in both directions.
-    trained_feeds : tuple of float
-        For the report: the others were never trained.
+    ``conditions``, of (plane, radius_mm, feed_mm_min): each is run in both directions.
+    ``trained_feeds``: for the report: the others were never trained.
     """
 
     conditions: tuple[tuple[Plane, float, float], ...]

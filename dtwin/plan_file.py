@@ -25,15 +25,8 @@ _MAX_BYTES = 4 * 1024**2
 def read_plan_file(path: Path) -> dict[str, Any]:
     """Return the content of a plan file.
 
-    Parameters
-    ----------
-    path : Path
-        TOML with a table ``[plan]``; its ``kind`` says what else is in it.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is no TOML.
+    ``path``: TOML with a table ``[plan]``; its ``kind`` says what else is in it.
+    Raises ``InputError`` when it cannot be read, or is no TOML.
     """
     try:
         # A device has no end.
@@ -50,17 +43,9 @@ def read_plan_file(path: Path) -> dict[str, Any]:
 def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
     """Return the campaign that a plan file plans.
 
-    Parameters
-    ----------
-    path : Path
-        As for :func:`read_plan_file`.
-    unstated : str
-        Kind of a plan that does not say its own.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, its kind is unknown, or a rule of the kind is broken.
+    ``path``: as for :func:`read_plan_file`.
+    ``unstated``: kind of a plan that does not say its own.
+    Raises ``InputError`` when the file cannot be read, its kind is unknown, or a rule of the kind is broken.
     """
     return planned_document(read_plan_file(path), str(path), unstated)
 
@@ -90,10 +75,7 @@ def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
 def plan_settings(document: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the settings of a plan file's table ``[plan]`` without its kind.
 
-    Raises
-    ------
-    InputError
-        When it has no such table, or another one, which would not be read.
+    Raises ``InputError`` when it has no such table, or another one, which would not be read.
     """
     table = document.get("plan")
     if not isinstance(table, dict) or len(document) > 1:
@@ -109,17 +91,9 @@ def plan_settings(document: Mapping[str, Any], where: str) -> dict[str, Any]:
 def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
     """Return a plan of settings, each known, given where it has no default, and of the right type.
 
-    Parameters
-    ----------
-    plan : type
-        A dataclass of text, whole numbers, numbers and tuples of numbers.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type.
+    ``plan``: a dataclass of text, whole numbers, numbers and tuples of numbers.
+    ``where``: where they come from, for error messages.
+    Raises ``InputError`` when a setting is unknown, missing or of the wrong type.
     """
     known = {f.name: str(f.type) for f in fields(plan)}
     unknown = sorted(set(stated) - set(known))
@@ -140,19 +114,10 @@ def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
 def obeying(plan: _Plan, rules: Iterable[tuple[str, bool, object, str]], where: str) -> _Plan:
     """Return a plan whose names are usable and whose settings obey rules.
 
-    Parameters
-    ----------
-    plan : dataclass
-        With ``name`` and ``machine``.
-    rules : iterable of (str, bool, object, str)
-        Setting, whether its rule is kept, what was given, and what is allowed.
-    where : str
-        Where it comes from, for error messages.
-
-    Raises
-    ------
-    InputError
-        With the first rule that is broken.
+    ``plan``: with ``name`` and ``machine``.
+    ``rules``, of (str, bool, object, str): setting, whether its rule is kept, what was given, and what is allowed.
+    ``where``: where it comes from, for error messages.
+    Raises ``InputError`` with the first rule that is broken.
     """
     for name in ("name", "machine"):
         require_name(getattr(plan, name), f"plan.{name}")

@@ -55,10 +55,8 @@ def follow_shared(home: Home, at: Bucket | None = None) -> None:
 
     ``at``: the store; the one of the home by default.
 
-    Raises
-    ------
-    StoreError
-        When the store does not answer, or another computer changed the same: then what was made here lies aside.
+    Raises ``StoreError`` when the store does not answer, or another computer changed the same: then what was made here
+    lies aside.
     """
     bucket = home.file.bucket if at is None else at
     if bucket is None:

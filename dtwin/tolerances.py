@@ -39,10 +39,7 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     One number of a figure that has a sign is a limit of its size: a deviation of -30 is not within 10. Of ``Fmin``, the
     smallest deviation of a circle, it is how far down it may be.
 
-    Raises
-    ------
-    InputError
-        When one is no number, or its bounds are exchanged.
+    Raises ``InputError`` when one is no number, or its bounds are exchanged.
     """
     by_symbol = {}
     for symbol, value in stated.items():

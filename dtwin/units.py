@@ -124,15 +124,8 @@ def shown_unit(unit: str) -> str:
 def unit_of(column: str) -> str | None:
     """Return the unit that a column name ends with.
 
-    Parameters
-    ----------
-    column : str
-        Column name, for example ``"deviation_um"``.
-
-    Returns
-    -------
-    str or None
-        The unit, for example ``"um"``; None when the name ends with no known unit.
+    ``column``: column name, for example ``"deviation_um"``.
+    Returns the unit, for example ``"um"``; None when the name ends with no known unit.
     """
     for suffix, unit in UNITS.items():
         if column.endswith("_" + suffix):
@@ -143,17 +136,9 @@ def unit_of(column: str) -> str | None:
 def require_units(columns: Iterable[str], where: str) -> dict[str, str]:
     """Return the unit of each column, or refuse those without one.
 
-    Parameters
-    ----------
-    columns : iterable of str
-        Names of floating-point columns.
-    where : str
-        What the columns belong to, for the error message.
-
-    Raises
-    ------
-    InputError
-        When a name ends with no known unit, or cannot be printed in one line.
+    ``columns``: names of floating-point columns.
+    ``where``: what the columns belong to, for the error message.
+    Raises ``InputError`` when a name ends with no known unit, or cannot be printed in one line.
     """
     units = {column: unit_of(column) for column in columns}
     # A line end in a name would make a line of its own of what is written for a control.

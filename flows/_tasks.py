@@ -19,7 +19,7 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
-from dtwin.fleet import Night, nightly
+from dtwin.fleet.nightly import Night, nightly
 from dtwin.kinds.machine import Request, Simulated
 from dtwin.kinds.registry import machine_named
 from dtwin.lifecycle import drift, schedule

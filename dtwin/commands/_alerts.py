@@ -18,7 +18,7 @@ app = typer.Typer(
 @app.command("test")
 def send_test(as_json: Json = False) -> None:
     """Send a test message to every channel of DTWIN_HOME/alerts.toml."""
-    from dtwin.fleet import try_channels
+    from dtwin.fleet.channels import try_channels
 
     outcomes = try_channels(home())
 
@@ -37,7 +37,7 @@ def silence(
     as_json: Json = False,
 ) -> None:
     """Tell nobody of something for some days."""
-    from dtwin.fleet import silence as silenced
+    from dtwin.fleet.alerts import silence as silenced
 
     until = silenced(home(), key, days)
     text = f"{key} is told again" if not days else f"{key} is not told before {until}"

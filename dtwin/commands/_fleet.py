@@ -14,7 +14,8 @@ from dtwin.errors import EXIT_USER, InputError
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
-    from dtwin.fleet import FleetRun, Job
+    from dtwin.fleet.jobs import Job
+    from dtwin.fleet.run import FleetRun
 
 Machines = Annotated[list[str] | None, typer.Option("--machine", help="May be repeated; all without.")]
 On = Annotated[
@@ -34,7 +35,7 @@ app = typer.Typer(
 @app.command()
 def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, as_json: Json = False) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
-    from dtwin.fleet import DIAGNOSE
+    from dtwin.fleet.jobs import DIAGNOSE
 
     _run(DIAGNOSE, machine, on, workers, 0, as_json)
 
@@ -44,7 +45,7 @@ def train(
     machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 1, as_json: Json = False
 ) -> None:
     """Train on the newest campaign of every machine that has new runs, and register; nothing is promoted."""
-    from dtwin.fleet import TRAIN
+    from dtwin.fleet.jobs import TRAIN
 
     _run(TRAIN, machine, on, workers, seed, as_json)
 
@@ -59,7 +60,7 @@ def recheck(
     as_json: Json = False,
 ) -> None:
     """Measure every machine with and without its champion again, and withdraw those that harm."""
-    from dtwin.fleet import recheck_job
+    from dtwin.fleet.jobs import recheck_job
 
     _run(recheck_job(days), machine, on, workers, seed, as_json)
 
@@ -74,7 +75,7 @@ def nightly(
     as_json: Json = False,
 ) -> None:
     """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed."""
-    from dtwin.fleet import nightly as night_of
+    from dtwin.fleet.nightly import nightly as night_of
 
     lines = {stage: ProgressLine(stage, quiet=as_json) for stage in ("diagnose", "recheck", "history")}
     night = night_of(
@@ -108,7 +109,7 @@ def nightly(
 @app.command()
 def show(machine: Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
-    from dtwin.fleet import fleet_view
+    from dtwin.fleet.view import fleet_view
 
     lines = fleet_view(home(), _known(machine))
     head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")
@@ -134,7 +135,7 @@ def sister_machines(
     as_json: Json = False,
 ) -> None:
     """Compare machines of one type by figures of their newest tests and sizes of faults: what is usual, and which one differs."""
-    from dtwin.fleet import sisters
+    from dtwin.fleet.sisters import sisters
     from dtwin.report.faults import with_k2
 
     if bool(type) == bool(machine):
@@ -178,7 +179,7 @@ def _known(machines: list[str] | None) -> list[str]:
 
 
 def _run(job: Job, machines: list[str] | None, on: str | None, workers: int | None, seed: int, as_json: bool) -> None:
-    from dtwin.fleet import run_fleet
+    from dtwin.fleet.run import run_fleet
 
     progress = ProgressLine(job.name, quiet=as_json)
     run = run_fleet(

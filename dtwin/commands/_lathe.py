@@ -37,7 +37,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit the positioning error of an axis, judge the equation, write it as a bundle."""
-    from dtwin.kinds.linear import fitted, gate_lines, judged, write_judged
+    from dtwin.kinds.linear import fitted
 
     if model not in MODELS or (campaign is None) != (model == "printed"):
         raise InputError(
@@ -47,24 +47,16 @@ def fit(
             allowed="--model flanks or pair with a campaign folder, --model printed without",
         )
     made = fitted(campaign, model, seed)
-    verdicts = judged(made)
-    passed = all(v.passed for v in verdicts)
-    written = (passed or force) and write_judged(made, verdicts, out, force=force)
+    written, said = made.write(out, force=force)
     payload = {
         "model": model,
         "file": str(out) if written else None,
         "figures": dict(made.figures),
-        "gates": [vars(v) for v in verdicts],
+        "gates": [vars(v) for v in made.verdicts],
     }
-    lines = [
-        f"{model}: " + ", ".join(f"{name} {value}" for name, value in made.figures.items()),
-        *gate_lines(verdicts),
-        f"{out} written" + ("" if passed else " though it did not pass: for comparison only")
-        if written
-        else "not written: a gate said no (--force writes it for comparison)",
-    ]
+    lines = [f"{model}: " + ", ".join(f"{name} {value}" for name, value in made.figures.items()), *said]
     emit(payload, lambda: "\n".join(lines), as_json=as_json)
-    if not passed and not force:
+    if not written:
         raise typer.Exit(EXIT_GATE)
 
 

@@ -20,10 +20,7 @@ Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one
 
 
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
-    """Print a result.
-
-    ``text``: makes the readable form; called only when it is wanted.
-    """
+    """Print a result. ``text``: makes the readable form; called only when it is wanted."""
     if as_json:
         print(json.dumps(clean(payload), indent=2, default=str))
     else:
@@ -46,10 +43,7 @@ def clean(value: Any) -> Any:
 
 
 class ProgressLine:
-    """One line on stderr that counts; silent when short, when piped, and with ``--json``.
-
-    ``quiet``: never print.
-    """
+    """One line on stderr that counts; silent when short, when piped, and with ``--json``. ``quiet``: never print."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         self.title = title

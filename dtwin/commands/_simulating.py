@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands._listening import require_served, simulate_served
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.kinds.machine import PLAN, Request, VirtualMachine
+from dtwin.kinds.machine import PLAN, Request, VirtualMachine, require_no_campaign
 from dtwin.kinds.registry import machine_named, machines, own_kinds
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def simulate(
     given = {PLAN: None if plan is None else str(plan), "hidden": hidden, "truth": truth, "schedule": schedule}
     clock: Clock = "wall" if wall_clock else "machine"
     if listen is not None or wall_clock:
-        require_served(virtual, listen, clock)
+        _require_served(virtual, listen, clock)
     options = virtual.chosen(given)
     if quick and plan is not None:
         raise InputError(
@@ -78,7 +79,7 @@ def simulate(
         )
     request = Request(out, seed, quick, _planned(virtual, plan), options)
     if listen is not None:
-        simulate_served(virtual, request, port=listen, clock=clock, as_json=as_json)
+        _simulate_served(virtual, request, port=listen, clock=clock, as_json=as_json)
         return
     done = virtual.simulate(request, ProgressLine("measure", quiet=as_json))
     emit(done.payload, lambda: "\n".join(done.lines), as_json=as_json)
@@ -100,3 +101,51 @@ def _planned(machine: VirtualMachine, file: Path | None) -> Any:
             allowed=machine.kind,
         )
     return planned.plan
+
+
+def _simulate_served(machine: VirtualMachine, request: Request, *, port: int, clock: Clock, as_json: bool) -> None:
+    """Run a machine's program once, corrected by whoever connects, and write what was measured."""
+    from dtwin.links.virtual_key import proof
+    from dtwin.machines.axis_server import AxisServer
+
+    out = request.out
+    require_no_campaign(out)
+    served = machine.served(request)
+    state = home()
+    server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port)
+    try:
+        server.run(_announce, ProgressLine("run", quiet=as_json))
+    except KeyboardInterrupt:
+        _announce("interrupted before its program had ended: nothing was written; run it again")
+        raise
+    finally:
+        server.close()
+    what = served.write(out)
+    payload = {"folder": str(out), "ticks": served.ticks, "watchdog_trips": server.watchdog_trips}
+    emit(payload, lambda: f"{what} in {out}\nnext: dtwin check {out}", as_json=as_json)
+
+
+def _require_served(machine: VirtualMachine, port: int | None, clock: Clock) -> None:
+    """Refuse a machine that cannot be corrected on a clock, and a port that is none."""
+    if port is None:
+        raise InputError(
+            "real time is for a machine that is corrected meanwhile",
+            code="simulate.clock",
+            got="--wall-clock without --listen",
+            allowed="--listen PORT --wall-clock",
+        )
+    if clock not in machine.clocks:
+        able = [known for known in machines() if known.clocks]
+        raise InputError(
+            "this virtual machine cannot be corrected so",
+            code="simulate.listen",
+            got=f"--machine {machine.name}, {clock} clock",
+            allowed="; ".join(f"{m.name}: {' or '.join(m.clocks)} clock" for m in able),
+            hint="dtwin demo serves the virtual robot",
+        )
+    if not 0 <= port < 65536:
+        raise InputError("no such port", code="simulate.port", got=str(port), allowed="0 to 65535, 0: a free one")
+
+
+def _announce(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

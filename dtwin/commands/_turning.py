@@ -40,8 +40,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
-    from dtwin.kinds.linear import gate_lines
-    from dtwin.kinds.sinusoidal import ACTIONS, MODELS, fitted_tones, folder_groups, write_tones
+    from dtwin.kinds.sinusoidal import ACTIONS, MODELS, fitted_tones, folder_groups
 
     if model not in MODELS or action not in ACTIONS:
         raise InputError(
@@ -52,9 +51,7 @@ def fit(
         )
     machine, groups = folder_groups(campaign, ProgressLine("read", quiet=as_json))
     made = fitted_tones(machine, groups, model, action, seed)
-    written = made.passed or force
-    if written:
-        write_tones(made, out, force=force)
+    written, said = made.write(out, force=force)
     payload = {
         "model": made.candidate.name,
         "action": action,
@@ -65,15 +62,7 @@ def fit(
         "numbers": dict(made.candidate.numbers),
         "gates": [vars(v) for v in made.verdicts],
     }
-    lines = [
-        *made.told,
-        "",
-        made.candidate.equation,
-        *gate_lines(made.verdicts),
-        f"{out} written" + ("" if made.passed else " though it did not pass: for comparison only")
-        if written
-        else "not written: a gate said no (--force writes it for comparison)",
-    ]
+    lines = [*made.told, "", made.candidate.equation, *said]
     emit(payload, lambda: "\n".join(lines), as_json=as_json)
     if not written:
         raise typer.Exit(EXIT_GATE)

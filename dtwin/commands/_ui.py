@@ -40,7 +40,7 @@ def ui(
             "no such folder for effects", code="ui.effects_path", where=str(effects_path), hint=f"mkdir {effects_path}"
         )
     from dtwin.shared_documents import following
-    from dtwin.workbench import listening, only_one
+    from dtwin.workbench.listening_socket import listening, only_one
 
     def announce(address: str) -> None:
         shown = json.dumps({"address": address, "home": str(home().root)}, indent=2)
@@ -54,7 +54,7 @@ def ui(
     own = None if effects_path is None else effects_path.absolute()
     # Over before the process may end at once.
     with following(home()), only_one(home()), listening(host, port) as bound:
-        from dtwin.workbench import run
+        from dtwin.workbench.server import run
 
         # The server has ended in order by then, and raises the signal once more.
         with contextlib.suppress(KeyboardInterrupt):

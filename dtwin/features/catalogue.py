@@ -54,26 +54,14 @@ _BY_NAME = {feature.name: feature for feature in FEATURES}
 
 
 def feature(name: str) -> Feature:
-    """Return the definition of a feature.
-
-    Raises
-    ------
-    InputError
-        When there is no such feature.
-    """
+    """Return the definition of a feature. Raises ``InputError`` when there is no such feature."""
     if name not in _BY_NAME:
         raise InputError("unknown feature", code="features.unknown", got=name[:80], allowed=", ".join(FEATURE_NAMES))
     return _BY_NAME[name]
 
 
 def positions(names: Sequence[str]) -> list[int]:
-    """Return the positions of features in ``FEATURES``.
-
-    Raises
-    ------
-    InputError
-        When a name is unknown or given twice.
-    """
+    """Return the positions of features in ``FEATURES``. Raises ``InputError`` when a name is unknown or given twice."""
     places = [FEATURE_NAMES.index(feature(name).name) for name in names]
     if len(set(places)) != len(places):
         raise InputError("a feature is selected twice", code="features.repeated", got=", ".join(names))

@@ -25,24 +25,11 @@ def align_infeed(
     radius and the second harmonic are fitted anew at every lag, because an eccentric set-up
     would shift the in-feed.
 
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (n,)
-        Bar, from its first sample.
-    commanded_um : ndarray, shape (m,)
-        Commanded distance from the centre minus nominal radius.
-    angle_rad : ndarray, shape (m,)
-        Commanded path angle.
-
-    Returns
-    -------
-    Alignment
-        ``residual`` is the share of the bar's RMS that remains.
-
-    Raises
-    ------
-    InputError
-        When the controller's record does not cover the bar's at any lag.
+    ``deviation_um``, shape (n,): bar, from its first sample.
+    ``commanded_um``, shape (m,): commanded distance from the centre minus nominal radius.
+    ``angle_rad``, shape (m,): commanded path angle.
+    Returns ``residual`` is the share of the bar's RMS that remains.
+    Raises ``InputError`` when the controller's record does not cover the bar's at any lag.
     """
     thin = max(1, round(rate_hz * _THINNED_S))
     t_bar = np.arange(deviation_um.size)[::thin] / rate_hz

@@ -54,19 +54,10 @@ def swarm_minimum(
 
     Constriction coefficients of Clerc and Kennedy, IEEE Trans. Evol. Comput. 6 (2002).
 
-    Parameters
-    ----------
-    objective : callable
-        Function of the argument; values that are not finite count as worst.
-    low, high : float
-        Positive bounds.
-    patience : int
-        Iterations without improvement after which the search ends.
-
-    Raises
-    ------
-    InputError
-        When the bounds are not positive and ordered.
+    ``objective``: function of the argument; values that are not finite count as worst.
+    ``low``, ``high``: positive bounds.
+    ``patience``: iterations without improvement after which the search ends.
+    Raises ``InputError`` when the bounds are not positive and ordered.
     """
     if not 0 < low < high < np.inf:
         raise InputError("bounds must be positive and ordered", code="swarm.bounds", got=f"{low} to {high}")
@@ -134,15 +125,10 @@ def coupled(signal: Floats, rate_hz: float, corner_hz: float = 0.5) -> Floats:
 class Visibility:
     """How much of a known displacement comes back.
 
-    Attributes
-    ----------
-    lost_fraction : float
-        Energy of (true - found) over energy of true; 0 is perfect, 1 no better than
-        answering zero, above 1 worse than that.
-    correlation : float
-        Between true and found displacement; 0 when one of them is constant.
-    found_rms_mm, true_rms_mm : float
-        Sizes of the two, without their means.
+    ``lost_fraction``: energy of (true - found) over energy of true; 0 is perfect, 1 no better than answering zero,
+    above 1 worse than that.
+    ``correlation``: between true and found displacement; 0 when one of them is constant.
+    ``found_rms_mm``, ``true_rms_mm``: sizes of the two, without their means.
     """
 
     lost_fraction: float
@@ -162,23 +148,12 @@ def displacement_visibility(
 ) -> Visibility:
     """Send a known motion through sensor coupling and window restarts and compare.
 
-    Parameters
-    ----------
-    motion_mm : ndarray, shape (n,)
-        True displacement; its second difference is the true acceleration.
-    window : int
-        Samples after which the integration restarts.
-    corner_hz : float
-        Corner of the AC coupling; 0 for a sensor that measures down to rest.
-    cutoff_power : float
-        Threshold of the spectrum filter in g^2.
-    per_window_mean : bool
-        Compare means over windows, one number per window.
-
-    Raises
-    ------
-    InputError
-        When there are fewer than two windows, or the motion is constant.
+    ``motion_mm``, shape (n,): true displacement; its second difference is the true acceleration.
+    ``window``: samples after which the integration restarts.
+    ``corner_hz``: corner of the AC coupling; 0 for a sensor that measures down to rest.
+    ``cutoff_power``: threshold of the spectrum filter in g^2.
+    ``per_window_mean``: compare means over windows, one number per window.
+    Raises ``InputError`` when there are fewer than two windows, or the motion is constant.
     """
     acceleration_g = np.zeros(len(motion_mm))
     acceleration_g[1:-1] = np.diff(motion_mm, 2) * rate_hz**2 / G_MM_S2

@@ -15,12 +15,8 @@ from dtwin.schema import Floats
 class Tone:
     """One tone over a stretch of a signal.
 
-    Attributes
-    ----------
-    phasor : complex
-        ``amplitude * exp(i * phase)`` of ``amplitude * sin(2 pi f t + phase)``.
-    rest_rms : float
-        What the tone, a constant and a slope leave.
+    ``phasor``: ``amplitude * exp(i * phase)`` of ``amplitude * sin(2 pi f t + phase)``.
+    ``rest_rms``: what the tone, a constant and a slope leave.
     """
 
     phasor: complex
@@ -41,12 +37,8 @@ class Tone:
 def fit_tone(t_s: Floats, values: Floats, frequency_hz: float) -> Tone:
     """Fit a tone beside a constant and a slope (IEEE Std 1057, three-parameter fit, and slope).
 
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,)
-        Times, any spacing.
-    values : ndarray, shape (n,)
-        Signal.
+    ``t_s``, shape (n,): times, any spacing.
+    ``values``, shape (n,): signal.
     """
     angle = 2.0 * np.pi * frequency_hz * t_s
     design = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(t_s), t_s - t_s.mean()])
@@ -65,13 +57,9 @@ def lag_deg(reference: Tone, follower: Tone) -> float:
 class ToneErrors:
     """How a tone was followed.
 
-    Attributes
-    ----------
-    encoder_lag_deg, tool_lag_deg : float
-        By how much encoder and tool lag behind the command.
-    tracking_um, total_um : float
-        Amplitudes of encoder minus command and of tool minus command: lengths of the difference of
-        vectors, not differences of lengths.
+    ``encoder_lag_deg``, ``tool_lag_deg``: by how much encoder and tool lag behind the command.
+    ``tracking_um``, ``total_um``: amplitudes of encoder minus command and of tool minus command: lengths of the
+    difference of vectors, not differences of lengths.
     """
 
     command_um: float
@@ -93,12 +81,8 @@ def tone_errors(
 ) -> ToneErrors:
     """Return how encoder and tool follow a commanded tone.
 
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,)
-        Times.
-    command_um, encoder_um, tool_um : ndarray, shape (n,)
-        Positions.
+    ``t_s``, shape (n,): times.
+    ``command_um``, ``encoder_um``, ``tool_um``, shape (n,): positions.
     """
     command, encoder, tool = (fit_tone(t_s, values, frequency_hz) for values in (command_um, encoder_um, tool_um))
     return ToneErrors(

@@ -40,20 +40,9 @@ def stop_envelope(signal: Floats, rate_hz: float) -> Floats:
 def find_stops(signal: Floats, rate_hz: float) -> tuple[Stop, ...]:
     """Find the stops of a circular record by their bursts above 20 Hz.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-        Deviation or acceleration; any unit.
-
-    Returns
-    -------
-    tuple of Stop
-        In order of time; empty when there is no burst.
-
-    Raises
-    ------
-    InputError
-        When the record holds a value that is not finite.
+    ``signal``, shape (n,): deviation or acceleration; any unit.
+    Returns them in order of time; empty when there is no burst.
+    Raises ``InputError`` when the record holds a value that is not finite.
     """
     if not np.isfinite(signal).all():
         raise InputError("the record holds values that are not finite", code="align.finite")
@@ -90,19 +79,10 @@ class _Period:
 def true_period(signal: Floats, rate_hz: float, nominal_s: float, *, skip_samples: int = 0) -> _Period:
     """Find the time of one revolution by correlation of the record with itself.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-        Record that is longer than one revolution.
-    nominal_s : float
-        Expected time, from the programmed feed.
-    skip_samples : int
-        Lead-in to leave out.
-
-    Raises
-    ------
-    InputError
-        When the record is too short to hold a revolution and something to compare.
+    ``signal``, shape (n,): record that is longer than one revolution.
+    ``nominal_s``: expected time, from the programmed feed.
+    ``skip_samples``: lead-in to leave out.
+    Raises ``InputError`` when the record is too short to hold a revolution and something to compare.
     """
     part = signal[skip_samples:]
     low = max(2, int(nominal_s * rate_hz * (1 - _TOLERANCE)))
@@ -124,13 +104,9 @@ def true_period(signal: Floats, rate_hz: float, nominal_s: float, *, skip_sample
 def lead_in_samples(signal: Floats, rate_hz: float, period_samples: float, threshold: float = 4.5) -> int:
     """Return how many samples pass before the record repeats one revolution later.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-        Record.
-    threshold : float
-        Local difference over its lowest fifth that still counts as lead-in, until a quarter
-        of a second stays below it.
+    ``signal``, shape (n,): record.
+    ``threshold``: local difference over its lowest fifth that still counts as lead-in, until a quarter of a second
+    stays below it.
     """
     lag = round(period_samples)
     if len(signal) <= lag + 2:

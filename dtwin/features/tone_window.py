@@ -51,12 +51,9 @@ def tone_columns(channel: str) -> tuple[str, ...]:
 def tone_features(sent_um: Floats, acceleration: Floats, contract: WindowContract) -> Floats:
     """Return the features of the first window, shape (2, 12).
 
-    Parameters
-    ----------
-    sent_um, acceleration : ndarray, shape (n,)
-        The command as it was sent, and the accelerometer, at the contract's rate.
-    contract : WindowContract
-        From :func:`tone_contract`.
+    ``sent_um``, ``acceleration``, shape (n,): the command as it was sent, and the accelerometer, at the contract's
+    rate.
+    ``contract``: from :func:`tone_contract`.
     """
     block = np.stack([sent_um, acceleration])[:, : contract.n_samples]
     values = np.zeros((2, len(contract.features)))

@@ -89,10 +89,7 @@ class WindowContract:
     def from_dict(cls, data: Mapping[str, Any]) -> WindowContract:
         """Return the contract that ``to_dict`` described.
 
-        Raises
-        ------
-        InputError
-            When a field is missing, unknown or of the wrong type.
+        Raises ``InputError`` when a field is missing, unknown or of the wrong type.
         """
         expected = set(cls.__dataclass_fields__)
         if set(data) != expected:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from dtwin.errors import InputError
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.kinds.volumetric import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
+    from dtwin.report.twin_of_kind import TwinReport
     from dtwin.report.uncertainty import Circumstances, Variation
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
@@ -39,13 +40,7 @@ if TYPE_CHECKING:
 
 
 class NotOffered(InputError):
-    """A verb that a kind of campaign does not have.
-
-    Parameters
-    ----------
-    hint : str
-        What it needs, or what serves instead.
-    """
+    """A verb that a kind of campaign does not have; ``hint``: what it needs, or what serves instead."""
 
     def __init__(self, kind: str, verb: str, hint: str) -> None:
         super().__init__(f"{verb} is not offered for {kind} campaigns", code="kind.not_offered", got=kind, hint=hint)
@@ -74,6 +69,10 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "run_errors": ("evidence run by run", "an error of each run"),
 }
 """Verbs that a kind may lack: what each is called, and what it needs."""
+
+
+TWINS_OF_PATHS: Mapping[str, str] = {"twins": "dtwin.twins.verbs:Twins", "twin_report": "dtwin.report.twins"}
+"""Places of the twins of kinds that have ``rows``: one fit and one report serve all of them."""
 
 
 class FileReader(Protocol):
@@ -184,6 +183,9 @@ class Kind:
         Forms of ``dtwin export`` that a twin is written in without a registered correction.
     instead : mapping of str to str
         What serves in place of a verb that the kind lacks.
+    places : mapping of str to str
+        What does a verb, ``module:name``, imported when it is asked for; a module of the kind's own folder begins with
+        an underscore. It takes what the method of that name takes; what is no method is an object.
     """
 
     name: ClassVar[str]
@@ -204,16 +206,17 @@ class Kind:
     controls: ClassVar[tuple[str, ...]] = ()
     export_forms: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
+    places: ClassVar[Mapping[str, str]] = {}
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
         """Virtual machines that are measured by such campaigns."""
-        return ()
+        return self._done("machines") if "machines" in self.places else ()
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
         """Readers of vendors' files, by ending; other tables are read as CSV or Parquet."""
-        return {}
+        return self._done("readers") if "readers" in self.places else {}
 
     def reader_of(self, path: Path) -> FileReader | None:
         """Return the reader of a file, None when it is a table with the columns of the kind."""
@@ -221,37 +224,34 @@ class Kind:
 
     def takes_alone(self, path: Path) -> bool:
         """Return whether a file that lies alone is of this kind, though it has not its columns."""
-        return False
+        return self._done("takes_alone")(path) if "takes_alone" in self.places else False
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         """Return the plan that a plan file states; ``where`` is its name, for error messages."""
-        raise self.lacks("plan")
+        return self._done("plan")(document, where)
 
     def usual_plan(self) -> Planned:
         """Return the plan of the usual campaign."""
-        raise self.lacks("usual_plan")
+        return self._done("usual_plan")()
 
     def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
-        """Return a plan file, as TOML is read, with usual settings for a machine, to be changed setting by setting.
-
-        ``axes``: its axes, with ``travel_mm`` and ``pitch_mm`` where they are known.
-        """
-        raise self.lacks("draft")
+        """Return a plan file, as TOML is read, with usual settings for a machine; ``axes`` as for ``proposals``."""
+        return self._done("draft")(machine, axes)
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
         """Return the motion programs of a plan by file name; ``control`` is one of ``controls``."""
-        raise self.lacks("programs")
+        return self._done("programs")(planned, control)
 
     def foreseen(self, planned: Planned) -> Observations:
         """Return the runs of a plan as if they had been measured, with no error in them."""
-        raise self.lacks("foreseen")
+        return self._done("foreseen")(planned)
 
     def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
         """Return plan files, as TOML is read, of tests of a machine that could be worth their time.
 
         ``axes``: its axes, with ``travel_mm`` and ``pitch_mm`` where they are known.
         """
-        raise self.lacks("proposals")
+        return self._done("proposals")(machine, axes)
 
     def require_condition(self, condition: Mapping[str, Any], where: str) -> None:
         """Refuse what is set for a run and cannot be in a test of this kind."""
@@ -259,15 +259,15 @@ class Kind:
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         """Return a run with what the campaign states of its instrument."""
-        return run
+        return self._done("completed")(run, campaign) if "completed" in self.places else run
 
     def judge_run(self, run: Run) -> list[Finding]:
         """Return what is wrong with one run, with its samples."""
-        raise self.lacks("judge_run")
+        return self._done("judge_run")(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
         """Return what the runs lack as a whole; of their samples, ``campaign_columns`` are there."""
-        return []
+        return self._done("judge_campaign")(runs) if "judge_campaign" in self.places else []
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         """Return the figures of the standard by condition, with what makes each uncertain beside its repeatability.
@@ -275,45 +275,45 @@ class Kind:
         ``runs``: of their samples, ``sheet_columns`` are there.
         ``under``: what is known of instrument, temperature and surroundings.
         """
-        raise self.lacks("sheet")
+        return self._done("sheet")(runs, under)
 
     def variation(self, runs: Sequence[Run], campaign: str) -> Variation | None:
         """Return how far a reading moves while the machine stands still, None when the runs do not tell."""
-        raise self.lacks("variation")
+        return self._done("variation")(runs, campaign)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
         """Return the picture beside the figures of one condition."""
-        raise self.lacks("sheet")
+        return self._done("sheet_figure", "sheet")(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         """Return the figures of one sound run, JSON-ready."""
-        return {}
+        return self._done("run_figures")(run) if "run_figures" in self.places else {}
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         """Return the figures of a campaign, JSON-ready."""
-        return {}
+        return self._done("campaign_figures")(runs) if "campaign_figures" in self.places else {}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         """Return the text of what a check found, besides that of each run."""
-        return []
+        return self._done("figure_lines")(result) if "figure_lines" in self.places else []
 
     @property
     def drawings(self) -> Sequence[Drawing]:
         """Figures of one run, in the order of its page."""
-        raise self.lacks("drawings")
+        return self._done("drawings")
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins | HeatTwins:
         """Return the twins of a home that are of such campaigns, with a library of effects."""
-        raise self.lacks("twins")
+        return self._done("twins")(home, library)
 
     @property
     def twin_report(self) -> TwinReport:
         """How twins of such campaigns are told."""
-        raise self.lacks("twins")
+        return self._done("twin_report", "twins")
 
     def export_twin(self, home: Home, name: str, form: str) -> Export:
         """Write a twin in one of ``export_forms``."""
-        raise self.lacks("export_twin")
+        return self._done("export_twin")(home, name, form)
 
     def limits(self, of_machine: Mapping[str, Limits]) -> dict[str, Limits]:
         """Return the limits of a machine's record that are of the figures of such tests.
@@ -326,35 +326,35 @@ class Kind:
 
     def axis_errors(self, bundle: Bundle) -> AxisErrors:
         """Return what a bundle of such campaigns says along its axis."""
-        raise self.lacks("axis_errors")
+        return self._done("axis_errors")(bundle)
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         """Return the grid on which runs are compared, and the runs on it."""
-        raise self.lacks("rows")
+        return self._done("rows")(runs, times_h)
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
         """Return the error of every run, as evidence compares them."""
-        raise self.lacks("run_errors")
+        return self._done("run_errors")(runs)
 
     def training(self) -> Callable[..., Training]:
         """Return what trains an equation of such a campaign."""
-        raise self.lacks("training")
+        return self._done("training")
 
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         """Return the verdicts of what needs no motion on a bundle and its metrics."""
-        raise self.lacks("gates")
+        return self._done("gates")(bundle, metrics)
 
     def recognises(self, bundle: Bundle) -> bool:
         """Tell by its inputs whether a bundle that does not say so was made of such a campaign."""
-        return False
+        return self._done("recognises")(bundle) if "recognises" in self.places else False
 
     def twin_correction(self) -> TwinWay:
         """Return how a twin of such a campaign becomes a correction."""
-        raise self.lacks("twin_correction")
+        return self._done("twin_correction")
 
     def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
         """Return why rows of the lake cannot train an equation, or nothing."""
-        return ""
+        return self._done("training_obstacle")(rows) if "training_obstacle" in self.places else ""
 
     def drift_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
         """Return why rows of the lake cannot judge a champion of such campaigns, or nothing."""
@@ -369,19 +369,19 @@ class Kind:
         progress: Progress | None = None,
     ) -> ChampionError:
         """Return what a bundle leaves of the runs of rows of the lake; ``metrics`` were logged with it."""
-        raise self.lacks("champion_error")
+        return self._done("champion_error")(lake, rows, bundle, metrics, progress)
 
     def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
         """Return which logged error to expect on fresh rows of the lake, by those that a bundle was trained on.
 
         Raises ``InputError`` when the known ones say nothing of the fresh ones.
         """
-        raise self.lacks("champion_error")
+        return self._done("held_out", "champion_error")(known, fresh)
 
     def offers(self, verb: str) -> bool:
         """Tell whether the kind has one of ``VERBS``."""
         own = getattr(type(self), verb)
-        return own if isinstance(own, bool) else own is not getattr(Kind, verb)
+        return own if isinstance(own, bool) else verb in self.places or own is not getattr(Kind, verb)
 
     def require(self, verb: str) -> None:
         """Refuse a verb that the kind lacks."""
@@ -393,3 +393,10 @@ class Kind:
         title, needed = VERBS[verb]
         hint = self.instead.get(verb, f"it needs {needed}")
         return NotOffered(self.name, title, hint)
+
+    def _done(self, verb: str, needed: str = "") -> Any:
+        """Return what does a verb, or refuse it as what it is part of."""
+        place = self.places.get(verb)
+        if place is None:
+            raise self.lacks(needed or verb)
+        return resolve_name(f"{type(self).__module__.rpartition('.')[0]}.{place}" if place[0] == "_" else place)

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
 from dtwin.errors import InputError
-from dtwin.kinds.kind import VERBS, Kind
+from dtwin.kinds.kind import Kind
 from dtwin.kinds.machine import VirtualMachine
 
 if TYPE_CHECKING:
@@ -30,13 +30,7 @@ def kind_names() -> tuple[str, ...]:
 
 @cache
 def kind_named(name: str) -> Kind:
-    """Return a kind by its name.
-
-    Raises
-    ------
-    InputError
-        When there is none of that name.
-    """
+    """Return a kind by its name. Raises ``InputError`` when there is none of that name."""
     if name in _OWN:
         kind = import_module(f"dtwin.kinds.{name}.record").KIND
     elif name in _of_others():
@@ -89,13 +83,7 @@ def machines(of: Iterable[Kind] | None = None) -> Iterator[VirtualMachine]:
 
 
 def machine_named(name: str) -> VirtualMachine:
-    """Return a virtual machine by its name.
-
-    Raises
-    ------
-    InputError
-        When there is none of that name.
-    """
+    """Return a virtual machine by its name. Raises ``InputError`` when there is none of that name."""
     for machine in machines():
         if machine.name == name:
             return machine
@@ -110,33 +98,3 @@ def machine_named(name: str) -> VirtualMachine:
 def machine_of_type(type_: object) -> VirtualMachine | None:
     """Return the virtual machine whose campaigns state a type in ``machine_geometry``, or None."""
     return next((machine for machine in machines() if machine.type == type_), None)
-
-
-def machine_table() -> str:
-    """Return what each virtual machine can be asked, as Markdown: docs/reference/kinds.md holds it."""
-    lines = ["| `--machine` | campaigns | options | `--listen` | evidence | recheck |", "|---" * 6 + "|"]
-    for machine in machines():
-        options = ", ".join(f"`--{name}`" for name in machine.options) or "none"
-        evidence, recheck = ("measured", "fresh evidence") if machine.offers("evidence") else ("no", "no")
-        if machine.offers("prediction"):
-            evidence, recheck = "predicted", "newer campaigns"
-        cells = (
-            f"`{machine.name}`",
-            machine.kind,
-            options,
-            ", ".join(f"{clock} clock" for clock in machine.clocks) or "no",
-            evidence,
-            "pairs of runs" if machine.offers("checked") else recheck,
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def verb_table() -> str:
-    """Return which kind offers which verb, as Markdown: docs/reference/kinds.md holds it."""
-    every = list(kinds())
-    lines = [f"| verb | {' | '.join(k.name for k in every)} |", "|---" * (len(every) + 1) + "|"]
-    for verb, (title, _) in VERBS.items():
-        cells = ("yes" if kind.offers(verb) else "no" for kind in every)
-        lines.append(f"| {title} | {' | '.join(cells)} |")
-    return "\n".join(lines)

@@ -19,10 +19,8 @@ def copy_lake(source: Place, target: Place, progress: Progress | None = None) ->
 
     Data files come first and the log's entries in their order, so that what is there at any moment is a lake.
 
-    Raises
-    ------
-    StoreError
-        When a file is damaged, when another lake lies at the target, or when the source was written meanwhile.
+    Raises ``StoreError`` when a file is damaged, when another lake lies at the target, or when the source was written
+    meanwhile.
     """
     before = Lake(source).versions()
     done = 0

@@ -38,10 +38,7 @@ def write_parquet(path: Path, table: pa.Table) -> int:
     Floats are byte-stream split, integers delta packed, text dictionary encoded, all zstd.
     The file appears under its name only when it is complete and on disk.
 
-    Raises
-    ------
-    StoreError
-        When the folder is read-only or full; nothing is left behind.
+    Raises ``StoreError`` when the folder is read-only or full; nothing is left behind.
     """
     return write_bytes(path, encoded(table))
 
@@ -78,15 +75,8 @@ def write_bytes(path: Path, data: bytes | memoryview) -> int:
 def read_parquet(path: Path) -> pa.Table:
     """Read a table, verifying every page's checksum.
 
-    Parameters
-    ----------
-    path : Path
-        Any Parquet file; pages without checksums are read as they are.
-
-    Raises
-    ------
-    StoreError
-        When the file is missing or damaged.
+    ``path``: any Parquet file; pages without checksums are read as they are.
+    Raises ``StoreError`` when the file is missing or damaged.
     """
     return read_encoded(path)[0]
 
@@ -94,13 +84,8 @@ def read_parquet(path: Path) -> pa.Table:
 def read_encoded(path: Path) -> tuple[pa.Table, memoryview | None]:
     """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
 
-    Returns
-    -------
-    table : pyarrow.Table
-        Its rows.
-    data : memoryview or None
-        The file; None when it is not one of :func:`write_parquet`, so that its pages may lack
-        checksums.
+    Returns ``table``: its rows.
+    Returns ``data``: the file; None when it is not one of :func:`write_parquet`, so that its pages may lack checksums.
     """
     return decoded(lambda: content_of(path), str(path))
 

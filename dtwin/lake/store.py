@@ -237,13 +237,7 @@ class Lake:
         return by_campaign
 
     def campaign(self, name: str) -> Campaign:
-        """Return what is known of a campaign.
-
-        Raises
-        ------
-        InputError
-            When no visible run belongs to it.
-        """
+        """Return what is known of a campaign. Raises ``InputError`` when no visible run belongs to it."""
         rows = self.runs(name, left_out=True)
         if not rows:
             raise InputError(

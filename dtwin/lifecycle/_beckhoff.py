@@ -28,8 +28,7 @@ _SIGN = "Values are actual minus commanded, by the formula of Beckhoff's pages; 
 def _grid(low: float, high: float, count: int) -> Floats:
     """Return evenly spaced positions, each a whole number of 0.1 µm."""
     first, last = math.floor(low * _PER_MM), math.ceil(high * _PER_MM)
-    positions: Floats = (first + math.ceil((last - first) / (count - 1)) * np.arange(count)) / _PER_MM
-    return positions
+    return (first + math.ceil((last - first) / (count - 1)) * np.arange(count)) / _PER_MM
 
 
 def _write(table: AxisTable, said: Sequence[str]) -> str:

@@ -32,16 +32,10 @@ class Source:
 class Request:
     """How it is written.
 
-    Attributes
-    ----------
-    form : str
-        One of ``FORMATS`` in ``dtwin.lifecycle.export``.
-    travel_mm : tuple of float, optional
-        Of the tables; the largest measured radius to both sides without.
-    origin_mm : tuple of float
-        Centre of the measured circles in the coordinates of the machine or program.
-    tolerance_um : float
-        Of the chords of a compensated program.
+    ``form``: one of ``FORMATS`` in ``dtwin.lifecycle.export``.
+    ``travel_mm``: of the tables; the largest measured radius to both sides without.
+    ``origin_mm``: centre of the measured circles in the coordinates of the machine or program.
+    ``tolerance_um``: of the chords of a compensated program.
     """
 
     form: str

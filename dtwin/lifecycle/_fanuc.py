@@ -32,8 +32,7 @@ def _grid(low: float, high: float, count: int) -> Floats:
     low, high = min(low, 0.0), max(high, 0.0)
     interval_um = math.ceil((high - low) * UM_PER_MM / max(count - 3, 1))
     first, last = (round(f(end * UM_PER_MM / interval_um)) for f, end in ((math.floor, low), (math.ceil, high)))
-    positions: Floats = np.arange(first, last + 1) * interval_um / UM_PER_MM
-    return positions
+    return np.arange(first, last + 1) * interval_um / UM_PER_MM
 
 
 def _steps(table: AxisTable) -> tuple[list[int], int, int]:

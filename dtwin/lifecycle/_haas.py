@@ -34,8 +34,7 @@ def _grid(low: float, high: float, _count: int) -> Floats:
             allowed=f"{-(_ENTRIES - 1) * _SPACING_MM:g} to 0 mm",
             hint="--travel LOW,0 with --origin in machine coordinates",
         )
-    positions: Floats = -_SPACING_MM * np.arange(entries, dtype=np.float64)[::-1]
-    return positions
+    return -_SPACING_MM * np.arange(entries, dtype=np.float64)[::-1]
 
 
 def _write(table: AxisTable, said: Sequence[str]) -> str:

@@ -64,8 +64,7 @@ def skews(twin: Twin) -> dict[str, float]:
 def _slope(twin: Twin) -> Floats:
     """Return the error of an axis (second index) for a motion along another (first), shape (3, 3)."""
     motion = Motion.steady(_SIDE_MM * np.eye(3), np.ones(3))
-    slope: Floats = axis_errors_um(twin, motion) / UM_PER_MM / _SIDE_MM
-    return slope
+    return axis_errors_um(twin, motion) / UM_PER_MM / _SIDE_MM
 
 
 def reprap_settings(twin: Twin, said: Sequence[str]) -> tuple[str, dict[str, float]]:

@@ -25,18 +25,11 @@ _DRIFT = "champion.drift"
 class DriftCheck:
     """Whether the champion's error has grown.
 
-    Attributes
-    ----------
-    error : ChampionError or None
-        On runs it was never trained on; None without any.
-    expected_um : float
-        Held-out error that was registered with it; NaN when none fits the campaign.
-    excess_um : float
-        By how much the error has grown, in quadrature; NaN when not judged.
-    drifted : bool
-        Whether that is more than the noise floor.
-    reason : str
-        The verdict in words, or why there is none.
+    ``error``: on runs it was never trained on; None without any.
+    ``expected_um``: held-out error that was registered with it; NaN when none fits the campaign.
+    ``excess_um``: by how much the error has grown, in quadrature; NaN when not judged.
+    ``drifted``: whether that is more than the noise floor.
+    ``reason``: the verdict in words, or why there is none.
     """
 
     version: str

@@ -39,21 +39,11 @@ def compute(
 ) -> Evidence:
     """Compute evidence from campaigns in the lake and keep it with the version.
 
-    Parameters
-    ----------
-    home : Home
-        Lake, registry, and the journal of the serving sessions.
-    without, with_ : sequence of str
-        Campaigns that were measured without and with it; one that holds both ways is named twice.
-    notes : mapping, optional
-        As for :class:`Evidence`.
-
-    Raises
-    ------
-    InputError
-        When a campaign is unknown, or of another machine.
-    GateRefusal
-        When the runs do not fit what they are named for, are too few, or do not take turns.
+    ``home``: lake, registry, and the journal of the serving sessions.
+    ``without``, ``with_``: campaigns that were measured without and with it; one that holds both ways is named twice.
+    ``notes``: as for :class:`Evidence`.
+    Raises ``InputError`` when a campaign is unknown, or of another machine.
+    Raises ``GateRefusal`` when the runs do not fit what they are named for, are too few, or do not take turns.
     """
     evidence = _computed(home, version, without, with_, notes or {})
     _keep(Registry(home), version, evidence)

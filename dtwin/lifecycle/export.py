@@ -65,10 +65,8 @@ def require_used(request: Request) -> None:
 def export_twin(home: Home, name: str, form: str, machine: str | None = None) -> Export | None:
     """Write a twin whose kind has forms of its own; None where the name is of no such twin.
 
-    Raises
-    ------
-    InputError
-        When its kind does not have this form, the form cannot hold the twin, or it is of another machine.
+    Raises ``InputError`` when its kind does not have this form, the form cannot hold the twin, or it is of another
+    machine.
     """
     if not (home.root / "twins" / Path(name).name).is_dir() or name.endswith(".json"):
         return None
@@ -102,18 +100,10 @@ def _require_machine(name: str, its_machine: str, machine: str | None) -> None:
 def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None) -> Source:
     """Return what a name stands for.
 
-    Parameters
-    ----------
-    name : str
-        ``latest``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a
-        twin whose correction is registered.
-    machine : str or None
-        Machine; needed when there are several, and for a version number.
-
-    Raises
-    ------
-    InputError
-        When there is no such thing.
+    ``name``: ``latest``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a twin whose
+    correction is registered.
+    ``machine``: machine; needed when there are several, and for a version number.
+    Raises ``InputError`` when there is no such thing.
     """
     registry = Registry(home)
     if name in ("latest", "trial") or name.endswith(".json"):
@@ -139,13 +129,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
 
 
 def export(source: Source, request: Request) -> Export:
-    """Write a correction in one form.
-
-    Raises
-    ------
-    InputError
-        When the form cannot hold it.
-    """
+    """Write a correction in one form. Raises ``InputError`` when the form cannot hold it."""
     require_used(request)
     if request.form in _EQUATIONS:
         return _equation(source, request.form)

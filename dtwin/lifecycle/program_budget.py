@@ -73,17 +73,9 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
     Motion at feed is followed in steps of half a millimetre, at the speed that is programmed: what a control does to
     speed in corners is not known here.
 
-    Parameters
-    ----------
-    origin_mm : ndarray, shape (3,)
-        Centre of the measured circles in the coordinates of the program.
-    where : str
-        Name of the program, for messages.
-
-    Raises
-    ------
-    InputError
-        When the program says something that is not understood, has no motion at feed, or is too long.
+    ``origin_mm``, shape (3,): centre of the measured circles in the coordinates of the program.
+    ``where``: name of the program, for messages.
+    Raises ``InputError`` when the program says something that is not understood, has no motion at feed, or is too long.
     """
     motion, way, step_mm = _followed(text, origin_mm, where)
     not_told = {c.label: c.how for c in map(choose, twin.terms) if not c.included}

@@ -34,12 +34,8 @@ _LATER = 500
 class Rechecked:
     """A check and what came of it.
 
-    Attributes
-    ----------
-    withdrawn : bool
-        Whether the champion was barred; sessions that serve it release within a second or two.
-    restored : str
-        Version that is champion now, empty when nothing is served any more.
+    ``withdrawn``: whether the champion was barred; sessions that serve it release within a second or two.
+    ``restored``: version that is champion now, empty when nothing is served any more.
     """
 
     version: RegisteredVersion
@@ -73,22 +69,12 @@ def recheck(
 ) -> Rechecked:
     """Judge a champion by runs with and without it, and withdraw it when it harms.
 
-    Parameters
-    ----------
-    without, with_ : sequence of str
-        Campaigns in the lake that were measured without and with it, as for ``dtwin evidence``;
-        when none is named the virtual machine is measured, or, where nothing can be served on it, predicted.
-    virtual : VirtualMachine, optional
-        The virtual machine as it is now; by default that of its type, as it was.
-    blocks : int
-        Passes over all conditions, where it is measured by pairs.
-    seed : int
-        Of the virtual machine, of order and noise.
-
-    Raises
-    ------
-    InputError
-        When there is no champion, or the machine is real and no campaigns are named.
+    ``without``, ``with_``: campaigns in the lake that were measured without and with it, as for ``dtwin evidence``;
+    when none is named the virtual machine is measured, or, where nothing can be served on it, predicted.
+    ``virtual``: the virtual machine as it is now; by default that of its type, as it was.
+    ``blocks``: passes over all conditions, where it is measured by pairs.
+    ``seed``: of the virtual machine, of order and noise.
+    Raises ``InputError`` when there is no champion, or the machine is real and no campaigns are named.
     """
     champion = Registry(home).version(machine, "champion")
     if without or with_:

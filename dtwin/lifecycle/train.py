@@ -40,10 +40,7 @@ def train(
 ) -> Registered:
     """Train every candidate on a campaign, log them, register the proposed one.
 
-    Raises
-    ------
-    InputError
-        When a correction was in force while it was measured, or it cannot be used otherwise.
+    Raises ``InputError`` when a correction was in force while it was measured, or it cannot be used otherwise.
     """
     return registered(home, trained(home, campaign, seed=seed, engine=engine, progress=progress), progress)
 
@@ -95,8 +92,7 @@ def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> P
 
 def geometry_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any]:
     """Return the machine's geometry that a version was trained with."""
-    geometry: dict[str, Any] = registry.read_json(version, "geometry.json")
-    return geometry
+    return registry.read_json(version, "geometry.json")
 
 
 def _description(training: Training, verdicts: list[Verdict]) -> str:

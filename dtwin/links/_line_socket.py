@@ -37,10 +37,7 @@ class LineSocket:
         return self._socket is not None
 
     def open(self) -> None:
-        """Connect.
-
-        Raises ``DeviceError`` when nobody answers.
-        """
+        """Connect. Raises ``DeviceError`` when nobody answers."""
         if self._socket is not None:
             return
         try:

@@ -30,10 +30,7 @@ class StateLines(OpenAndClose):
         return self._state
 
     def open(self) -> None:
-        """Connect.
-
-        Raises ``DeviceError`` when nobody answers.
-        """
+        """Connect. Raises ``DeviceError`` when nobody answers."""
         if not self._line.connected:
             self._line.open()
             self._heard_s = time.monotonic()

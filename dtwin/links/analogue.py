@@ -47,12 +47,8 @@ _PWM_STEPS = 255
 class AxisCalibration:
     """What a voltage does to one axis.
 
-    Attributes
-    ----------
-    um_per_v : float
-        Displacement of the axis per volt; negative when it is wired the other way round.
-    neutral_v : float
-        Voltage that stands for no correction.
+    ``um_per_v``: displacement of the axis per volt; negative when it is wired the other way round.
+    ``neutral_v``: voltage that stands for no correction.
     """
 
     um_per_v: float = 25.0
@@ -111,29 +107,15 @@ class _Answer:
 class AnalogueOutput(OpenAndClose):
     """Three analogue corrections behind a serial port.
 
-    Parameters
-    ----------
-    port : str
-        Such as ``"/dev/ttyACM0"``.
-    calibration : sequence of AxisCalibration, length 3
-        Of x, y and z.
-    output : {"dac", "pwm"}
-        The 16-bit converter, or pulse widths of eight bits, whose steps are 0.98 um.
-    watchdog_ms : int
-        Silence after which the board goes neutral by itself, 2 to 1000.
-    in_flight : int
-        Requests that may be unanswered before the next one waits.
-    baud : int
-        Bits per second.
-    timeout_s : float
-        Longest silence of the board, unless its watchdog is longer.
-
-    Attributes
-    ----------
-    sent, answered, clamped : int
-        Corrections sent and answered; values that were beyond the travel.
-    in_force : int
-        Number of the newest correction that the board has confirmed; 0 after it went neutral.
+    ``port``: such as ``"/dev/ttyACM0"``.
+    ``calibration``, length 3: of x, y and z.
+    ``output``: the 16-bit converter, or pulse widths of eight bits, whose steps are 0.98 um.
+    ``watchdog_ms``: silence after which the board goes neutral by itself, 2 to 1000.
+    ``in_flight``: requests that may be unanswered before the next one waits.
+    ``baud``: bits per second.
+    ``timeout_s``: longest silence of the board, unless its watchdog is longer.
+    ``sent``, ``answered``, ``clamped``: corrections sent and answered; values that were beyond the travel.
+    ``in_force``: number of the newest correction that the board has confirmed; 0 after it went neutral.
     """
 
     def __init__(
@@ -172,10 +154,7 @@ class AnalogueOutput(OpenAndClose):
     def open(self) -> _Answer:
         """Open the port and wait for the board.
 
-        Raises
-        ------
-        DeviceError
-            When the port cannot be opened or no board answers.
+        Raises ``DeviceError`` when the port cannot be opened or no board answers.
         """
         self.link.open()
         until_s = time.monotonic() + _WAKE_S
@@ -194,10 +173,7 @@ class AnalogueOutput(OpenAndClose):
     def engage(self) -> _Answer:
         """Begin to take corrections, from neutral.
 
-        Raises
-        ------
-        DeviceError
-            When the converter does not hold its neutral codes.
+        Raises ``DeviceError`` when the converter does not hold its neutral codes.
         """
         self.in_force = 0
         answer = self._ask(_ENGAGE, (_MODES[self.output], self.watchdog_ms, 0))
@@ -215,17 +191,9 @@ class AnalogueOutput(OpenAndClose):
     def send(self, offset_um: Floats, number: int = 0) -> None:
         """Send a correction; answers to earlier ones are checked as they come.
 
-        Parameters
-        ----------
-        offset_um : ndarray, shape (3,)
-            Along x, y and z.
-        number : int
-            What ``in_force`` is once the board has confirmed it.
-
-        Raises
-        ------
-        DeviceError
-            When the board tripped, refused, does not hold what was sent, or is silent.
+        ``offset_um``, shape (3,): along x, y and z.
+        ``number``: what ``in_force`` is once the board has confirmed it.
+        Raises ``DeviceError`` when the board tripped, refused, does not hold what was sent, or is silent.
         """
         if not np.isfinite(offset_um).all():
             raise DeviceError("the correction is not finite", code="analogue.not_finite")

@@ -52,21 +52,9 @@ class AxisFit:
 def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
     """Return voltages and displacements of every axis from a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-        Columns ``axis,voltage_v,x_um,y_um,z_um``: the input that was driven, and where the
-        machine went.
-
-    Returns
-    -------
-    dict of str to (ndarray of shape (n,), ndarray of shape (n, 3))
-        By axis.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, lacks a column or holds what is no number.
+    ``path``: columns ``axis,voltage_v,x_um,y_um,z_um``: the input that was driven, and where the machine went.
+    Returns, by axis, voltages of shape (n,) and displacements of shape (n, 3).
+    Raises ``InputError`` when the file cannot be read, lacks a column or holds what is no number.
     """
     rows: dict[str, list[list[float]]] = {}
     try:
@@ -89,16 +77,10 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
 def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, AxisFit]:
     """Fit a line to every axis.
 
-    Parameters
-    ----------
-    points : mapping of str to (ndarray of shape (n,), ndarray of shape (n, 3))
-        Voltages, and displacements along x, y and z, by the input that was driven.
-
-    Raises
-    ------
-    GateRefusal
-        When axes are swapped, an input does nothing, the answer is bent, or there are too few
-        levels: a correction through such a path would make the error larger.
+    ``points``, shapes (n,) and (n, 3): voltages, and displacements along x, y and z, by the input that
+    was driven.
+    Raises ``GateRefusal`` when axes are swapped, an input does nothing, the answer is bent, or there are too few
+    levels: a correction through such a path would make the error larger.
     """
     missing = [axis for axis in AXES if axis not in points]
     if missing:
@@ -123,10 +105,7 @@ def save(path: Path, fits: Mapping[str, AxisFit]) -> Path:
 def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]:
     """Return the calibration of x, y and z from a file of :func:`save`.
 
-    Raises
-    ------
-    InputError
-        When it is no such file.
+    Raises ``InputError`` when it is no such file.
     """
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))

@@ -15,15 +15,8 @@ _FIRMWARE = Path(__file__).parent / "firmware" / "analogue_correction.c"
 def build_firmware(out: Path, baud: int = 250_000) -> Path:
     """Compile the firmware for an ATmega328P at 16 MHz and return the ELF file.
 
-    Parameters
-    ----------
-    baud : int
-        Of its serial port; 250000, 500000 and 1000000 are exact at 16 MHz.
-
-    Raises
-    ------
-    MissingPart
-        When avr-gcc is not here or does not compile it.
+    ``baud``: of its serial port; 250000, 500000 and 1000000 are exact at 16 MHz.
+    Raises ``MissingPart`` when avr-gcc is not here or does not compile it.
     """
     return compiled(
         [

@@ -117,12 +117,8 @@ class AxisLink(StateLines):
     def open(self) -> None:
         """Connect, and agree on what is exchanged.
 
-        Raises
-        ------
-        DeviceError
-            When nobody answers, or what answers is no axis link.
-        InputError
-            When the control does not provide what the model needs.
+        Raises ``DeviceError`` when nobody answers, or what answers is no axis link.
+        Raises ``InputError`` when the control does not provide what the model needs.
         """
         self._line.open()
         try:
@@ -139,10 +135,7 @@ class AxisLink(StateLines):
     def send(self, offset_um: Floats, sequence: int) -> None:
         """Send a correction (3,) with its number; without the right to write, zeros without a number.
 
-        Raises
-        ------
-        DeviceError
-            When the connection ended, or the control does not read.
+        Raises ``DeviceError`` when the connection ended, or the control does not read.
         """
         if not self._writes:
             offset_um, sequence = np.zeros(3), 0

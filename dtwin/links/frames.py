@@ -23,13 +23,7 @@ _CRC = struct.Struct("<H")
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that arrived whole.
-
-    Attributes
-    ----------
-    sequence : int
-        0 to 65535, counted by the sender.
-    """
+    """A frame that arrived whole. ``sequence``: 0 to 65535, counted by the sender."""
 
     sequence: int
     payload: bytes

@@ -36,13 +36,7 @@ class Bridge(OpenAndClose):
         self._rest = b""
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            When nothing answers there.
-        """
+        """Connect. Raises ``DeviceError`` when nothing answers there."""
         connection = socket.socket(socket.AF_UNIX)
         connection.settimeout(_ANSWER_S)
         try:
@@ -72,10 +66,7 @@ class Bridge(OpenAndClose):
     def ask(self, **request: Any) -> dict[str, Any]:
         """Send a request and return its answer.
 
-        Raises
-        ------
-        DeviceError
-            When the bridge is gone, silent, or could not do it.
+        Raises ``DeviceError`` when the bridge is gone, silent, or could not do it.
         """
         self.tell(**request)
         assert self._socket is not None
@@ -128,10 +119,7 @@ class LinuxcncLink:
     def wait_state(self, timeout_s: float) -> Floats | None:
         """Return the newest state (N,), two servo cycles after the last one, or None.
 
-        Raises
-        ------
-        DeviceError
-            When the bridge is gone.
+        Raises ``DeviceError`` when the bridge is gone.
         """
         said = self.bridge.ask(do="wait", cycles=_EVERY_CYCLES, timeout_s=timeout_s)["state"]
         if said is None:

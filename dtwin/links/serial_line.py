@@ -16,16 +16,10 @@ from dtwin.links.opened import OpenAndClose
 class SerialLink(OpenAndClose):
     """Frames to and from one device.
 
-    Parameters
-    ----------
-    port : str
-        Such as ``"/dev/ttyACM0"``.
-    payload_size : int
-        Bytes of payload of every frame that the device sends.
-    baud : int
-        Bits per second; means nothing on a pseudo-terminal or a USB-CDC device.
-    timeout_s : float
-        Silence after which the device counts as gone; longest time of a write.
+    ``port``: such as ``"/dev/ttyACM0"``.
+    ``payload_size``: bytes of payload of every frame that the device sends.
+    ``baud``: bits per second; means nothing on a pseudo-terminal or a USB-CDC device.
+    ``timeout_s``: silence after which the device counts as gone; longest time of a write.
     """
 
     def __init__(self, port: str, payload_size: int, *, baud: int = 115_200, timeout_s: float = 1.0) -> None:
@@ -43,12 +37,8 @@ class SerialLink(OpenAndClose):
     def open(self) -> None:
         """Open the port for this process alone.
 
-        Raises
-        ------
-        MissingPart
-            When pyserial is not installed.
-        DeviceError
-            When the port is absent, forbidden or in use.
+        Raises ``MissingPart`` when pyserial is not installed.
+        Raises ``DeviceError`` when the port is absent, forbidden or in use.
         """
         if self._device is not None:
             return
@@ -103,10 +93,7 @@ class SerialLink(OpenAndClose):
                 )
 
     def arrived(self) -> list[Frame]:
-        """Return the frames that have arrived, without waiting.
-
-        Raises ``DeviceError`` when the device is gone.
-        """
+        """Return the frames that have arrived, without waiting. Raises ``DeviceError`` when the device is gone."""
         with self._faults():
             waiting = self._device.in_waiting
             return self._reader.feed(self._device.read(waiting)) if waiting else []

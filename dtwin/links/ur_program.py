@@ -116,10 +116,7 @@ def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -
 def correction_program(limit_um: float = 500.0, slew_um_s: float = 20_000.0, watchdog_s: float = 0.012) -> str:
     """Return what belongs before the motion of a robot's program, started by ``run``.
 
-    Parameters
-    ----------
-    limit_um, slew_um_s, watchdog_s : float
-        As for :func:`correction_functions`.
+    ``limit_um``, ``slew_um_s``, ``watchdog_s``: as for :func:`correction_functions`.
     """
     outputs = registers.OUTPUT_DOUBLES
     x_out, y_out, z_out = (r for r, place in sorted(outputs.items()) if r >= 17)

@@ -122,10 +122,7 @@ class _Worker:
             os.write(self._messages, json.dumps(message).encode() + b"\n")
 
     def connect(self) -> None:
-        """Open both interfaces.
-
-        Raises ``_Fault`` when the package is missing or no controller answers.
-        """
+        """Open both interfaces. Raises ``_Fault`` when the package is missing or no controller answers."""
         try:
             from rtde_io import RTDEIOInterface
             from rtde_receive import RTDEReceiveInterface
@@ -147,10 +144,7 @@ class _Worker:
             raise _Fault("ur.refused", f"the controller refused the connection ({first})") from error
 
     def run(self) -> None:
-        """Serve until the life line ends.
-
-        Raises ``_Fault`` when the controller is gone or silent for too long.
-        """
+        """Serve until the life line ends. Raises ``_Fault`` when the controller is gone or silent for too long."""
         state = layout.empty_state()
         period_s = 1.0 / self._frequency_hz
         newest, seen_s = -1.0, time.monotonic()

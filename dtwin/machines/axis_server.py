@@ -75,19 +75,10 @@ class ServedMachine(AxisMachine, Protocol):
 class AxisServer:
     """One machine, one client at a time.
 
-    Parameters
-    ----------
-    prove : callable
-        Answers a nonce; see :mod:`dtwin.links.virtual_key`.
-    clock : {"wall", "machine"}
-        As in the module's description.
-    port : int
-        On loopback; 0 takes a free one.
-
-    Attributes
-    ----------
-    watchdog_trips : int
-        How often the correction went to zero because nothing came.
+    ``prove``: answers a nonce; see :mod:`dtwin.links.virtual_key`.
+    ``clock``: as in the module's description.
+    ``port``: on loopback; 0 takes a free one.
+    ``watchdog_trips``: how often the correction went to zero because nothing came.
     """
 
     def __init__(self, machine: AxisMachine, prove: _Prove, *, clock: Clock = "machine", port: int = 0) -> None:

@@ -56,15 +56,8 @@ class VirtualCobot:
     def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> CobotRecording:
         """Return the recording of one run, on the machine's clock, without waiting for it.
 
-        Parameters
-        ----------
-        setup : str
-            Mounting of the bar; runs of one set-up share eccentricity and length error.
-
-        Raises
-        ------
-        InputError
-            When the condition makes no sense or is out of reach.
+        ``setup``: mounting of the bar; runs of one set-up share eccentricity and length error.
+        Raises ``InputError`` when the condition makes no sense or is out of reach.
         """
         condition = condition.standard()
         plan = self.plan(condition)

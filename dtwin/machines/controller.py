@@ -24,10 +24,7 @@ class CobotController:
     number changes, limited in size and rate, delayed and lagged by the drives, and led back to
     zero when the sequence number stands still; from then on it takes nothing before a zero offset.
 
-    Parameters
-    ----------
-    mechanism, memory : Mechanism, ndarray
-        The machine at rest at the start of the program.
+    ``mechanism``, ``memory``: the machine at rest at the start of the program.
     """
 
     def __init__(self, condition: CircleCondition, plan: MotionPlan, mechanism: Mechanism, memory: Floats) -> None:

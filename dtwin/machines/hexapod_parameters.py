@@ -106,10 +106,7 @@ class _Legs:
 
 
 def build_legs(parameters: HexapodParameters, rng: np.random.Generator) -> _Legs:
-    """Draw one machine.
-
-    ``rng``: which of the machines that share these parameters.
-    """
+    """Draw one machine. ``rng``: which of the machines that share these parameters."""
     p = parameters
     base = _ring(p.base_radius_mm, p.base_half_deg, turned_deg=0.0)
     platform = _ring(p.platform_radius_mm, p.platform_half_deg, turned_deg=60.0)

@@ -112,12 +112,8 @@ class _HybridRun:
 class HybridMill:
     """The mill, with its clock.
 
-    Attributes
-    ----------
-    correction_input : CorrectionInput
-        How corrections reach its axes.
-    time_s : float
-        Session time; the room follows it.
+    ``correction_input``: how corrections reach its axes.
+    ``time_s``: session time; the room follows it.
     """
 
     seed: int = 0
@@ -140,19 +136,10 @@ class HybridMill:
     ) -> _HybridRun:
         """Drive straight moves that stop at every corner.
 
-        Parameters
-        ----------
-        corners_mm : ndarray, shape (k, 2)
-            X and Y of the program.
-        c_deg : float
-            Angle of the C table, with which the workpiece's offset turns.
-        wanted_um : ndarray, shape (2, n), optional
-            Correction of X and Y at every step of ``command``; it passes the correction input.
-
-        Raises
-        ------
-        InputError
-            When the program leaves the strokes, or is faster than the axes.
+        ``corners_mm``, shape (k, 2): X and Y of the program.
+        ``c_deg``: angle of the C table, with which the workpiece's offset turns.
+        ``wanted_um``, shape (2, n): correction of X and Y at every step of ``command``; it passes the correction input.
+        Raises ``InputError`` when the program leaves the strokes, or is faster than the axes.
         """
         command = self.command(corners_mm, feed_mm_min)
         n = len(command.phase_rad)

@@ -34,12 +34,8 @@ MOTIONS = ("MoveL", "MoveJ")
 class Waypoint:
     """One target of a program.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (3,)
-        In the base frame; the tool points down.
-    dwell_s : float
-        Standstill there before the next move.
+    ``position_mm``, shape (3,): in the base frame; the tool points down.
+    ``dwell_s``: standstill there before the next move.
     """
 
     name: str
@@ -52,26 +48,12 @@ def drive_program(
 ) -> tuple[Floats, float]:
     """Return where the tool is when the dwell at each stop ends, and how long it all took.
 
-    Parameters
-    ----------
-    stops : list of Waypoint
-        The first is where the tool rests at the start.
-    motion : {"MoveL", "MoveJ"}
-        Straight in space, or straight in joint angles.
-    feed_mm_min : float
-        Speed along the straight line; a joint move takes as long as the straight one.
-    datum_mm : ndarray, shape (3,)
-        Where the robot's frame was set: the error is zero there.
-
-    Returns
-    -------
-    tuple of ndarray, shape (len(stops), 3), and float
-        Positions in mm, and duration in s.
-
-    Raises
-    ------
-    InputError
-        When there is no such motion, or a target is out of reach.
+    ``stops``: the first is where the tool rests at the start.
+    ``motion``: straight in space, or straight in joint angles.
+    ``feed_mm_min``: speed along the straight line; a joint move takes as long as the straight one.
+    ``datum_mm``, shape (3,): where the robot's frame was set: the error is zero there.
+    Returns, shape (len(stops), 3): positions in mm, and duration in s.
+    Raises ``InputError`` when there is no such motion, or a target is out of reach.
     """
     if motion not in MOTIONS:
         raise InputError("no such motion", code="joints.motion", got=motion[:40], allowed=", ".join(MOTIONS))

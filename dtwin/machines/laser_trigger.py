@@ -20,15 +20,10 @@ _CLEAR_MM = 1e-6
 class LaserSetup:
     """What the operator enters at the laser.
 
-    Attributes
-    ----------
-    targets_mm : tuple of float
-        From the first to the last.
-    runs : int
-        Sweeps forward and back.
-    window_mm, dwell_s : float
-        A reading is due when the axis has been within the window for the dwell; it is the average
-        of the dwell's second half.
+    ``targets_mm``: from the first to the last.
+    ``runs``: sweeps forward and back.
+    ``window_mm``, ``dwell_s``: a reading is due when the axis has been within the window for the dwell; it is the
+    average of the dwell's second half.
     """
 
     targets_mm: tuple[float, ...]

@@ -39,10 +39,7 @@ class _Screw(Protocol):
 class NetworkScrew:
     """The error of a real lathe as a network printed it, taken as two flanks.
 
-    Attributes
-    ----------
-    network : LatheNetwork
-        Forward error is the lower limit, reverse error the upper; ends of the map are held.
+    ``network``: forward error is the lower limit, reverse error the upper; ends of the map are held.
     """
 
     network: LatheNetwork
@@ -77,16 +74,10 @@ class ThreadScrew:
     The nut rests on the highest of its contacts around the thread. Each flank has its own form, and
     the tilted nut meets them with opposite sides: so the cyclic error differs with the direction.
 
-    Attributes
-    ----------
-    lead_um_per_m, wave_um, wave_mm : float
-        Slow lead error: slope, and a wave with its length.
-    leading, trailing : FlankForm
-        The flank that pushes up, and the one that pushes down.
-    tilt_um, tilt_rad : float
-        How far the nut's rim stands off, and where.
-    play_um, wear_um, worn_at_mm, worn_mm : float
-        Play, and what wear adds around a place.
+    ``lead_um_per_m``, ``wave_um``, ``wave_mm``: slow lead error: slope, and a wave with its length.
+    ``leading``, ``trailing``: the flank that pushes up, and the one that pushes down.
+    ``tilt_um``, ``tilt_rad``: how far the nut's rim stands off, and where.
+    ``play_um``, ``wear_um``, ``worn_at_mm``, ``worn_mm``: play, and what wear adds around a place.
     """
 
     pitch_mm: float = 6.35
@@ -121,24 +112,19 @@ class ThreadScrew:
         stand = stand + form.twice_um * np.cos(2 * on_thread - form.twice_phase_rad)
         stand = stand + self.tilt_um * np.cos(around - self.tilt_rad)
         bears = stand.max(axis=1) if highest else stand.min(axis=1)
-        bearing: Floats = bears - bears.mean()
-        return bearing
+        return bears - bears.mean()
 
 
 @dataclass(frozen=True)
 class Wander:
     """What moves while nothing is commanded: instrument, foundation, temperature.
 
-    Attributes
-    ----------
-    offset_um, scale_um_per_m, time_constant_s : float
-        Standard deviations of a wandering zero and a wandering scale, and how long they remember.
-    reading_um, quantum_um : float
-        Noise of a single reading, and the laser's step.
-    heating_c, heating_time_s, expansion_um_per_m_c : float
-        By how much the running screw warms up in the end, how fast, and what that does.
-    fixed_at_mm : float
-        Where the screw's fixed bearing is.
+    ``offset_um``, ``scale_um_per_m``, ``time_constant_s``: standard deviations of a wandering zero and a wandering
+    scale, and how long they remember.
+    ``reading_um``, ``quantum_um``: noise of a single reading, and the laser's step.
+    ``heating_c``, ``heating_time_s``, ``expansion_um_per_m_c``: by how much the running screw warms up in the end, how
+    fast, and what that does.
+    ``fixed_at_mm``: where the screw's fixed bearing is.
     """
 
     offset_um: float = 0.00045 * UM_PER_IN
@@ -156,16 +142,10 @@ class Wander:
 class LatheRecording:
     """What the laser recorded, and what it was.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        End of each reading after the zeroing.
-    error_um : ndarray, shape (n,)
-        Actual minus commanded, as the laser shows it.
-    air_f, air_inhg, material_f : ndarray, shape (n,)
-        What its sensors show.
-    truth_um : ndarray, shape (n,)
-        The slide's error without wander, noise and zeroing.
+    ``t_s``, shape (n,): end of each reading after the zeroing.
+    ``error_um``, shape (n,): actual minus commanded, as the laser shows it.
+    ``air_f``, ``air_inhg``, ``material_f``, shape (n,): what its sensors show.
+    ``truth_um``, shape (n,): the slide's error without wander, noise and zeroing.
     """
 
     triggered: Triggered
@@ -205,10 +185,7 @@ class VirtualLathe:
     ) -> LatheRecording:
         """Let the laser watch a motion.
 
-        Parameters
-        ----------
-        t_s, screw_mm : ndarray, shape (n,), optional
-            Where the screw was sent instead, when a correction changed the command.
+        ``t_s``, ``screw_mm``, shape (n,): where the screw was sent instead, when a correction changed the command.
         """
         times = motion.t_s if t_s is None else t_s
         slide = self.slide_mm(motion.position_mm if screw_mm is None else screw_mm)
@@ -248,12 +225,10 @@ class VirtualLathe:
         scale = wander.scale_um_per_m * wandering(rng, at, wander.time_constant_s)
         reach = x_m - wander.fixed_at_mm / 1000.0
         grown = wander.expansion_um_per_m_c * self._warm_c(at - motion.t_s[0]) * reach
-        moved: Floats = offset + scale * x_m + grown
-        return moved
+        return offset + scale * x_m + grown
 
     def _warm_c(self, elapsed_s: Floats) -> Floats:
-        warm: Floats = self.wander.heating_c * (1.0 - np.exp(-elapsed_s / self.wander.heating_time_s))
-        return warm
+        return self.wander.heating_c * (1.0 - np.exp(-elapsed_s / self.wander.heating_time_s))
 
 
 def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floats:
@@ -263,14 +238,11 @@ def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floa
     def until(t: Floats) -> Floats:
         k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         there = np.interp(t, times, values)
-        reached: Floats = area[k] + (t - times[k]) * (values[k] + there) / 2.0
-        return reached
+        return area[k] + (t - times[k]) * (values[k] + there) / 2.0
 
-    mean: Floats = (until(end) - until(begin)) / (end - begin)
-    return mean
+    return (until(end) - until(begin)) / (end - begin)
 
 
 def _periodic(turned: Floats, over_one_turn: Floats) -> Floats:
     n = len(over_one_turn)
-    there: Floats = np.interp(turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0]))
-    return there
+    return np.interp(turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0]))

@@ -21,12 +21,8 @@ _WORD = re.compile(r"([A-Z])\s*(-?\d+\.?\d*|-?\.\d+)")
 class Motion:
     """Commanded positions of one axis over time, straight between knots.
 
-    Attributes
-    ----------
-    t_s, position_mm : ndarray, shape (knots,)
-        Times and positions; a halt is two knots at one position.
-    zeroed_s : float
-        When the operator zeroed the laser, during the first program stop.
+    ``t_s``, ``position_mm``, shape (knots,): times and positions; a halt is two knots at one position.
+    ``zeroed_s``: when the operator zeroed the laser, during the first program stop.
     """
 
     t_s: Floats
@@ -35,23 +31,15 @@ class Motion:
 
     def at(self, t_s: Floats) -> Floats:
         """Return commanded positions in mm at times, shape (n,)."""
-        position: Floats = np.interp(t_s, self.t_s, self.position_mm)
-        return position
+        return np.interp(t_s, self.t_s, self.position_mm)
 
 
 def run_program(text: str, axis: str) -> Motion:
     """Run a program on one axis.
 
-    Parameters
-    ----------
-    text : str
-        Moves in machine coordinates with feed, dwells, stops; inch or metric by G70/G20 or
-        G71/G21. Anything that would move otherwise is refused.
-
-    Raises
-    ------
-    InputError
-        When a block is not understood, or the axis moves without a feed.
+    ``text``: moves in machine coordinates with feed, dwells, stops; inch or metric by G70/G20 or G71/G21. Anything that
+    would move otherwise is refused.
+    Raises ``InputError`` when a block is not understood, or the axis moves without a feed.
     """
     state = _State(axis)
     for number, line in enumerate(text.splitlines(), start=1):

@@ -29,14 +29,9 @@ _BEGIN = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
 class Moment:
     """What else could act during a test.
 
-    Attributes
-    ----------
-    number : int
-        Position of the test in the session, from 0.
-    angle_rad : ndarray, shape (n,)
-        Path angle of the samples.
-    rise_c : float
-        Temperature of the machine above the room.
+    ``number``: position of the test in the session, from 0.
+    ``angle_rad``, shape (n,): path angle of the samples.
+    ``rise_c``: temperature of the machine above the room.
     """
 
     number: int
@@ -54,14 +49,9 @@ Correction = Callable[[CircularTest, Command], Floats]
 class SetupErrors:
     """Mounting of the bar and its electronics.
 
-    Attributes
-    ----------
-    centre_mm : float
-        Largest offset of the centre along each axis.
-    radius_um : float
-        Standard deviation of the zero of the bar.
-    trigger_samples : float
-        Range of the random phase between trigger and first sample.
+    ``centre_mm``: largest offset of the centre along each axis.
+    ``radius_um``: standard deviation of the zero of the bar.
+    ``trigger_samples``: range of the random phase between trigger and first sample.
     """
 
     centre_mm: float = 0.1
@@ -74,17 +64,11 @@ class SetupErrors:
 class VirtualMill:
     """The mill.
 
-    Attributes
-    ----------
-    seed : int
-        Of set-up errors, sampling and noise. Two mills of one seed differ only in parameters.
-    disturbance : callable, optional
-        Anything else that changes the measured length: ``disturbance(moment)`` returns um.
-    samples_per_turn : int
-        How often the bar is read in a turn, at any feed.
-    corrections : dict of str to callable
-        What is added to the position of tests that name it: ``correction(test, command)`` returns
-        mm along the two axes of the plane, one column for each step.
+    ``seed``: of set-up errors, sampling and noise. Two mills of one seed differ only in parameters.
+    ``disturbance``: anything else that changes the measured length: ``disturbance(moment)`` returns um.
+    ``samples_per_turn``: how often the bar is read in a turn, at any feed.
+    ``corrections``: what is added to the position of tests that name it: ``correction(test, command)`` returns mm along
+    the two axes of the plane, one column for each step.
     """
 
     parameters: MillParameters
@@ -98,12 +82,9 @@ class VirtualMill:
     def measure(self, tests: Sequence[CircularTest]) -> list[Run]:
         """Measure circles one after the other.
 
-        Returns
-        -------
-        list of Run
-            Samples ``t_s``, ``angle_deg``, ``deviation_um`` over one turn, with the control's
-            command and its motor encoders, ``cmd_x_mm`` ... ``act_z_mm``, of the axes that move;
-            the body's temperature as covariate ``temperature_c``.
+        Returns samples ``t_s``, ``angle_deg``, ``deviation_um`` over one turn, with the control's command and its motor
+        encoders, ``cmd_x_mm`` ... ``act_z_mm``, of the axes that move; the body's temperature as covariate
+        ``temperature_c``.
         """
         motions: dict[tuple[object, ...], tuple[Command, Driven, Driven]] = {}
         setups = self._setups(tests)

@@ -21,14 +21,9 @@ _LEAD_OUT_S = 0.1
 class Command:
     """Commanded circle on the controller's clock.
 
-    Attributes
-    ----------
-    start_s : float
-        Time at which the lead-in ends and the measured turn begins.
-    phase_rad : ndarray, shape (n,)
-        Path angle.
-    position_mm, velocity_mm_s, acceleration_mm_s2 : ndarray, shape (2, n)
-        Of the two axes of the plane.
+    ``start_s``: time at which the lead-in ends and the measured turn begins.
+    ``phase_rad``, shape (n,): path angle.
+    ``position_mm``, ``velocity_mm_s``, ``acceleration_mm_s2``, shape (2, n): of the two axes of the plane.
     """
 
     start_s: float

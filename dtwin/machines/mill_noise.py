@@ -17,18 +17,12 @@ _KINDS = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
 class NoiseParameters:
     """Random part of a measurement, by run.
 
-    Attributes
-    ----------
-    rms_um : float
-        Size over one run, averaged over runs; 0 measures without noise.
-    kind : str
-        ``plain``; ``feed``: in proportion to feed; ``reversal``: four times at reversals;
-        ``tails``: Student's t with three degrees of freedom; ``bad_run``: one run eight times;
-        ``lobes``: three lobes of random height in every run.
-    keep : float
-        Correlation of the slow part from degree to degree.
-    reference_feed_mm_min : float
-        Feed at which the kind ``feed`` has its nominal size.
+    ``rms_um``: size over one run, averaged over runs; 0 measures without noise.
+    ``kind``: ``plain``; ``feed``: in proportion to feed; ``reversal``: four times at reversals; ``tails``: Student's t
+    with three degrees of freedom; ``bad_run``: one run eight times; ``lobes``: three lobes of random height in every
+    run.
+    ``keep``: correlation of the slow part from degree to degree.
+    ``reference_feed_mm_min``: feed at which the kind ``feed`` has its nominal size.
     """
 
     rms_um: float = 0.5
@@ -44,10 +38,7 @@ class NoiseParameters:
 def noise_um(
     parameters: NoiseParameters, angle_rad: Floats, feed_mm_min: float, rng: np.random.Generator, *, bad: bool
 ) -> Floats:
-    """Return the noise of one run, shape (n,).
-
-    ``angle_rad``, (n,): path angle of the samples.
-    """
+    """Return the noise of one run, shape (n,). ``angle_rad``, (n,): path angle of the samples."""
     per_degree = len(angle_rad) / _GRID
     fast = 0.3 * np.sqrt(max(per_degree, 1.0)) * _draw(parameters, len(angle_rad), rng)
     slow = 0.3 * _slow(parameters, rng)

@@ -99,20 +99,12 @@ class HeatParameters:
 class MillParameters:
     """The whole machine.
 
-    Attributes
-    ----------
-    squareness_um_m : dict of str to float
-        By how much the angle of two axes is more than 90 degrees, by plane.
-    changeover_um : float
-        Step of the commanded radius where the leading axis changes.
-    shift_um_h : tuple of float
-        Drift of the table along X, Y, Z.
-    bar_growth_um_h : float
-        Drift of the measured length.
-    delay_ms : float
-        By which the bar's reading is older than the angle written beside it.
-    cup_lobe_um, cup_phase_rad : float
-        Three-lobed error of ball and cup.
+    ``squareness_um_m``: by how much the angle of two axes is more than 90 degrees, by plane.
+    ``changeover_um``: step of the commanded radius where the leading axis changes.
+    ``shift_um_h``: drift of the table along X, Y, Z.
+    ``bar_growth_um_h``: drift of the measured length.
+    ``delay_ms``: by which the bar's reading is older than the angle written beside it.
+    ``cup_lobe_um``, ``cup_phase_rad``: three-lobed error of ball and cup.
     """
 
     x: AxisParameters = field(default_factory=AxisParameters)
@@ -146,16 +138,10 @@ class MillParameters:
 class CircularTest:
     """One circle to be measured.
 
-    Attributes
-    ----------
-    repeat : int
-        Counts from 1.
-    pause_s : float
-        Standstill before this test, in which the machine cools.
-    abbe_offset_mm : float or None
-        Height of the bar above the scales; logged when given.
-    correction : str
-        Which of the mill's corrections acts; empty for none.
+    ``repeat``: counts from 1.
+    ``pause_s``: standstill before this test, in which the machine cools.
+    ``abbe_offset_mm``: height of the bar above the scales; logged when given.
+    ``correction``: which of the mill's corrections acts; empty for none.
     """
 
     plane: Plane = "XY"

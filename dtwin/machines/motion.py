@@ -23,12 +23,8 @@ TURN, ELEVATION0, RISE = LINE_FROM, LINE_FROM + 1, LINE_FROM + 2
 class CircleCondition:
     """What one circular run is asked to do.
 
-    Attributes
-    ----------
-    plane : str
-        XY, YZ or ZX (XZ and the like are converted, which flips the direction).
-    direction : str
-        ``"CCW"`` or ``"CW"``, seen from the positive normal of the plane.
+    ``plane``: XY, YZ or ZX (XZ and the like are converted, which flips the direction).
+    ``direction``: ``"CCW"`` or ``"CW"``, seen from the positive normal of the plane.
     """
 
     plane: str
@@ -39,10 +35,7 @@ class CircleCondition:
     def standard(self) -> CircleCondition:
         """Return the same motion with its plane named XY, YZ or ZX.
 
-        Raises
-        ------
-        InputError
-            When plane, direction, radius or feed make no sense.
+        Raises ``InputError`` when plane, direction, radius or feed make no sense.
         """
         if self.direction not in ("CCW", "CW"):
             raise InputError("unknown direction", code="run.direction", got=self.direction, allowed="CCW, CW")

@@ -25,10 +25,8 @@ MAPPED_MM = (25.4 * MAPPED_IN[0], 25.4 * MAPPED_IN[1])
 class Layer:
     """One hidden layer of logistic neurons with a linear output.
 
-    Attributes
-    ----------
-    position_weight, forward_bias, reverse_bias, output_weight : ndarray, shape (neurons,)
-        Of position; biases for each direction; of the output.
+    ``position_weight``, ``forward_bias``, ``reverse_bias``, ``output_weight``, shape (neurons,): of position; biases
+    for each direction; of the output.
     """
 
     position_weight: Floats
@@ -42,21 +40,16 @@ class Layer:
         reverse = np.asarray(direction, float)[:, None] >= 0.5
         bias = np.where(reverse, self.reverse_bias, self.forward_bias)
         activation = np.outer(position, self.position_weight) + bias
-        out: Floats = self.output_weight @ (1.0 / (1.0 + np.exp(-activation))).T + self.output_bias
-        return out
+        return self.output_weight @ (1.0 / (1.0 + np.exp(-activation))).T + self.output_bias
 
 
 @dataclass(frozen=True)
 class LatheNetwork:
     """The printed pair.
 
-    Attributes
-    ----------
-    full, cyclic : Layer
-        Error over the travel, and over one turn of the screw.
-    golden : tuple of mapping
-        ``dir``, ``pos_in``, ``full_in``, ``cyclic_in``, ``compensation_in``: what the printed
-        program gives; compensation is the error with its sign changed.
+    ``full``, ``cyclic``: error over the travel, and over one turn of the screw.
+    ``golden``: ``dir``, ``pos_in``, ``full_in``, ``cyclic_in``, ``compensation_in``: what the printed program gives;
+    compensation is the error with its sign changed.
     """
 
     full: Layer
@@ -77,13 +70,7 @@ class LatheNetwork:
 
 
 def read_network() -> LatheNetwork:
-    """Read the printed networks, which travel with the package.
-
-    Raises
-    ------
-    InputError
-        When the file lacks weights.
-    """
+    """Read the printed networks, which travel with the package. Raises ``InputError`` when the file lacks weights."""
     file = published_table("lathe_z_network.json")
     try:
         document = json.loads(file.read_text(encoding="utf-8"))

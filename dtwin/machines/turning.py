@@ -6,11 +6,12 @@ beyond the encoder is outside of the loop: no controller gain can take it away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
 
+from dtwin.machines._wandering import wandering
 from dtwin.schema import Floats
 
 SERVO_HZ = 8000.0
@@ -24,23 +25,15 @@ _SOFTEST_UM = 0.02
 class Slide:
     """Servo and structure. The defaults come closest to the printed figures of a real slide.
 
-    Attributes
-    ----------
-    servo_hz, servo_damping : float
-        Natural frequency and damping ratio of the closed position loop.
-    velocity_feedforward : float
-        Share of the commanded velocity that the loop is told beforehand; 1 is perfect.
-    structure_hz, structure_damping : float
-        Mode of the tool on its structure, damped against the frame; its frequency holds at the
-        deflection ``hardening_um``.
-    hardening : float
-        Exponent of force over deflection of the joint in the structure: 1 is a spring, more is a joint
-        of rough faces, which grows stiffer under load.
-    hardening_um : float
-        Deflection at which the joint is as stiff as the spring.
-    friction_um, friction_reach_um : float
-        Guideway friction as the deflection of the servo that it causes, and the travel over which it
-        turns round; none by default.
+    ``servo_hz``, ``servo_damping``: natural frequency and damping ratio of the closed position loop.
+    ``velocity_feedforward``: share of the commanded velocity that the loop is told beforehand; 1 is perfect.
+    ``structure_hz``, ``structure_damping``: mode of the tool on its structure, damped against the frame; its frequency
+    holds at the deflection ``hardening_um``.
+    ``hardening``: exponent of force over deflection of the joint in the structure: 1 is a spring, more is a joint of
+    rough faces, which grows stiffer under load.
+    ``hardening_um``: deflection at which the joint is as stiff as the spring.
+    ``friction_um``, ``friction_reach_um``: guideway friction as the deflection of the servo that it causes, and the
+    travel over which it turns round; none by default.
     """
 
     servo_hz: float = 81.78
@@ -76,14 +69,9 @@ class Accelerometer:
 class AnaloguePath:
     """How a correction comes into the loop: volts out, volts in, pulses.
 
-    Attributes
-    ----------
-    um_per_v, offset_v : float
-        Scale of the output, and the voltage that stands for no correction.
-    pulses_per_v, um_per_pulse : float
-        What the controller makes of a volt.
-    delay_ticks : int
-        Servo ticks from the output to the motion command.
+    ``um_per_v``, ``offset_v``: scale of the output, and the voltage that stands for no correction.
+    ``pulses_per_v``, ``um_per_pulse``: what the controller makes of a volt.
+    ``delay_ticks``: servo ticks from the output to the motion command.
     """
 
     um_per_v: float = 2.0
@@ -102,17 +90,10 @@ class AnaloguePath:
     def arrived_um(self, wanted_um: Floats, held: Floats) -> tuple[Floats, Floats, int]:
         """Return what reaches the motion command.
 
-        Parameters
-        ----------
-        wanted_um : ndarray, shape (n,)
-            Correction at successive ticks.
-        held : ndarray, shape (delay_ticks,)
-            What was on its way before.
-
-        Returns
-        -------
-        arrived, held, saturated : tuple
-            Correction in um, shape (n,); what is on its way afterwards; ticks that clipped.
+        ``wanted_um``, shape (n,): correction at successive ticks.
+        ``held``, shape (delay_ticks,): what was on its way before.
+        Returns ``arrived``, ``held``, ``saturated``: correction in um, shape (n,); what is on its way afterwards; ticks
+        that clipped.
         """
         step = 2.0 * self.range_v / 2.0**self.bits
         volts = wanted_um / self.um_per_v + self.offset_v
@@ -170,10 +151,7 @@ class TurningSlide:
 class Instruments:
     """Capacitance probe at the tool, encoder, accelerometer.
 
-    Attributes
-    ----------
-    probe_um, encoder_um : float
-        Noise of a reading of the probe; step of the encoder.
+    ``probe_um``, ``encoder_um``: noise of a reading of the probe; step of the encoder.
     """
 
     probe_um: float = 0.005
@@ -203,8 +181,7 @@ class AccelerationChannel:
         passed, self._memory = lfilter(self._b, self._a, felt, zi=self._memory)
         pushes = sensor.drift_g * np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=n)
         wander, self._wander = lfilter([1.0], [1.0, -self._keep], pushes, zi=self._wander)
-        shown: Floats = np.clip((passed + wander)[::every], -sensor.range_g, sensor.range_g)
-        return shown
+        return np.clip((passed + wander)[::every], -sensor.range_g, sensor.range_g)
 
 
 @njit(cache=True, error_model="numpy")
@@ -245,3 +222,31 @@ def _tool(x: float, w: float, e: float, mode: float, loss: float, power: float, 
     if power != 1.0:
         force *= ((bent * bent + softest * softest) / (scale * scale)) ** (0.5 * (power - 1.0))
     return -force - 2.0 * loss * mode * w
+
+
+@dataclass(frozen=True)
+class RoomDrift:
+    """A room whose temperature wanders, and a slide that follows it.
+
+    ``room_c``: standard deviation of the room's temperature about its mean.
+    ``oil_per_c``: share of the servo's damping that a warmer, thinner guideway oil takes away.
+    ``softening_per_c``: share of its stiffness that the warmer structure loses.
+    """
+
+    room_c: float = 0.8
+    time_constant_s: float = 1800.0
+    oil_per_c: float = 0.03
+    softening_per_c: float = 0.002
+
+    def rises_c(self, t_s: Floats, seed: int) -> Floats:
+        """Return the room's temperature over its mean at ascending times, shape (n,)."""
+        rng = np.random.default_rng([seed, 31])
+        return self.room_c * wandering(rng, t_s, self.time_constant_s)
+
+    def slide_at(self, slide: Slide, rise_c: float) -> Slide:
+        """Return the slide in a room that is warmer by ``rise_c``."""
+        return replace(
+            slide,
+            servo_damping=slide.servo_damping * (1.0 - self.oil_per_c * rise_c),
+            structure_hz=slide.structure_hz * (1.0 - self.softening_per_c * rise_c) ** 0.5,
+        )

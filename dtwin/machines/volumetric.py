@@ -80,21 +80,13 @@ SENSITIVITY: Mapping[str, Mapping[str, float]] = {
 class VolumetricParameters:
     """What a virtual mill is like.
 
-    Attributes
-    ----------
-    probe_um : float
-        Standard deviation of a measured coordinate.
-    seating_um, repeat_um : float
-        How far the array stands from its nominal place in a pose, and how well the motor finds
-        the pose again.
-    pocket_1 : float
-        Of every second thermocouple: the most that it feels of the casting's core, which is what
-        deforms. 0 for sensors stuck on the surface; 0.85 for sensors sunk into pockets.
-    hidden : dict of str to dict
-        More coefficients: name to um (um/m) per kelvin of each body, for example
-        ``{"ECX1": {"bed": 2.0}}``.
-    pump : bool
-        Whether the coolant pump warms its tank.
+    ``probe_um``: standard deviation of a measured coordinate.
+    ``seating_um``, ``repeat_um``: how far the array stands from its nominal place in a pose, and how well the motor
+    finds the pose again.
+    ``pocket_1``: of every second thermocouple: the most that it feels of the casting's core, which is what deforms. 0
+    for sensors stuck on the surface; 0.85 for sensors sunk into pockets.
+    ``hidden``: more coefficients: name to um (um/m) per kelvin of each body, for example ``{"ECX1": {"bed": 2.0}}``.
+    ``pump``: whether the coolant pump warms its tank.
     """
 
     probe_um: float = 0.7
@@ -112,16 +104,10 @@ class VolumetricParameters:
 class BallReadings:
     """What the probe found in one cycle.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        Time since the campaign began.
-    nominal_mm : ndarray, shape (n, 3)
-        Where the balls should be.
-    error_um : ndarray, shape (n, 3)
-        Measured minus nominal.
-    pose, ball : ndarray of int, shape (n,)
-        Pose 0 are the balls on the table.
+    ``t_s``, shape (n,): time since the campaign began.
+    ``nominal_mm``, shape (n, 3): where the balls should be.
+    ``error_um``, shape (n, 3): measured minus nominal.
+    ``pose``, ``ball``, shape (n,): pose 0 are the balls on the table.
     """
 
     t_s: Floats
@@ -165,16 +151,9 @@ class VolumetricMill:
     def error_um(self, position_mm: Floats, hour: Floats) -> Floats:
         """Return actual minus commanded position of the tool point.
 
-        Parameters
-        ----------
-        position_mm : ndarray, shape (n, 3)
-            Commanded.
-        hour : ndarray, shape (n,)
-            Time at each of them.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
+        ``position_mm``, shape (n, 3): commanded.
+        ``hour``, shape (n,): time at each of them.
+        Returns, shape (n, 3).
         """
         value = self.coefficients(hour)
         position = np.asarray(position_mm, float)

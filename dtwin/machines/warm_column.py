@@ -87,10 +87,7 @@ class WarmColumn:
         return out
 
     def day(self, heat_w: Floats, seed: int) -> Day:
-        """Return what a day does to the column.
-
-        ``heat_w`` (n,): of the spindle, at each step.
-        """
+        """Return what a day does to the column. ``heat_w`` (n,): of the spindle, at each step."""
         rng = np.random.default_rng([seed, 2])
         n = heat_w.size
         t_s: Floats = STEP_S * np.arange(n, dtype=np.float64)

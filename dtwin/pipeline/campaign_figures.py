@@ -18,16 +18,8 @@ from dtwin.schema import Floats, Run
 def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
     """Return figures and findings of every run of a campaign in the lake.
 
-    Returns
-    -------
-    dict
-        ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and
-        ``findings`` of the whole.
-
-    Raises
-    ------
-    InputError
-        When the campaign is unknown.
+    Returns ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and ``findings`` of the whole.
+    Raises ``InputError`` when the campaign is unknown.
     """
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
@@ -54,16 +46,9 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
 def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     """Return the error over the path angle of the first run of each condition.
 
-    Parameters
-    ----------
-    campaign : str
-        Name of a circular campaign; another kind gives nothing.
-
-    Returns
-    -------
-    dict of str to dict of str to (angle, error)
-        By condition and direction: angles in degrees, errors in um after the run's own centre
-        and radius, each of shape (n,).
+    ``campaign``: name of a circular campaign; another kind gives nothing.
+    Returns by condition and direction: angles in degrees, errors in um after the run's own centre and radius, each of
+    shape (n,).
     """
     lake = Lake(home.lake)
     curves: dict[str, dict[str, tuple[Floats, Floats]]] = {}

@@ -31,20 +31,12 @@ if TYPE_CHECKING:
 class CampaignRequest:
     """What to measure, and where.
 
-    Attributes
-    ----------
-    inbox : Path
-        Folder that the reference instrument's program writes to.
-    out : Path, optional
-        Campaign folder; by default below ``DTWIN_HOME/campaigns``.
-    sensors : Path, optional
-        Channel file of the accelerometers.
-    robot : str, optional
-        Address of a UR controller to record.
-    version : str, optional
-        Version whose correction is measured by turns with and without, or its alias.
-    settle_s : float
-        Time for which a file must stand still.
+    ``inbox``: folder that the reference instrument's program writes to.
+    ``out``: campaign folder; by default below ``DTWIN_HOME/campaigns``.
+    ``sensors``: channel file of the accelerometers.
+    ``robot``: address of a UR controller to record.
+    ``version``: version whose correction is measured by turns with and without, or its alias.
+    ``settle_s``: time for which a file must stand still.
     """
 
     plan: Plan
@@ -61,15 +53,8 @@ def run_request(
 ) -> dict[str, Any]:
     """Measure a campaign, bring it into the lake, and with a version compute its evidence.
 
-    Parameters
-    ----------
-    desk_of : callable
-        Returns the operator's desk for a campaign folder.
-
-    Returns
-    -------
-    dict
-        JSON-ready: what :func:`measure_campaign` returns, ``added`` runs, and ``evidence``.
+    ``desk_of``: returns the operator's desk for a campaign folder.
+    Returns, JSON-ready: what :func:`measure_campaign` returns, ``added`` runs, and ``evidence``.
     """
     plan = request.plan
     version = _version(home, request)

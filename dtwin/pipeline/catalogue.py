@@ -114,10 +114,7 @@ def twin_lines(home: Home) -> list[TwinLine]:
 
 
 def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
-    """Return a campaign in one line.
-
-    ``rows``: its rows, at least one.
-    """
+    """Return a campaign in one line. ``rows``: its rows, at least one."""
     severities = Counter(f["severity"] for row in rows for f in findings_of(row))
     severities.update(f.severity for f in campaign_findings(rows))
     used = [row for row in rows if row["left_out"] is None]

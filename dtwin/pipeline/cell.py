@@ -57,15 +57,8 @@ def run_job(cell: CellFile, do: Do | None = None) -> _Outcome:
     A step that was running when a process ended is done again: the machines start every step from
     where they stand safely. Only the twin of the running step is live.
 
-    Parameters
-    ----------
-    do : callable, optional
-        ``do(step, part, twin)`` does one step and returns its result; by default here and now.
-
-    Raises
-    ------
-    InputError
-        When the cell is running already, or has no job.
+    ``do``: ``do(step, part, twin)`` does one step and returns its result; by default here and now.
+    Raises ``InputError`` when the cell is running already, or has no job.
     """
     with cell.alone():
         state = cell.read()
@@ -98,17 +91,9 @@ def run_job(cell: CellFile, do: Do | None = None) -> _Outcome:
 def do_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
     """Do one step on the virtual machines and return its figures, machine clock.
 
-    Parameters
-    ----------
-    step, twin : str
-        One of ``STEPS``, and the twin that is live in it.
-    part : int
-        From 1.
-
-    Raises
-    ------
-    InputError
-        When there is no such step, or another twin than the step's would be live.
+    ``step``, ``twin``: one of ``STEPS``, and the twin that is live in it.
+    ``part``: from 1.
+    Raises ``InputError`` when there is no such step, or another twin than the step's would be live.
     """
     if (step, twin) not in STEPS:
         raise InputError(

@@ -39,10 +39,7 @@ class CellFile:
     def begin(self, parts: int, seed: int) -> dict[str, Any]:
         """Write the state of a new job, with every step of every part waiting.
 
-        Raises
-        ------
-        InputError
-            When a job is there that is not done, or the number of parts makes no sense.
+        Raises ``InputError`` when a job is there that is not done, or the number of parts makes no sense.
         """
         if not 1 <= parts <= _MOST_PARTS:
             raise InputError(
@@ -99,13 +96,7 @@ class CellFile:
         write_text(self._path, json.dumps(state, indent=1), "the cell's state")
 
     def clear(self) -> None:
-        """Forget the job.
-
-        Raises
-        ------
-        InputError
-            When it is running.
-        """
+        """Forget the job. Raises ``InputError`` when it is running."""
         with self.alone():
             self._path.unlink(missing_ok=True)
             self._stop.unlink(missing_ok=True)
@@ -128,10 +119,7 @@ class CellFile:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Hold the cell: two jobs would move the same machines.
-
-        Raises ``InputError`` when another process holds it.
-        """
+        """Hold the cell: two jobs would move the same machines. Raises ``InputError`` when another process holds it."""
         with locked(self.folder / "lock") as mine:
             if not mine:
                 raise InputError(

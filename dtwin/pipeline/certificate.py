@@ -26,10 +26,7 @@ _LOOKED_AT = 12
 def certificate(home: Home, campaign: str, language: str = "en") -> str:
     """Return the certificate of a campaign as one HTML page.
 
-    Raises
-    ------
-    InputError
-        When there is no such campaign, it has no sheet, or the language is not known.
+    Raises ``InputError`` when there is no such campaign, it has no sheet, or the language is not known.
     """
     if language not in LANGUAGES:
         raise InputError(

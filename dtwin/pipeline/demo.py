@@ -47,10 +47,7 @@ class _Screen(Protocol):
 
 @dataclass(frozen=True)
 class _DemoSize:
-    """How much is measured.
-
-    ``evidence``: circles with and without correction.
-    """
+    """How much is measured. ``evidence``: circles with and without correction."""
 
     plan: Plan
     evidence: EvidencePlan
@@ -79,11 +76,7 @@ def run_demo(
 ) -> dict[str, Any]:
     """Run the five steps, by plain functions without others, and return what they found.
 
-    Returns
-    -------
-    dict
-        JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report,
-        seconds by step.
+    Returns, JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report, seconds by step.
     """
     clock = _Clock(screen, steps or PlainSteps(home, screen.progress))
     sections: list[Section] = []

@@ -79,10 +79,7 @@ class PlainSteps:
 
 
 class _PlainWork:
-    """``Work`` by the functions of ``dtwin.pipeline``.
-
-    ``progress``: returns a progress callback for a title.
-    """
+    """``Work`` by the functions of ``dtwin.pipeline``. ``progress``: returns a progress callback for a title."""
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:
         self._home, self._progress = home, progress

@@ -27,10 +27,7 @@ _WORD = re.compile("[a-z0-9]{1,20}")
 
 @dataclass(frozen=True)
 class Question:
-    """What an operator is asked to do or to say.
-
-    ``answers``: what may be answered, the usual one first.
-    """
+    """What an operator is asked to do or to say. ``answers``: what may be answered, the usual one first."""
 
     run: str
     text: str
@@ -45,11 +42,7 @@ class Question:
 class Desk:
     """Asks one question at a time.
 
-    Parameters
-    ----------
-    typed : callable
-        Returns what was typed since the last time, None when nothing was; an empty line means the
-        usual answer.
+    ``typed``: returns what was typed since the last time, None when nothing was; an empty line means the usual answer.
     """
 
     def __init__(self, folder: Path, show: Callable[[str], None], typed: Callable[[], str | None]) -> None:
@@ -124,13 +117,7 @@ def _alive(pid: object) -> bool:
 
 
 def give_answer(folder: Path, question_id: str, answer: str) -> None:
-    """Answer a question.
-
-    Raises
-    ------
-    InputError
-        When this is not asked now, or not answered so.
-    """
+    """Answer a question. Raises ``InputError`` when this is not asked now, or not answered so."""
     asked = open_question(folder)
     if asked is None or asked["id"] != question_id or answer not in asked["answers"]:
         raise InputError(

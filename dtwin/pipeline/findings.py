@@ -18,8 +18,7 @@ SEVERITIES = ("error", "warning", "info")
 
 def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return what is noteworthy about a run."""
-    findings: list[dict[str, Any]] = json.loads(row["findings_json"])
-    return findings
+    return json.loads(row["findings_json"])
 
 
 def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:

@@ -54,12 +54,8 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
 
     Ingests wait meanwhile; databases are copied as of one moment. Caches, logs and locks are left out.
 
-    Raises
-    ------
-    InputError
-        When there is no home, or the file is there already.
-    StoreError
-        When something cannot be read or written, or a database is damaged; nothing is left behind.
+    Raises ``InputError`` when there is no home, or the file is there already.
+    Raises ``StoreError`` when something cannot be read or written, or a database is damaged; nothing is left behind.
     """
     if not home.root.is_dir():
         raise InputError("there is no home to back up", code="home.none", where=str(home.root), hint="set DTWIN_HOME")
@@ -93,12 +89,8 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
 def restore(archive: Path, home: Home, progress: Progress | None = None) -> Archived:
     """Make a home from a backup; every file is compared with its hash before the home gets its name.
 
-    Raises
-    ------
-    InputError
-        When the home is there already, or the file is no backup.
-    StoreError
-        When a file is damaged, missing or not of the backup; nothing is left behind.
+    Raises ``InputError`` when the home is there already, or the file is no backup.
+    Raises ``StoreError`` when a file is damaged, missing or not of the backup; nothing is left behind.
     """
     if home.root.exists() and any(home.root.iterdir()):
         raise InputError(

@@ -45,17 +45,9 @@ def share(home: Home, stated: Mapping[str, str], progress: Progress | None = Non
 
     What is local stays where it is. Can be repeated after a kill.
 
-    Parameters
-    ----------
-    stated : mapping of str to str
-        What ``home.toml`` is going to say.
-
-    Raises
-    ------
-    InputError
-        When the home is shared already, or the addresses are not usable.
-    StoreError
-        When something cannot be read or written, or another home lies there.
+    ``stated``: what ``home.toml`` is going to say.
+    Raises ``InputError`` when the home is shared already, or the addresses are not usable.
+    Raises ``StoreError`` when something cannot be read or written, or another home lies there.
     """
     target = home_file_of(stated, "dtwin home move")
     bucket = target.bucket

@@ -33,14 +33,9 @@ def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
 def kept(home: Home, what: str, campaign: str, stamp: str, make: Callable[[], Any]) -> Any:
     """Return what was made of the runs of a campaign: from its file when nothing changed since, else made now.
 
-    Parameters
-    ----------
-    what : str
-        Name of the folder that holds files of this sort.
-    stamp : str
-        Of what it is made from.
-    make : callable
-        Returns something JSON-ready.
+    ``what``: name of the folder that holds files of this sort.
+    ``stamp``: of what it is made from.
+    ``make``: returns something JSON-ready.
     """
     value = kept_already(home, what, campaign, stamp)
     if value is None:
@@ -64,13 +59,7 @@ def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None)
 
 
 def keep(home: Home, what: str, campaign: str, stamp: str, made: Any) -> None:
-    """Keep what was made of the runs of a campaign.
-
-    Raises
-    ------
-    StoreError
-        When the home cannot be written.
-    """
+    """Keep what was made of the runs of a campaign. Raises ``StoreError`` when the home cannot be written."""
     write_document(_file_of(home, what, campaign), {"stamp": f"{__version__} {stamp}", "made": made}, what)
 
 
@@ -110,11 +99,10 @@ def sheet_of_campaign(
     ``variation``: of the machine, as ``variation_of`` gives it.
     """
     limits = tolerances_of(home, machine)
-    made: dict[str, Any] = kept(
+    return kept(
         home,
         "sheets",
         campaign,
         f"findings {stamp} {limits} {variation}",
         lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
-    return made

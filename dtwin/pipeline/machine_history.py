@@ -60,21 +60,11 @@ def machine_history(
 
     It is kept until a run, the record or a twin of the machine changes.
 
-    Parameters
-    ----------
-    home : Home
-        Of the lake, the records, the twins and the bundles; what is made of a campaign is kept there.
-    library : mapping of str to Effect, optional
-        Of the effects of twins; the built-in ones without.
-    twins : sequence of TwinLine, optional
-        The catalogue, where it was read before.
-    files : mapping of str to sequence of str, optional
-        Of its runs in the lake by campaign, where they were listed before.
-
-    Raises
-    ------
-    InputError
-        When there is neither a record nor a campaign of it.
+    ``home``: of the lake, the records, the twins and the bundles; what is made of a campaign is kept there.
+    ``library``: of the effects of twins; the built-in ones without.
+    ``twins``: the catalogue, where it was read before.
+    ``files``: of its runs in the lake by campaign, where they were listed before.
+    Raises ``InputError`` when there is neither a record nor a campaign of it.
     """
     effects = Library() if library is None else library
     mine = [twin for twin in (twin_lines(home) if twins is None else twins) if twin.machine == machine]

@@ -33,15 +33,8 @@ def machine_joint(
 ) -> dict[str, Any]:
     """Return what tests of a machine find, each from nothing and all together, JSON-ready.
 
-    Parameters
-    ----------
-    campaigns : sequence of str
-        Which; without them the newest one of each kind with the same planes or axes.
-
-    Raises
-    ------
-    InputError
-        When fewer than two tests can be compared, or one is of another machine.
+    ``campaigns``: which; without them the newest one of each kind with the same planes or axes.
+    Raises ``InputError`` when fewer than two tests can be compared, or one is of another machine.
     """
     lake, names = Lake(home.lake), [in_lake(home, name) for name in campaigns]
     for name in names:

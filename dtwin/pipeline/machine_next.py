@@ -36,25 +36,12 @@ def machine_next(
 ) -> dict[str, Any]:
     """Return the tests that could be made next, JSON-ready, most bits per minute first.
 
-    Parameters
-    ----------
-    allowed : sequence of str
-        Kinds of test for which there is an instrument; all without.
-    minutes : float, optional
-        Longest time, mounting the instrument included.
-
-    Returns
-    -------
-    dict
-        ``machine``; ``measured``: campaigns that count, the newest of each kind with the same planes or axes;
-        ``unclear``: groups of effects that they find and do not tell apart; ``untold``: causes whose size they do
-        not tell; ``tests``: ``name``, ``kind``, ``minutes``, ``bits``, ``bits_per_minute``, ``told`` and ``document``,
-        the plan file.
-
-    Raises
-    ------
-    InputError
-        When the machine is not known, a kind proposes no tests, or none is short enough.
+    ``allowed``: kinds of test for which there is an instrument; all without.
+    ``minutes``: longest time, mounting the instrument included.
+    Returns ``machine``; ``measured``: campaigns that count, the newest of each kind with the same planes or axes;
+    ``unclear``: groups of effects that they find and do not tell apart; ``untold``: causes whose size they do not tell;
+    ``tests``: ``name``, ``kind``, ``minutes``, ``bits``, ``bits_per_minute``, ``told`` and ``document``, the plan file.
+    Raises ``InputError`` when the machine is not known, a kind proposes no tests, or none is short enough.
     """
     lake, known = Lake(home.lake), Library() if library is None else library
     rows = lake.runs(left_out=True, machine=machine)

@@ -29,14 +29,9 @@ from dtwin.train.inputs import BAND_HZ, HOP, WINDOW_FEATURES, WINDOW_SAMPLES
 class FeatureReport:
     """What the features of a campaign are.
 
-    Attributes
-    ----------
-    runs, windows : int
-        Runs whose accelerometers hold a window at least, and windows in all.
-    contract : WindowContract or None
-        Window and features; None without such a run.
-    not_finite, constant : int
-        Windows of a channel that hold no usable signal.
+    ``runs``, ``windows``: runs whose accelerometers hold a window at least, and windows in all.
+    ``contract``: window and features; None without such a run.
+    ``not_finite``, ``constant``: windows of a channel that hold no usable signal.
     """
 
     campaign: str
@@ -66,10 +61,7 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
     Features of a run are written once per window contract and content; a repeated call adds
     nothing.
 
-    Raises
-    ------
-    InputError
-        When the campaign is unknown.
+    Raises ``InputError`` when the campaign is unknown.
     """
     lake = Lake(home.lake)
     lake.campaign(campaign)

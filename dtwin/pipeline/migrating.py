@@ -56,10 +56,7 @@ def migrate(home: Home, progress: Progress) -> _Migrated:
     its ingest stored. Features are not taken over: ``dtwin features`` makes them again. Can be repeated
     after a kill.
 
-    Raises
-    ------
-    StoreError
-        When a run is not what was ingested, or something cannot be read or written.
+    Raises ``StoreError`` when a run is not what was ingested, or something cannot be read or written.
     """
     campaigns, n_runs = _lake(home, progress)
     documents = [path for path in sorted((home.root / "twins").rglob("*.json")) if _sealed_now(path)]

@@ -41,10 +41,7 @@ def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
 
     Its name holds machine and day, so that it becomes a campaign of its own.
 
-    Raises
-    ------
-    InputError
-        When the kind is not known, or has no form for a plan.
+    Raises ``InputError`` when the kind is not known, or has no form for a plan.
     """
     record = read_record(home, require_name(machine, "the machine"))
     axes = (record.axes if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
@@ -59,17 +56,9 @@ def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
 def with_settings(document: Mapping[str, Any], told: Mapping[str, str]) -> dict[str, Any]:
     """Return a plan file with some settings told anew, each read as what it is in the draft.
 
-    Parameters
-    ----------
-    document : mapping
-        As :func:`draft_of` returns it.
-    told : mapping of str to str
-        By name; the parts of a list are separated by commas, semicolons or spaces.
-
-    Raises
-    ------
-    InputError
-        When there is no such setting, or it cannot be read.
+    ``document``: as :func:`draft_of` returns it.
+    ``told``: by name; the parts of a list are separated by commas, semicolons or spaces.
+    Raises ``InputError`` when there is no such setting, or it cannot be read.
     """
     out = {table: dict(known) for table, known in document.items()}
     for name, text in told.items():
@@ -104,23 +93,12 @@ def foretold(
 ) -> dict[str, Any]:
     """Return how long a planned test takes, what it would show, and what it could not tell apart, JSON-ready.
 
-    Parameters
-    ----------
-    longest_s : float
-        What a test of more measuring would show is not computed: time and memory grow with its runs.
-
-    Returns
-    -------
-    dict
-        ``name``, ``machine``, ``kind``; ``minutes`` and ``mounting_minutes``; ``lines``; ``findings``; ``noise_um``;
-        ``detectable``: effects with the smallest size that is detected with a power of 80 %, null when it is not visible;
-        ``alike``: groups of effects that it could not tell apart; both null where the kind cannot tell, or the test is too long;
-        ``virtual``: the virtual machine that can be measured at once, else empty.
-
-    Raises
-    ------
-    InputError
-        When a rule of the kind is broken.
+    ``longest_s``: what a test of more measuring would show is not computed: time and memory grow with its runs.
+    Returns ``name``, ``machine``, ``kind``; ``minutes`` and ``mounting_minutes``; ``lines``; ``findings``;
+    ``noise_um``; ``detectable``: effects with the smallest size that is detected with a power of 80 %, null when it is
+    not visible; ``alike``: groups of effects that it could not tell apart; both null where the kind cannot tell, or the
+    test is too long; ``virtual``: the virtual machine that can be measured at once, else empty.
+    Raises ``InputError`` when a rule of the kind is broken.
     """
     planned = planned_document(document, str(document.get("plan", {}).get("name", "the plan")))
     kind = kind_named(planned.kind)
@@ -207,10 +185,7 @@ def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str,
 def keep_plan(home: Home, document: Mapping[str, Any]) -> str:
     """Keep a plan whose measurement is waited for, and return its name.
 
-    Raises
-    ------
-    InputError
-        When it breaks a rule, or its name is taken.
+    Raises ``InputError`` when it breaks a rule, or its name is taken.
     """
     name = free_name(home, planned_document(document, "the plan"))
     write_plan(home, document)
@@ -267,10 +242,7 @@ def kept_plans(home: Home, machine: str) -> list[dict[str, Any]]:
     A campaign answers a plan when it has its name; else the first one that came in later, of the same machine and kind, and
     with all its conditions.
 
-    Returns
-    -------
-    list of dict
-        ``name``, ``kind``, ``made`` (ISO 8601) and ``answer``, empty while it waits.
+    Returns ``name``, ``kind``, ``made`` (ISO 8601) and ``answer``, empty while it waits.
     """
     made = sorted(_plans_of(home, machine), key=lambda plan: plan[0], reverse=True)
     if not made:

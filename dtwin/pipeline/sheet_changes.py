@@ -28,10 +28,7 @@ _COVERAGE_FACTOR = 2.0
 def last_changes(home: Home, machine: str) -> dict[str, Any]:
     """Return what changed in the newest test of a machine that can be compared with an earlier one.
 
-    Raises
-    ------
-    InputError
-        When the machine is not known, or no test of it has an earlier one with a figure in common.
+    Raises ``InputError`` when the machine is not known, or no test of it has an earlier one with a figure in common.
     """
     rows = [row for row in Lake(home.lake).runs(machine=machine) if kind_named(row["kind"]).offers("sheet")]
     record_of(home, machine, rows)
@@ -63,24 +60,12 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
     the figure itself. Of the rest nothing can be said: of figures without an uncertainty, or with one as large as they are, and of
     those whose zero is that of a length of which nobody stated a calibration.
 
-    Parameters
-    ----------
-    earlier : str
-        The campaign to compare with; without it the last one of the same kind and machine before this one.
-    machine : str
-        Of which it must be; any without.
-
-    Returns
-    -------
-    dict
-        ``machine``, ``kind``, ``campaign``, ``earlier``; ``days`` of both; ``events`` recorded between them;
-        ``instruments`` of both, empty where not stated; ``figures``;
-        ``counts`` of what is said; ``alone``: figures that one of them has.
-
-    Raises
-    ------
-    InputError
-        When there is no such campaign, no earlier one, or one of another kind or machine.
+    ``earlier``: the campaign to compare with; without it the last one of the same kind and machine before this one.
+    ``machine``: of which it must be; any without.
+    Returns ``machine``, ``kind``, ``campaign``, ``earlier``; ``days`` of both; ``events`` recorded between them;
+    ``instruments`` of both, empty where not stated; ``figures``; ``counts`` of what is said; ``alone``: figures that
+    one of them has.
+    Raises ``InputError`` when there is no such campaign, no earlier one, or one of another kind or machine.
     """
     lake = Lake(home.lake)
     known = lake.campaign(campaign)

@@ -30,13 +30,9 @@ _ALONE = (".b5r",)
 class WatchEvent:
     """What became of something that arrived.
 
-    Attributes
-    ----------
-    outcome : str
-        ``ingested``, ``unchanged`` (the same content was there), ``unknown machine`` (left where it
-        is), ``not accepted`` (the reader says no), ``not reachable`` (the folder cannot be read).
-    campaign : str
-        Campaign in the lake, empty when nothing was ingested.
+    ``outcome``: ``ingested``, ``unchanged`` (the same content was there), ``unknown machine`` (left where it is), ``not
+    accepted`` (the reader says no), ``not reachable`` (the folder cannot be read).
+    ``campaign``: campaign in the lake, empty when nothing was ingested.
     """
 
     path: str
@@ -52,16 +48,10 @@ class WatchEvent:
 class FolderWatch:
     """Ingests what arrives in a folder, each thing once; goes on after a restart.
 
-    Parameters
-    ----------
-    home : Home
-        Lake, and what is known of the folder's files.
-    machines : collection of str
-        Machines that may be ingested, besides those that the lake knows already.
-    settle_s : float
-        Time for which a file must stand still before it is read.
-    note_at_once : bool
-        Note what was seen when it was told; else when :meth:`note` is called.
+    ``home``: lake, and what is known of the folder's files.
+    ``machines``: machines that may be ingested, besides those that the lake knows already.
+    ``settle_s``: time for which a file must stand still before it is read.
+    ``note_at_once``: note what was seen when it was told; else when :meth:`note` is called.
     """
 
     def __init__(
@@ -191,14 +181,9 @@ def watch(
 ) -> None:
     """Look again and again.
 
-    Parameters
-    ----------
-    tell : callable
-        Is told of everything that happened.
-    wait : callable
-        Waits so many seconds; true ends the watch.
-    once : bool
-        End when everything that is there has been taken or refused.
+    ``tell``: is told of everything that happened.
+    ``wait``: waits so many seconds; true ends the watch.
+    ``once``: end when everything that is there has been taken or refused.
     """
     with folder_watch.alone():
         first = True

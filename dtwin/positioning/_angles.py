@@ -20,7 +20,7 @@ from dtwin.positioning.table_heads import (
     plain_unit,
     told_unit,
 )
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 from dtwin.units import ANGLES_DEG
 
 # Lines: heads are among the first rows, and a comment may stand above them.

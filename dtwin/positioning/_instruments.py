@@ -22,7 +22,7 @@ from dtwin.positioning.table_heads import (
     told_unit,
     wide_of,
 )
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 
 _INSTRUMENT = re.compile(
     rf"laser|interferom|\b(xl|xm)-?\d|tracker|taster|\bprobe|messuhr|dial|indicator|lvdt|grid|gauge|(glas|linear|ma(ß|ss)).?s(cale|tab)|{OWN_SENSOR.pattern}",

@@ -22,7 +22,7 @@ from dtwin.positioning.table_heads import (
     told_unit,
     wide_of,
 )
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 
 _MOST_ON_ITS_SIDE = 2000
 _LETTER = re.compile(r"(?<![a-z])[xyz](?![a-z])")

@@ -27,7 +27,7 @@ from dtwin.positioning.table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 from dtwin.schema import Finding, Floats
 from dtwin.units import LENGTHS_MM, UM_PER_MM
 

@@ -29,10 +29,7 @@ def assigned_unit(text: str) -> str:
 
 
 def assigned_readings(text: str, path: Path, scale: Scale) -> list[Reading]:
-    """Return the readings of a text.
-
-    Raises ``InputError`` when a unit or a target is not told.
-    """
+    """Return the readings of a text. Raises ``InputError`` when a unit or a target is not told."""
     unit = assigned_unit(text) or scale.unit
     if unit not in scale.units:
         raise wrong_form("a unit that is not known", path, unit[:20])

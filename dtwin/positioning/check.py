@@ -278,8 +278,7 @@ def _run_deviations_um(runs: Sequence[Run], scale: Scale) -> Floats:
         and np.allclose(run.samples[scale.position], first[scale.position], atol=TARGET_MM)
     ]
     stacked = np.stack(alike)
-    deviations: Floats = stacked - stacked.mean(axis=0)
-    return deviations
+    return stacked - stacked.mean(axis=0)
 
 
 def _longest_constant(values: Floats) -> int:

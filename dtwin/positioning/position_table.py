@@ -78,7 +78,7 @@ from dtwin.positioning.table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 

@@ -13,28 +13,19 @@ from dtwin.units import LENGTHS_MM, UM_PER_MM
 class Scale:
     """In which units targets and deviations of an axis are told.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the runs; codes of findings begin with it.
-    position, error, read : str
-        Columns of samples: targets, deviations, and what was read where that was a position.
-    unit, fine : str
-        Units of targets and of deviations, as people read them.
-    figure : str
-        Unit of deviations, as names of columns end.
-    per : float
-        How many of ``fine`` one of ``unit`` is.
-    units : mapping of str to float
-        How many of ``unit`` each unit of a table is.
-    largest, longest : float
-        Beyond which a deviation (``fine``), or a travel (``unit``), is in another unit than it seems to be.
-    allowed, elsewhere : str
-        Units that are usual in tables; what to do with a table that is in others.
-    turn : float
-        After how many of ``unit`` the axis is at the same place again; 0 where it is not.
-    stretch : float
-        What a machine that is one kelvin warmer stretches by, ``fine`` in 1000 of ``unit``; 0 where heat stretches nothing.
+    ``kind``: kind of the runs; codes of findings begin with it.
+    ``position``, ``error``, ``read``: columns of samples: targets, deviations, and what was read where that was a
+    position.
+    ``unit``, ``fine``: units of targets and of deviations, as people read them.
+    ``figure``: unit of deviations, as names of columns end.
+    ``per``: how many of ``fine`` one of ``unit`` is.
+    ``units``: how many of ``unit`` each unit of a table is.
+    ``largest``, ``longest``: beyond which a deviation (``fine``), or a travel (``unit``), is in another unit than it
+    seems to be.
+    ``allowed``, ``elsewhere``: units that are usual in tables; what to do with a table that is in others.
+    ``turn``: after how many of ``unit`` the axis is at the same place again; 0 where it is not.
+    ``stretch``: what a machine that is one kelvin warmer stretches by, ``fine`` in 1000 of ``unit``; 0 where heat
+    stretches nothing.
     """
 
     kind: str

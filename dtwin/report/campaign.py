@@ -140,12 +140,8 @@ def comparison_table(candidates: Sequence[Candidate]) -> tuple[list[str], list[l
 def evidence_section(evidence: Mapping[str, Any], profiles: Mapping[str, Any]) -> Section:
     """Return the section about runs with a correction and runs without it.
 
-    Parameters
-    ----------
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
-    profiles : mapping
-        Mean error along the path by condition, way and direction; drawn for circles.
+    ``evidence``: as ``Evidence.as_dict`` gives it.
+    ``profiles``: mean error along the path by condition, way and direction; drawn for circles.
     """
     figures = [evidence_figure(evidence)]
     circles = [c for c in evidence["conditions"] if "radius_mm" in c]

@@ -73,20 +73,12 @@ def certificate_page(
 ) -> str:
     """Return the certificate as one HTML page that holds everything it shows, laid out for A4.
 
-    Parameters
-    ----------
-    facts : mapping
-        ``campaign``, ``machine``, and what ``head_of`` shows.
-    sheet : mapping
-        As ``Sheet.as_dict`` gives it.
-    figures : sequence of Figure
-        Of each part of the sheet.
-    findings : sequence of (severity, text)
-        About the runs.
-    earlier : mapping, optional
-        ``campaign`` and ``sheet`` of the test before.
-    language : str
-        One of ``LANGUAGES``.
+    ``facts``: ``campaign``, ``machine``, and what ``head_of`` shows.
+    ``sheet``: as ``Sheet.as_dict`` gives it.
+    ``figures``: of each part of the sheet.
+    ``findings``, of (severity, text): about the runs.
+    ``earlier``: ``campaign`` and ``sheet`` of the test before.
+    ``language``: one of ``LANGUAGES``.
     """
     words = LANGUAGES[language]
     # What people named stays as they named it.

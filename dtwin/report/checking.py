@@ -84,20 +84,11 @@ def check_source(
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
-    Parameters
-    ----------
-    path, told
-        As for :func:`open_source`.
-    tolerances : callable
-        Returns the limits of a machine by symbol.
-    surroundings : callable
-        Returns how far readings of a machine move while it stands still, where a test of it tells.
-
-    Returns
-    -------
-    dict
-        ``campaign``, ``runs`` (figures by the file's indices and aligned by the stops, vendor's
-        figures, spectrum, findings), ``bidirectional`` and ``findings`` of the whole.
+    ``path``, ``told``: as for :func:`open_source`.
+    ``tolerances``: returns the limits of a machine by symbol.
+    ``surroundings``: returns how far readings of a machine move while it stands still, where a test of it tells.
+    Returns ``campaign``, ``runs`` (figures by the file's indices and aligned by the stops, vendor's figures, spectrum,
+    findings), ``bidirectional`` and ``findings`` of the whole.
     """
     campaign, sources, total = open_source(path, told)
     return _checked(str(path), campaign, sources, total, progress, tolerances, surroundings)

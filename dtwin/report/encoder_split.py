@@ -17,10 +17,7 @@ _COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=Tr
 
 
 def encoder_text(found: Mapping[str, Any]) -> str:
-    """Return the split for the terminal.
-
-    ``found``: ``encoder_split`` of a comparison.
-    """
+    """Return the split for the terminal. ``found``: ``encoder_split`` of a comparison."""
     head, rows = _cells(found)
     lines = ["", f"measured error by who can see it, µm RMS ± noise floor; {_said(found)}"]
     return "\n".join([*lines, table(head, rows), *_notes(found)])

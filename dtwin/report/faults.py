@@ -53,10 +53,7 @@ def faults(twin: Twin, width: int = 72) -> list[_Fault]:
 def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect], width: int = 72) -> list[list[_Fault]]:
     """Return what a diagnosis found, most first, as faults: of each group the names that these runs do not tell apart.
 
-    Parameters
-    ----------
-    diagnosis : mapping
-        As ``as_dict`` of a diagnosis gives it; sizes are of each name alone in the place of the group.
+    ``diagnosis``: as ``as_dict`` of a diagnosis gives it; sizes are of each name alone in the place of the group.
     """
     groups = []
     for group in diagnosis.get("found", ()):

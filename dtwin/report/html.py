@@ -60,12 +60,8 @@ class Table:
 class Section:
     """A part of a page.
 
-    Attributes
-    ----------
-    findings : sequence of (severity, text)
-        Shown in the colour of their severity.
-    code : sequence of str
-        Shown as they are.
+    ``findings``, of (severity, text): shown in the colour of their severity.
+    ``code``: shown as they are.
     """
 
     title: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, styled
+from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -19,16 +19,10 @@ _NEAR = 0.01
 def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_um: Floats) -> go.Figure:
     """Return the corrections of the newest ticks with their limit and their uncertainty.
 
-    Parameters
-    ----------
-    t_s : ndarray, shape (n,)
-        Time before the newest tick, zero or negative.
-    correction_um : ndarray, shape (n, 3)
-        What was sent, along the axes of the robot's base.
-    clamp_um : float
-        Longest correction that is allowed.
-    band_um : ndarray, shape (n, 3)
-        Half width (k = 2) of what the model asked for; NaN where it does not tell.
+    ``t_s``, shape (n,): time before the newest tick, zero or negative.
+    ``correction_um``, shape (n, 3): what was sent, along the axes of the robot's base.
+    ``clamp_um``: longest correction that is allowed.
+    ``band_um``, shape (n, 3): half width (k = 2) of what the model asked for; NaN where it does not tell.
     """
     step = max(1, len(t_s) // _MOST_DRAWN)
     figure = go.Figure()
@@ -38,15 +32,8 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float, band_
     ):
         if known:
             figure.add_trace(_strip(t_s[::step], correction_um[::step, column], band_um[::step, column], name, colour))
-        figure.add_trace(
-            go.Scatter(
-                x=t_s[::step].round(3).tolist(),
-                y=correction_um[::step, column].round(3).tolist(),
-                name=name,
-                mode="lines",
-                line={"color": colour, "dash": ("solid", "dot", "dash")[column]},
-            )
-        )
+        x, y = (values[::step].round(3).tolist() for values in (t_s, correction_um[:, column]))
+        draw_line(figure, x, y, name, color=colour, dash=("solid", "dot", "dash")[column])
     for limit in (-clamp_um, clamp_um):
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
     told = "shaded: its uncertainty, k = 2" if known else "the model does not tell its uncertainty"
@@ -81,21 +68,11 @@ def circle_figure(position_mm: Floats, centre_mm: Floats, radius_mm: Floats, cor
     The radial part of the correction is what it added to the path: without it, that much would
     be missing. What the controller cannot see, as a ball bar would, is in neither of the two.
 
-    Parameters
-    ----------
-    position_mm : ndarray, shape (n, 3)
-        Actual tool positions, oldest first.
-    centre_mm : ndarray, shape (n, 3)
-        Centre of the circle that is run; any value beside one.
-    radius_mm : ndarray, shape (n,)
-        Its radius; 0 beside one.
-    correction_um : ndarray, shape (n, 3)
-        Corrections that were sent.
-
-    Returns
-    -------
-    Figure or None
-        None when no whole turn is in it.
+    ``position_mm``, shape (n, 3): actual tool positions, oldest first.
+    ``centre_mm``, shape (n, 3): centre of the circle that is run; any value beside one.
+    ``radius_mm``, shape (n,): its radius; 0 beside one.
+    ``correction_um``, shape (n, 3): corrections that were sent.
+    Returns none when no whole turn is in it.
     """
     arm = position_mm - centre_mm
     length = np.linalg.norm(arm, axis=1)
@@ -141,15 +118,7 @@ def _turn_figure(arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: F
         ("without it", seen_um - radial_um, COLOURS["measured"], "dot"),
     ):
         mean = np.bincount(bins, values[newest], _BINS)[known] / count[known]
-        figure.add_trace(
-            go.Scatter(
-                x=middle[known].tolist(),
-                y=mean.round(3).tolist(),
-                name=name,
-                mode="lines",
-                line={"color": colour, "dash": dash},
-            )
-        )
+        draw_line(figure, middle[known].tolist(), mean.round(3).tolist(), name, color=colour, dash=dash)
     figure.update_layout(
         title=f"The newest circle of R{radius_mm:g} as the controller's own encoders see it",
         xaxis_title=f"angle in the {'XYZ'[first]}{'XYZ'[second]} plane, degrees",

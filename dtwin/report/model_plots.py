@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, styled
+from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.statistics import deviation_interval
 from dtwin.train.results import condition_name
 
@@ -48,15 +48,7 @@ def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
             marker={"symbol": "line-ew-open", "size": 22, "color": COLOURS["third"], "line": {"width": 3}},
         )
     )
-    figure.add_trace(
-        go.Scatter(
-            x=names,
-            y=[c["floor_um"] for c in conditions],
-            name="noise floor",
-            mode="lines",
-            line={"color": COLOURS["floor"], "dash": "dash"},
-        )
-    )
+    draw_line(figure, names, [c["floor_um"] for c in conditions], "noise floor", color=COLOURS["floor"], dash="dash")
     figure.update_layout(title=_ERRORS, yaxis_title="µm", barmode="group")
     return styled(figure)
 
@@ -139,11 +131,7 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof:
         ("coefficients without the feed", "held_out_rms_um", COLOURS["measured"]),
         ("coefficients without the radius", "radius_out_rms_um", COLOURS["second"]),
     ):
-        figure.add_trace(
-            go.Scatter(
-                x=terms, y=[point[key] for point in front], mode="lines+markers", name=name, line={"color": colour}
-            )
-        )
+        draw_line(figure, terms, [point[key] for point in front], name, mode="lines+markers", color=colour)
     figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor")
     _draw_band(figure, floor_um, floor_dof)
     figure.update_layout(

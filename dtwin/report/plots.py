@@ -144,13 +144,18 @@ def error_figure(
     """
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
-        figure.add_trace(
-            go.Scatter(x=_short(angle), y=_short(error), mode="lines", name=name, line={"color": colour, "width": 1.5})
-        )
+        draw_line(figure, _short(angle), _short(error), name, color=colour, width=1.5)
     figure.update_layout(title=title, xaxis_title=x_title, yaxis_title=y_title)
     if floor_um is not None:
         draw_floor_band(figure, floor_um)
     return styled(figure)
+
+
+def draw_line(
+    figure: go.Figure, x: Any, y: Any, name: str, *, mode: str | None = "lines", hover: str | None = None, **line: Any
+) -> None:
+    """Draw a curve into a figure; ``line``: its ``color``, ``width`` and ``dash``."""
+    figure.add_trace(go.Scatter(x=x, y=y, mode=mode, name=name, hovertemplate=hover, line=line))
 
 
 def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
@@ -201,16 +206,9 @@ def say_no_floor(figure: go.Figure) -> None:
 
 def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str) -> go.Figure:
     """Return the amplitude spectrum of a run; ``floor_um``: what noise alone rarely exceeds, NaN draws nothing."""
-    figure = go.Figure(
-        go.Scatter(
-            x=_short(frequency_hz),
-            y=_short(amplitude_um),
-            mode="lines",
-            name="amplitude",
-            line={"color": COLOURS["measured"], "width": 1.3},
-            hovertemplate="%{x:z.2f} Hz: %{y:z.3f} µm<extra></extra>",
-        )
-    )
+    figure, hover = go.Figure(), "%{x:z.2f} Hz: %{y:z.3f} µm<extra></extra>"
+    x, y = _short(frequency_hz), _short(amplitude_um)
+    draw_line(figure, x, y, "amplitude", hover=hover, color=COLOURS["measured"], width=1.3)
     if np.isfinite(floor_um):
         figure.add_hline(
             y=floor_um,

@@ -20,23 +20,14 @@ INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
 class Characteristic:
     """One figure of a standard under one condition; names that end in ``_um`` are in the unit of its sheet.
 
-    Attributes
-    ----------
-    symbol, name : str
-        As in the standard, and in words.
-    value_um : float
-        Mean of the repeats.
-    repeats : int
-        Evaluations that it is the mean of; the unit of replication is the run, or the pair of runs.
-    deviation_um : float
-        Standard deviation of one evaluation, NaN when it is not known.
-    expanded_um : float
-        Half width that covers 95 %, NaN when it is not known.
-    contributions : tuple of Contribution
-        What makes it uncertain beside its repeatability, as the kind of campaign says.
-    too_small : str
-        Why the figure is smaller than the truth by an amount that U does not hold, and what to do; empty when it is not. Such
-        a figure may be surely beyond a largest value, and never surely within one.
+    ``symbol``, ``name``: as in the standard, and in words.
+    ``value_um``: mean of the repeats.
+    ``repeats``: evaluations that it is the mean of; the unit of replication is the run, or the pair of runs.
+    ``deviation_um``: standard deviation of one evaluation, NaN when it is not known.
+    ``expanded_um``: half width that covers 95 %, NaN when it is not known.
+    ``contributions``: what makes it uncertain beside its repeatability, as the kind of campaign says.
+    ``too_small``: why the figure is smaller than the truth by an amount that U does not hold, and what to do; empty
+    when it is not. Such a figure may be surely beyond a largest value, and never surely within one.
     """
 
     symbol: str
@@ -97,10 +88,7 @@ class Characteristic:
 class Part:
     """The figures of one condition.
 
-    Attributes
-    ----------
-    sound : bool
-        Whether the runs are free of errors of quality; otherwise nothing is decided.
+    ``sound``: whether the runs are free of errors of quality; otherwise nothing is decided.
     """
 
     title: str
@@ -113,18 +101,12 @@ class Part:
 class Sheet:
     """The figures of a campaign after one standard.
 
-    Attributes
-    ----------
-    headline : str
-        Symbol of the figure that stands for the whole.
-    basis : str
-        Where the uncertainty comes from, and what is not in it.
-    notes : tuple of str
-        What was left out, and why.
-    untold : tuple of str
-        Symbols of figures that have a limit, and that no condition of this test tells: nothing is inside without them.
-    unit : str
-        Of figures and limits, ``um`` or ``arcsec``.
+    ``headline``: symbol of the figure that stands for the whole.
+    ``basis``: where the uncertainty comes from, and what is not in it.
+    ``notes``: what was left out, and why.
+    ``untold``: symbols of figures that have a limit, and that no condition of this test tells: nothing is inside
+    without them.
+    ``unit``: of figures and limits, ``um`` or ``arcsec``.
     """
 
     standard: str
@@ -284,10 +266,7 @@ def budget_rows(characteristic: Mapping[str, Any]) -> list[list[str]]:
 
 
 def overview(sheet: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of a table with a line for each condition.
-
-    ``sheet``: as :meth:`Sheet.as_dict` gave it.
-    """
+    """Return head and rows of a table with a line for each condition. ``sheet``: as :meth:`Sheet.as_dict` gave it."""
     parts = sheet["parts"]
     symbols = list(dict.fromkeys(c["symbol"] for part in parts for c in part["characteristics"]))
     rows = []

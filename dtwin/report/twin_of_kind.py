@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from dtwin.kinds.registry import kind_named
 from dtwin.report.text import micrometres
@@ -11,7 +11,32 @@ from dtwin.report.twins import history_text
 from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
-    from dtwin.kinds.twin_report import TwinReport
+    from dtwin.report.html import Section
+
+
+class TwinReport(Protocol):
+    """How twins of a kind are told; results are what their ``as_dict`` gives."""
+
+    def twin_text(self, twin: Any, /) -> str:
+        """Return a twin for the terminal."""
+
+    def comparison_text(self, result: Mapping[str, Any], /) -> str:
+        """Return a comparison for the terminal."""
+
+    def diagnosis_text(self, name: str, result: Mapping[str, Any], /) -> str:
+        """Return a diagnosis for the terminal."""
+
+    def diagnosis_section(self, name: str, result: Mapping[str, Any], /) -> Section:
+        """Return a diagnosis for a report."""
+
+    def twin_section(self, twin: Any, /) -> Section:
+        """Return a twin for a report."""
+
+    def history_section(self, rungs: Sequence[Mapping[str, Any]], /) -> Section:
+        """Return the versions of a twin for a report."""
+
+    def comparison_sections(self, found: Any, result: Mapping[str, Any], /) -> list[Section]:
+        """Return a comparison for a report."""
 
 
 def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:

@@ -15,6 +15,7 @@ from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,
     draw_floor_band,
+    draw_line,
     floor_rings,
     magnification_for,
     say_no_floor,
@@ -44,14 +45,9 @@ def overlay_figure(
     ``layout.meta`` holds ``radius_mm`` and ``magnification``, and every trace its error in um as
     ``customdata``, so that a page can magnify without asking again.
 
-    Parameters
-    ----------
-    curves : mapping of str to ndarray, shape (360,)
-        Error over the angle by name, um, one value for each degree; NaN where not measured.
-    magnification : float, optional
-        Where it begins; chosen from the largest error when left out.
-    slider : bool
-        Whether the figure has a slider of its own; a page with a script needs none.
+    ``curves``, shape (360,): error over the angle by name, um, one value for each degree; NaN where not measured.
+    ``magnification``: where it begins; chosen from the largest error when left out.
+    ``slider``: whether the figure has a slider of its own; a page with a script needs none.
     """
     largest = max((float(np.nanmax(np.abs(c))) for c in curves.values()), default=1.0)
     fitting = magnification or magnification_for(max(largest, 1e-3), radius_mm)
@@ -104,25 +100,16 @@ def overlay_figure(
 def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, grid: Grid = CIRCLE) -> go.Figure:
     """Return error along the path with the noise floor as a band.
 
-    Parameters
-    ----------
-    curves : mapping of str to ndarray, shape (n,)
-        Error along the path by name, um; NaN where not measured.
-    grid : Grid
-        The points along the path; the degrees of a circle without.
+    ``curves``, shape (n,): error along the path by name, um; NaN where not measured.
+    ``grid``: the points along the path; the degrees of a circle without.
     """
     figure = go.Figure()
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
-        figure.add_trace(
-            go.Scatter(
-                x=grid.points,
-                y=[round(float(v), 4) for v in curve],
-                mode="lines",
-                name=name,
-                line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
-                hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
-            )
+        y, hover = (
+            [round(float(v), 4) for v in curve],
+            "%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
         )
+        draw_line(figure, grid.points, y, name, hover=hover, color=colour, width=1.6, dash=_dash_of(name))
     draw_floor_band(figure, floor_um)
     figure.update_layout(title=title, xaxis=_axis(grid), yaxis_title="error, µm")
     return styled(figure)
@@ -131,14 +118,9 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
 def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, title: str, most: int = 60) -> go.Figure:
     """Return the amplitude of every harmonic of the path.
 
-    Parameters
-    ----------
-    curves : mapping of str to ndarray, shape (n,)
-        Error over a full turn, travel or period by name, um.
-    floor_um : ndarray, shape (n // 2 + 1,), or None
-        Amplitude by which repeats disagree; None when nothing was repeated.
-    most : int
-        Highest harmonic that is shown.
+    ``curves``, shape (n,): error over a full turn, travel or period by name, um.
+    ``floor_um``, shape (n // 2 + 1,): amplitude by which repeats disagree; None when nothing was repeated.
+    ``most``: highest harmonic that is shown.
     """
     figure = go.Figure()
     shortest = min((len(curve) for curve in curves.values()), default=2 * most)
@@ -155,15 +137,8 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
             )
         )
     if floor_um is not None:
-        figure.add_trace(
-            go.Scatter(
-                x=numbers,
-                y=np.round(floor_um[1 : most + 1], 4),
-                mode="lines",
-                name="noise floor of one run",
-                line={"color": COLOURS["floor"], "dash": "dash"},
-            )
-        )
+        floor = np.round(floor_um[1 : most + 1], 4)
+        draw_line(figure, numbers, floor, "noise floor of one run", color=COLOURS["floor"], dash="dash")
     figure.update_layout(
         title=title,
         barmode="group",
@@ -186,14 +161,9 @@ def residual_map(
 ) -> go.Figure:
     """Return the mean residual of every condition along the path.
 
-    Parameters
-    ----------
-    means_um : ndarray, shape (conditions, n)
-        Mean residual.
-    floor_um : float
-        Noise floor; where the mean is within two of its standard errors nothing is shown.
-    grid : Grid
-        The points along the path; the degrees of a circle without.
+    ``means_um``, shape (conditions, n): mean residual.
+    ``floor_um``: noise floor; where the mean is within two of its standard errors nothing is shown.
+    ``grid``: the points along the path; the degrees of a circle without.
     """
     edges = np.linspace(0, grid.n, min(_CELLS, grid.n) + 1).round().astype(int)
     smooth = np.add.reduceat(means_um, edges[:-1], axis=1) / np.diff(edges)

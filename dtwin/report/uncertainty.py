@@ -29,20 +29,12 @@ _EXPANSION_K2 = 2.0
 class Contribution:
     """One reason why a figure is uncertain.
 
-    Attributes
-    ----------
-    standard_um : float
-        Standard uncertainty (k = 1) of the figure by this reason.
-    basis : str
-        Where the number comes from.
-    dof : float
-        Degrees of freedom; infinite for what is stated.
-    assumed : bool
-        Whether nobody stated it.
-    within : str
-        Source of another contribution that has this one in it: only what goes beyond that one counts.
-    zero : bool
-        Whether the figure has its zero by this alone: where it is assumed, two tests have no common zero.
+    ``standard_um``: standard uncertainty (k = 1) of the figure by this reason.
+    ``basis``: where the number comes from.
+    ``dof``: degrees of freedom; infinite for what is stated.
+    ``assumed``: whether nobody stated it.
+    ``within``: source of another contribution that has this one in it: only what goes beyond that one counts.
+    ``zero``: whether the figure has its zero by this alone: where it is assumed, two tests have no common zero.
     """
 
     source: str
@@ -135,16 +127,10 @@ class Stated:
 class Circumstances:
     """Under what a test was made, as far as it is known.
 
-    Attributes
-    ----------
-    instrument : mapping
-        ``[campaign.instrument]``.
-    temperature_c : float
-        Of the machine during the test, NaN when it was not written down.
-    variation : Variation, optional
-        From a drift test of the machine.
-    where : str
-        Whose statements these are, for error messages.
+    ``instrument``: ``[campaign.instrument]``.
+    ``temperature_c``: of the machine during the test, NaN when it was not written down.
+    ``variation``: from a drift test of the machine.
+    ``where``: whose statements these are, for error messages.
     """
 
     instrument: Mapping[str, Any] = field(default_factory=dict)
@@ -155,10 +141,7 @@ class Circumstances:
     def stated(self, name: str, otherwise: float) -> Stated:
         """Return a number of the instrument's table, ``otherwise`` when it is not there.
 
-        Raises
-        ------
-        InputError
-            When it is no number from 0 to a million.
+        Raises ``InputError`` when it is no number from 0 to a million.
         """
         value = self.instrument.get(name)
         if value is None:

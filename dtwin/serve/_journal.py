@@ -90,10 +90,7 @@ class Sparing:
 
 
 class Journal:
-    """The loop's end of the pipe.
-
-    ``dropped``: lines that did not fit the pipe.
-    """
+    """The loop's end of the pipe. ``dropped``: lines that did not fit the pipe."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

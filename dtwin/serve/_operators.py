@@ -14,10 +14,7 @@ FARTHEST = 1e12
 
 @dataclass(frozen=True)
 class _Operator:
-    """One operator.
-
-    ``evaluate``: reference meaning on Python floats; IEEE results instead of exceptions.
-    """
+    """One operator. ``evaluate``: reference meaning on Python floats; IEEE results instead of exceptions."""
 
     code: int
     arity: int

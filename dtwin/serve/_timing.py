@@ -33,8 +33,7 @@ class LoopTiming:
 
     def stages(self) -> NDArray[np.int64]:
         """Return the row (stages,) of nanoseconds that the current tick fills."""
-        row: NDArray[np.int64] = self._stages[self.ticks % len(self._stages)]
-        return row
+        return self._stages[self.ticks % len(self._stages)]
 
     def applied(self, sequence: int, stamp_s: float) -> None:
         """Take from a state which correction it was made with.

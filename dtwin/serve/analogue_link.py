@@ -51,10 +51,7 @@ class AnalogueWiring:
     def axes(self, *, moves: bool) -> tuple[AxisCalibration, ...]:
         """Return the calibration of x, y and z.
 
-        Raises
-        ------
-        InputError
-            When a correction that moves the machine has none.
+        Raises ``InputError`` when a correction that moves the machine has none.
         """
         if self.calibration is not None:
             return tuple(load(self.calibration))
@@ -132,10 +129,7 @@ class AnalogueLink:
     def send(self, offset_um: Floats, sequence: int) -> None:
         """Send a correction (3,) with the number that ``applied_sequence`` is once the board has it.
 
-        Raises
-        ------
-        DeviceError
-            When the board tripped, refused, is silent, or does not hold what was sent.
+        Raises ``DeviceError`` when the board tripped, refused, is silent, or does not hold what was sent.
         """
         if self._output is not None:
             self._output.send(offset_um, sequence)

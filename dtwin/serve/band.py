@@ -24,16 +24,11 @@ _BASES = (COVARIANCE, HELD_OUT)
 class Band:
     """Half width at k = 2 of what a bundle tells, um.
 
-    Attributes
-    ----------
-    basis : {"covariance", "held-out residuals"}
-        ``covariance``: of the parameters that were fitted, so how far the correction may be from what its
-        form can tell. ``held-out residuals``: twice the RMS of what it left of data that were left out, with
-        their noise and with what the form lacks; one number for each output.
-    graph : Graph
-        From the bundle's inputs and intermediate values to one half width for each output, by its name.
-    vectors : tuple of tuple of float
-        Half widths at the bundle's test vectors, one row per tick.
+    ``basis``: ``covariance``: of the parameters that were fitted, so how far the correction may be from what its form
+    can tell. ``held-out residuals``: twice the RMS of what it left of data that were left out, with their noise and
+    with what the form lacks; one number for each output.
+    ``graph``: from the bundle's inputs and intermediate values to one half width for each output, by its name.
+    ``vectors``: half widths at the bundle's test vectors, one row per tick.
     """
 
     basis: str
@@ -77,7 +72,7 @@ def constant_band(half_um: Mapping[str, float], basis: str = HELD_OUT) -> Band:
 def require_fading(band: Band | None) -> None:
     """Refuse to fade by a band that is not there, or not of the correction itself.
 
-    Raises ``GateRefusal``: with what the bundle has.
+    Raises ``GateRefusal`` with what the bundle has.
     """
     if band is None or not band.fades:
         raise GateRefusal(

@@ -15,10 +15,7 @@ _LOOK_EVERY_S = 1.0
 def bar(machine: str, home: Home, version: int, reason: str) -> None:
     """Withdraw a version: sessions that serve it release and end, and none begins.
 
-    Raises
-    ------
-    StoreError
-        When the file cannot be written.
+    Raises ``StoreError`` when the file cannot be written.
     """
     folder = machine_folder(machine, home)
     with locked(folder):

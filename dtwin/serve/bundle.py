@@ -185,10 +185,7 @@ class Bundle:
     def from_dict(cls, data: object) -> Bundle:
         """Return the bundle that ``to_dict`` described, checked field by field.
 
-        Raises
-        ------
-        InputError
-            When it is no bundle, was changed, or holds what cannot be served.
+        Raises ``InputError`` when it is no bundle, was changed, or holds what cannot be served.
         """
         if not isinstance(data, dict) or data.get("format") != _FORMAT:
             raise InputError("not a bundle", code="bundle.format", allowed=f'"format": "{_FORMAT}"')

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dtwin.atomic import whole_file
-from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.atomic import whole_file, write_text
+from dtwin.errors import GateRefusal, InputError
 from dtwin.features.windows import WindowContract
 from dtwin.serve.band import Band
 from dtwin.serve.bundle import Bundle
@@ -43,12 +41,8 @@ def create_bundle(
 ) -> Bundle:
     """Return a bundle with its test vectors, proved on this host.
 
-    Raises
-    ------
-    InputError
-        When the parts do not fit together, or the model is not finite in its validity box.
-    GateRefusal
-        When the tape and the slow evaluation disagree.
+    Raises ``InputError`` when the parts do not fit together, or the model is not finite in its validity box.
+    Raises ``GateRefusal`` when the tape and the slow evaluation disagree.
     """
     created = datetime.now(UTC).isoformat(timespec="seconds")
     bundle = Bundle(
@@ -74,13 +68,7 @@ def create_bundle(
 
 
 def save_bundle(bundle: Bundle, path: Path) -> Path:
-    """Write a bundle atomically and return its path.
-
-    Raises
-    ------
-    StoreError
-        When the file cannot be written.
-    """
+    """Write a bundle atomically and return its path. Raises ``StoreError`` when the file cannot be written."""
     write_json(path, bundle.to_dict())
     return path
 
@@ -103,10 +91,7 @@ def replaced(path: Path, sha256: str) -> Path:
 def require_new(path: Path, *, force: bool = False) -> None:
     """Refuse to write over a file, before hours are spent on what it would hold.
 
-    Raises
-    ------
-    InputError
-        When it is there and ``force`` is not set.
+    Raises ``InputError`` when it is there and ``force`` is not set.
     """
     if path.exists() and not force:
         raise InputError(
@@ -164,54 +149,21 @@ def json_text(content: Mapping[str, Any]) -> str:
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON so that a reader sees the old file or the new one, never a part.
 
-    Raises
-    ------
-    StoreError
-        When the folder cannot be written.
+    Raises ``StoreError`` when the folder cannot be written.
     """
-    plain = json_text(content)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, draft = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w") as file:
-                file.write(plain)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(draft).replace(path)
-        except BaseException:
-            Path(draft).unlink(missing_ok=True)
-            raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        raise StoreError(
-            "the file cannot be written", code="bundle.write", where=str(path), got=error.strerror or str(error)
-        ) from error
+    write_text(path, json_text(content), "the file", private=True)
 
 
 def read_json(path: Path, max_bytes: int) -> Any:
     """Read a JSON file of bounded size, refusing NaN, infinity and repeated names.
 
-    Raises
-    ------
-    InputError
-        When it is missing, too large, or not such JSON.
+    Raises ``InputError`` when it is missing, too large, or not such JSON.
     """
     return parse_json(read_bytes(path, max_bytes), path)
 
 
 def read_bytes(path: Path, max_bytes: int) -> bytes:
-    """Read a file of bounded size.
-
-    Raises
-    ------
-    InputError
-        When it is missing, unreadable or too large.
-    """
+    """Read a file of bounded size. Raises ``InputError`` when it is missing, unreadable or too large."""
     try:
         if path.exists() and not path.is_file():
             # A pipe would be waited for, and a device has no end.
@@ -234,10 +186,7 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 def parse_json(raw: bytes, path: Path) -> Any:
     """Return what JSON says, refusing NaN, infinity and repeated names.
 
-    Raises
-    ------
-    InputError
-        When it is not such JSON.
+    Raises ``InputError`` when it is not such JSON.
     """
     try:
         return json.loads(raw, parse_constant=_refuse_constant, object_pairs_hook=_unrepeated)

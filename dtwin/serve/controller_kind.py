@@ -19,13 +19,7 @@ _SETUP_OUTPUTS, _REQUEST_VERSION = 79, 86
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address never leaves this computer.
-
-    Raises
-    ------
-    OSError
-        When the name is not known.
-    """
+    """Tell whether an address never leaves this computer. Raises ``OSError`` when the name is not known."""
     return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
 
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.catalogue import feature_column
+from dtwin.features.compiled import compiled
 from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
 from dtwin.links.live_values import LiveValues
 from dtwin.schema import Floats
-from dtwin.serve._sensor_trouble import SATURATED, saturated_kernel
 from dtwin.serve._state_limits import any_machine, impossible, possible
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
@@ -289,3 +289,33 @@ class Decision:
                 self.sensor_trouble = f"{self._names[channel]}: {wrong}"
         self.compiled.window(self._features)
         self._windowed = True
+
+
+SOUND, SATURATED = 0, 1
+_FEWEST, _SHARE = 8, 0.05
+
+
+@compiled
+def saturated_kernel(samples: Floats) -> int:
+    """Return SATURATED when a signal stands at its own highest or lowest value too often.
+
+    Neither noise nor a sine of a hundred steps or more has a twentieth of its samples at exactly
+    one extreme; a signal that was cut at the end of a range has. The range need not be known.
+    Rare peaks that are cut are not found.
+
+    ``samples``, (n,): newest window of one channel.
+    """
+    n = samples.shape[0]
+    high = low = samples[0]
+    tops = bottoms = 0
+    for i in range(n):
+        x = samples[i]
+        if x > high:
+            high, tops = x, 0
+        if x < low:
+            low, bottoms = x, 0
+        tops += 1 if x == high else 0
+        bottoms += 1 if x == low else 0
+    if high == low:
+        return SOUND
+    return SATURATED if max(tops, bottoms) >= max(_FEWEST, _SHARE * n) else SOUND

@@ -47,10 +47,7 @@ def make_key(home: Home) -> Path:
 def read_key(home: Home) -> bytes | None:
     """Return the key of deliveries, None when there is none.
 
-    Raises
-    ------
-    InputError
-        When the file is no key, or others can read it.
+    Raises ``InputError`` when the file is no key, or others can read it.
     """
     path = home.root / KEY_FILE
     if not path.exists():
@@ -90,12 +87,8 @@ def same(given: str, signature: str) -> bool:
 def delivery(home: Home, machine: str) -> bytes:
     """Return what a serving host needs of a machine, as JSON.
 
-    Raises
-    ------
-    InputError
-        When nothing is known of the machine.
-    GateRefusal
-        When its files are not those that were sealed.
+    Raises ``InputError`` when nothing is known of the machine.
+    Raises ``GateRefusal`` when its files are not those that were sealed.
     """
     folder = machine_folder(machine, home)
     if not folder.is_dir():

@@ -97,10 +97,7 @@ class Direction:
     The radial axis points outward, the tangential one towards growing path angle whatever
     the direction of travel, and the normal completes a right-handed frame.
 
-    Parameters
-    ----------
-    outputs : tuple of Output
-        Declared outputs, in the order of the output vector.
+    ``outputs``: declared outputs, in the order of the output vector.
     """
 
     def __init__(self, outputs: tuple[Output, ...]) -> None:
@@ -128,14 +125,9 @@ class Direction:
     def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
         """Return the correction vectors of successive ticks, shape (n, 3) in um.
 
-        Parameters
-        ----------
-        outputs : ndarray, shape (n, n_outputs)
-            In um.
-        angle_rad : ndarray, shape (n,)
-            Path angles.
-        plane_id : float
-            As in ``_correction_kernel``.
+        ``outputs``, shape (n, n_outputs): in um.
+        ``angle_rad``, shape (n,): path angles.
+        ``plane_id``: as in ``_correction_kernel``.
         """
         vectors = np.empty((len(outputs), 3))
         _kernel_many(outputs, self._frames, self._signs, angle_rad, plane_id, vectors)

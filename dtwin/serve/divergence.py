@@ -16,12 +16,8 @@ _THROWN, _MUCH, _NOTABLE = 2, 0.4, 0.2
 class DivergenceWatch:
     """Watches the error that each window foretells of the motion as it is corrected.
 
-    Attributes
-    ----------
-    without_um : float
-        What the equation foretold before anything was corrected; set by the first window.
-    alarm : str
-        Why the correction must be released; empty while all is well.
+    ``without_um``: what the equation foretold before anything was corrected; set by the first window.
+    ``alarm``: why the correction must be released; empty while all is well.
     """
 
     without_um: float | None = None

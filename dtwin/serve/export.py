@@ -191,10 +191,7 @@ def to_c(
     Every symbol starts with ``dtwin_``, because C libraries own short names such as ``step``.
     Compile without ``-ffast-math``, which would remove the guards against NaN.
 
-    Parameters
-    ----------
-    inputs, states, outputs : tuple of str
-        Order of the three arrays.
+    ``inputs``, ``states``, ``outputs``: order of the three arrays.
     """
 
     def leaf(node: Node) -> str:

@@ -79,17 +79,9 @@ def to_structured_text(
 ) -> str:
     """Return a function block with the functions that it needs.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Order of the inputs.
-    states : dict of str to float
-        States with their initial values; the block remembers them.
-
-    Raises
-    ------
-    InputError
-        When a name of the graph is no identifier of the language.
+    ``inputs``: order of the inputs.
+    ``states``: states with their initial values; the block remembers them.
+    Raises ``InputError`` when a name of the graph is no identifier of the language.
     """
     _require_words([*inputs, *states, *graph.outputs])
     style = Style(
@@ -256,15 +248,8 @@ def to_urscript(graph: Graph, inputs: Sequence[str], states: Sequence[str], name
     It takes the inputs and the states, and returns a list: outputs, then next states. It keeps
     nothing itself.
 
-    Parameters
-    ----------
-    inputs, states : sequence of str
-        Order of the arguments.
-
-    Raises
-    ------
-    InputError
-        When a name of the graph is no identifier of the language.
+    ``inputs``, ``states``: order of the arguments.
+    Raises ``InputError`` when a name of the graph is no identifier of the language.
     """
     _require_words([*inputs, *states, *graph.outputs])
     style = Style(

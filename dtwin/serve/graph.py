@@ -52,14 +52,9 @@ class Node:
 class Graph:
     """Nodes in an order in which they can be evaluated.
 
-    Attributes
-    ----------
-    nodes : tuple of Node
-        Each refers to earlier nodes only.
-    updates : dict of str to int
-        Node of each state's next value; a state that is not named keeps its value.
-    tables : tuple of Table
-        For ``lookup``.
+    ``nodes``: each refers to earlier nodes only.
+    ``updates``: node of each state's next value; a state that is not named keeps its value.
+    ``tables``: for ``lookup``.
     """
 
     nodes: tuple[Node, ...]
@@ -125,10 +120,7 @@ class Graph:
     def from_dict(cls, data: object, where: str) -> Graph:
         """Return the graph that ``to_dict`` described.
 
-        Raises
-        ------
-        InputError
-            When a field is missing, unknown, of the wrong type or out of range.
+        Raises ``InputError`` when a field is missing, unknown, of the wrong type or out of range.
         """
         fields = only_fields(data, ("nodes", "outputs", "updates", "tables"), where)
         nodes = _listed(fields["nodes"], f"{where}.nodes", _MAX_NODES)

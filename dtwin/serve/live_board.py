@@ -63,20 +63,12 @@ _MEMORY = Path("/dev/shm")
 class Seen:
     """What a board shows.
 
-    Attributes
-    ----------
-    started_s : float
-        Seconds since 1970.
-    ticks, late, missed : int
-        Since the start.
-    clamp_um, period_s : float
-        Longest correction that is allowed, and nominal period.
-    reasons : mapping of str to int
-        How often each reason of the guard acted.
-    shown_s : float
-        When the newest tick was shown, by this computer's ``time.monotonic()``.
-    rows : ndarray, shape (n, columns)
-        The newest ticks, oldest first, in the order of ``COLUMNS``.
+    ``started_s``: seconds since 1970.
+    ``ticks``, ``late``, ``missed``: since the start.
+    ``clamp_um``, ``period_s``: longest correction that is allowed, and nominal period.
+    ``reasons``: how often each reason of the guard acted.
+    ``shown_s``: when the newest tick was shown, by this computer's ``time.monotonic()``.
+    ``rows``, shape (n, columns): the newest ticks, oldest first, in the order of ``COLUMNS``.
     """
 
     pid: int

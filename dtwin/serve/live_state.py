@@ -41,12 +41,8 @@ class _LiveState:
 def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     """Return what a board shows of the newest seconds.
 
-    Parameters
-    ----------
-    seen : Seen or None
-        The board; None when there is none, as before the first tick and of loops that have none.
-    now_s : float
-        This computer's ``time.monotonic()``.
+    ``seen``: the board; None when there is none, as before the first tick and of loops that have none.
+    ``now_s``: this computer's ``time.monotonic()``.
     """
     if seen is None or not seen.ticks:
         return _LiveState("starting", "is held by a server that has shown no tick yet")

@@ -164,10 +164,7 @@ def on_trial(machine: str, home: Home) -> int | None:
 def clear_trial(machine: str, home: Home) -> None:
     """Take the trial's pointer away, after its promotion or its failure; none is no mistake.
 
-    Raises
-    ------
-    StoreError
-        When the folder cannot be written.
+    Raises ``StoreError`` when the folder cannot be written.
     """
     if (machine_folder(machine, home) / TRIAL).exists():
         write_sealed(machine_folder(machine, home), TRIAL, None)

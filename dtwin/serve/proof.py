@@ -108,10 +108,7 @@ def _reference_outputs(
 def prove(bundle: Bundle) -> None:
     """Check the compiled bundle against its test vectors on this host.
 
-    Raises
-    ------
-    GateRefusal
-        When the equation differs by more than 1e-12, or a feature by a single bit.
+    Raises ``GateRefusal`` when the equation differs by more than 1e-12, or a feature by a single bit.
     """
     vectors = bundle.vectors
     compiled = CompiledBundle(bundle, fades=False)

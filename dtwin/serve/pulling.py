@@ -61,10 +61,7 @@ def pull(url: str, machine: str, home: Home) -> bool:
 def pulled(url: str, machine: str, home: Home, announce: Callable[[str], None]) -> Iterator[None]:
     """Fetch a machine's bundles, and go on fetching while the body serves; the last good ones hold while the link is down.
 
-    Raises
-    ------
-    DtwinError
-        When nothing can be fetched and nothing was before.
+    Raises ``DtwinError`` when nothing can be fetched and nothing was before.
     """
     try:
         pull(url, machine, home)

@@ -19,15 +19,8 @@ _WAKE_UP = "/dev/cpu_dma_latency"
 def realtime(priority: int = 60, core: int | None = None) -> Iterator[dict[str, str]]:
     """Prepare the process for the loop and undo it afterwards.
 
-    Parameters
-    ----------
-    priority : int
-        SCHED_FIFO priority; 0 leaves the scheduler alone.
-
-    Yields
-    ------
-    dict of str to str
-        What each part came to: ``used``, or why not.
+    ``priority``: SCHED_FIFO priority; 0 leaves the scheduler alone.
+    Yields what each part came to: ``used``, or why not.
     """
     report = {
         "priority": _attempt(lambda: _set_fifo(priority)) if priority else "not asked for",

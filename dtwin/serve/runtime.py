@@ -17,10 +17,7 @@ from dtwin.serve.tape import Tape
 class CompiledBundle:
     """Evaluates a bundle tick by tick; allocates nothing after construction.
 
-    Parameters
-    ----------
-    fades : bool
-        Whether a correction smaller than its own uncertainty fades out, where the bundle's band allows it.
+    ``fades``: whether a correction smaller than its own uncertainty fades out, where the bundle's band allows it.
     """
 
     def __init__(self, bundle: Bundle, *, fades: bool = True) -> None:
@@ -86,10 +83,7 @@ class CompiledBundle:
     def window(self, features: Floats) -> None:
         """Take the features of a new window; they are held until the next.
 
-        Parameters
-        ----------
-        features : ndarray, shape (n_feature_inputs,)
-            In the order of ``Bundle.feature_inputs``.
+        ``features``, shape (n_feature_inputs,): in the order of ``Bundle.feature_inputs``.
         """
         self._features[:] = features
         if self._window_tape is not None:
@@ -98,10 +92,7 @@ class CompiledBundle:
     def tick(self, inputs: Floats) -> Floats:
         """Evaluate one tick; return the outputs, a view that the next tick overwrites.
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (n_tick_inputs,)
-            In the order of ``Bundle.tick_inputs``.
+        ``inputs``, shape (n_tick_inputs,): in the order of ``Bundle.tick_inputs``.
         """
         if len(inputs) != self._n_tick:
             raise ValueError(f"{len(inputs)} inputs given, {self._n_tick} wanted")
@@ -112,12 +103,9 @@ class CompiledBundle:
     def run(self, inputs: Floats, features: Floats | None = None) -> Floats:
         """Evaluate successive ticks through the state; return outputs, shape (n, n_outputs).
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (n, n_tick_inputs)
-            One row per tick.
-        features : ndarray, shape (n, n_feature_inputs), optional
-            Features in force at each tick; those of the newest window by default.
+        ``inputs``, shape (n, n_tick_inputs): one row per tick.
+        ``features``, shape (n, n_feature_inputs): features in force at each tick; those of the newest window by
+        default.
         """
         rows = np.empty((len(inputs), len(self._inputs)))
         rows[:] = self._inputs

@@ -73,12 +73,8 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
 def read_sealed(folder: Path, name: str) -> Any:
     """Return the content of one of the files, None when there is rightly none.
 
-    Raises
-    ------
-    GateRefusal
-        When it is not what was sealed.
-    InputError
-        When it cannot be read, or is no JSON.
+    Raises ``GateRefusal`` when it is not what was sealed.
+    Raises ``InputError`` when it cannot be read, or is no JSON.
     """
     path = folder / name
     for look in range(_LOOKS):
@@ -100,10 +96,7 @@ def read_sealed(folder: Path, name: str) -> Any:
 def locked(folder: Path) -> Iterator[None]:
     """Let one writer at a time change the files of a machine; a writer may hold it more than once.
 
-    Raises
-    ------
-    StoreError
-        When the folder cannot be written.
+    Raises ``StoreError`` when the folder cannot be written.
     """
     if folder in _held.get():
         yield

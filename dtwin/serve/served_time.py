@@ -22,13 +22,9 @@ _FOREVER = datetime.max.replace(tzinfo=UTC)
 class ServedStretch:
     """A stretch of time in which one model corrected a machine without a break.
 
-    Attributes
-    ----------
-    begin, end : datetime
-        From the first correction that could be sent to the release; ``end`` is in the year 9999
-        while a session goes on.
-    model_sha256 : str
-        ``Bundle.model_sha256`` of what was served.
+    ``begin``, ``end``: from the first correction that could be sent to the release; ``end`` is in the year 9999 while a
+    session goes on.
+    ``model_sha256``: ``Bundle.model_sha256`` of what was served.
     """
 
     begin: datetime
@@ -49,10 +45,7 @@ def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
     A session that looked on or sent zeros corrected nothing. While a link was lost nothing is
     known to have been corrected.
 
-    Raises
-    ------
-    StoreError
-        When the journal cannot be read.
+    Raises ``StoreError`` when the journal cannot be read.
     """
     return _stretches(_journal_of(home, machine))
 
@@ -62,17 +55,9 @@ def served_during(
 ) -> ServedStretch | None:
     """Return what was in force throughout a time, None when nothing was at any moment of it.
 
-    Parameters
-    ----------
-    stretches : iterable of ServedStretch
-        From :func:`served_stretches`.
-    where : str
-        What it is the time of, for error messages.
-
-    Raises
-    ------
-    InputError
-        When the correction began or ended within it.
+    ``stretches``: from :func:`served_stretches`.
+    ``where``: what it is the time of, for error messages.
+    Raises ``InputError`` when the correction began or ended within it.
     """
     touched = [s for s in stretches if s.begin < end and begin < s.end]
     if not touched:
@@ -96,10 +81,7 @@ def correction_in_force(home: Home, machine: str) -> Callable[[datetime, datetim
     It returns the model's checksum, nothing when there was no correction, and ``mixed`` when one
     was in force during a part of the time only.
 
-    Parameters
-    ----------
-    home, machine
-        As for :func:`served_stretches`.
+    ``home``, ``machine``: as for :func:`served_stretches`.
     """
 
     def between(begin: datetime, end: datetime) -> str:

@@ -187,17 +187,9 @@ def _run_tape_many(program: _Program, memory: Floats, inputs: Floats, out: Float
 class Tape:
     """A graph, ready to run.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Order of the input vector; inputs that the graph does not use are allowed.
-    outputs : sequence of str
-        Order of the output vector.
-
-    Raises
-    ------
-    InputError
-        When the graph uses an input, state or output that is not named.
+    ``inputs``: order of the input vector; inputs that the graph does not use are allowed.
+    ``outputs``: order of the output vector.
+    Raises ``InputError`` when the graph uses an input, state or output that is not named.
     """
 
     def __init__(

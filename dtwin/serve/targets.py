@@ -173,10 +173,7 @@ class TargetCorrection:
 def read_targets(path: Path) -> list[Target]:
     """Return the targets of a CSV file with the columns ``name,x_mm,y_mm,z_mm,feed_mm_min``.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be read, lacks a column, or holds what is no number.
+    Raises ``InputError`` when the file cannot be read, lacks a column, or holds what is no number.
     """
     targets = []
     try:

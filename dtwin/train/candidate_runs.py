@@ -19,10 +19,7 @@ def training_metrics(registry: Registry, version: RegisteredVersion) -> dict[str
 def training_candidates(registry: Registry, version: RegisteredVersion) -> list[dict[str, Any]]:
     """Return every candidate of the training that a version comes from.
 
-    Returns
-    -------
-    list of dict
-        ``name``, ``params`` and ``metrics`` of each, as they were logged.
+    Returns ``name``, ``params`` and ``metrics`` of each, as they were logged.
     """
     run = registry.client.get_run(version.run_id)
     parent = run.data.tags.get(_PARENT, "")

@@ -38,13 +38,9 @@ Family = Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic
 class Recipe:
     """How to make one comparison model.
 
-    Attributes
-    ----------
-    make : callable
-        Given a seed and splits of the rows by which a penalty can be chosen, returns an unfitted
-        scikit-learn regressor.
-    columns : {"all", "sensor"}
-        Inputs that it may use.
+    ``make``: given a seed and splits of the rows by which a penalty can be chosen, returns an unfitted scikit-learn
+    regressor.
+    ``columns``: inputs that it may use.
     """
 
     name: str
@@ -100,14 +96,9 @@ class _Regressor:
 def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]) -> _Regressor:
     """Fit a comparison model.
 
-    Parameters
-    ----------
-    x, target : ndarray, shapes (n, k) and (n,)
-        Rows to fit to.
-    size : ndarray, shape (k,)
-        Largest size of each input: spreads below a ten-thousandth of it are rounding.
-    group : ndarray of int, shape (n,)
-        What a row belongs to, such as its condition: the penalty is chosen by groups left out.
+    ``x``, ``target``, shapes (n, k) and (n,): rows to fit to.
+    ``size``, shape (k,): largest size of each input: spreads below a ten-thousandth of it are rounding.
+    ``group``, shape (n,): what a row belongs to, such as its condition: the penalty is chosen by groups left out.
     """
     used = np.std(x, axis=0) > _ROUNDING * size
     parts = min(_SPLITS, np.unique(group).size)
@@ -154,10 +145,7 @@ def score(rows: Rows, predicted: Floats, group: str) -> Scores:
 def train_recipe(rows: Rows, inputs: GenericInputs, recipe: Recipe, seed: int) -> Candidate:
     """Fit a comparison model with every group left out in turn, then on everything; it is not timed.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the model and of the rows that it is fitted to.
+    ``seed``: seed of the model and of the rows that it is fitted to.
     """
     x = inputs.values if recipe.columns == "all" else inputs.values[:, inputs.sensor]
     scores = {}

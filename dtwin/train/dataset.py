@@ -35,22 +35,13 @@ _TOGETHER = tuple(
 class TickRun:
     """One run on the controller's clock.
 
-    Attributes
-    ----------
-    meta : RunMeta
-        Condition and set-up.
-    inputs : ndarray of float32, shape (ticks, 34)
-        Path inputs at 500 Hz in the order of ``PATH_INPUTS``.
-    bar_um : ndarray, shape (n,)
-        The bar's samples on its own clock.
-    bar_rate_hz, lag_s : float
-        Controller time = bar time + lag.
-    arc : ndarray of int
-        Rows used for fitting: ticks on the arc, at 50 Hz, that the bar covers.
-    scored : ndarray of bool, shape (len(arc),)
-        Whether a row lies in the marked window.
-    accelerometers : SignalGroup or None
-        Raw accelerations on their own clock.
+    ``meta``: condition and set-up.
+    ``inputs``, shape (ticks, 34): path inputs at 500 Hz in the order of ``PATH_INPUTS``.
+    ``bar_um``, shape (n,): the bar's samples on its own clock.
+    ``bar_rate_hz``, ``lag_s``: controller time = bar time + lag.
+    ``arc``: rows used for fitting: ticks on the arc, at 50 Hz, that the bar covers.
+    ``scored``, shape (len(arc),): whether a row lies in the marked window.
+    ``accelerometers``: raw accelerations on their own clock.
     """
 
     meta: RunMeta

@@ -30,10 +30,7 @@ _Key = tuple[tuple[str, str | float], ...]
 
 @dataclass(frozen=True)
 class EvidenceRun:
-    """A run of the lake that counts as evidence.
-
-    ``way``: whether the correction was in force.
-    """
+    """A run of the lake that counts as evidence. ``way``: whether the correction was in force."""
 
     way: Way
     campaign: str
@@ -50,26 +47,17 @@ class EvidenceRun:
 class Evidence:
     """What a correction does to a machine, computed from runs.
 
-    Attributes
-    ----------
-    machine, model_sha256 : str
-        Whose correction was in force: ``Bundle.model_sha256``.
-    conditions : tuple of dict
-        Before and after of every condition: ``before_um``, ``after_um`` (RMS of the error, mean over
-        runs), ``before_ci_um``, ``after_ci_um`` (half widths of 95 % intervals over runs, from the
-        spread inside each direction), ``floor_um`` (what repeats without correction disagree by),
-        ``n_without``, ``n_with``, ``reduction``, ``better``, ``worse``.
-    runs : tuple of dict
-        ``way``, ``campaign``, ``run_id``, ``started`` and ``content_sha256`` of what was counted.
-    switches : int
-        How often the way changed in the course of time.
-    told : tuple of str
-        What was left out, and what to know of it.
-    notes : dict
-        What the runs do not tell, for reports: ``clock``, ``delays``, and by the name of a condition
-        ``trained``, ``oracle_um`` and ``acted``. No gate reads it.
-    profiles : dict
-        Mean error along the path, for plots: condition -> way -> direction -> list.
+    ``machine``, ``model_sha256``: whose correction was in force: ``Bundle.model_sha256``.
+    ``conditions``: before and after of every condition: ``before_um``, ``after_um`` (RMS of the error, mean over runs),
+    ``before_ci_um``, ``after_ci_um`` (half widths of 95 % intervals over runs, from the spread inside each direction),
+    ``floor_um`` (what repeats without correction disagree by), ``n_without``, ``n_with``, ``reduction``, ``better``,
+    ``worse``.
+    ``runs``: ``way``, ``campaign``, ``run_id``, ``started`` and ``content_sha256`` of what was counted.
+    ``switches``: how often the way changed in the course of time.
+    ``told``: what was left out, and what to know of it.
+    ``notes``: what the runs do not tell, for reports: ``clock``, ``delays``, and by the name of a condition
+    ``trained``, ``oracle_um`` and ``acted``. No gate reads it.
+    ``profiles``: mean error along the path, for plots: condition -> way -> direction -> list.
     """
 
     kind: str
@@ -126,16 +114,9 @@ def evidence_of_runs(
 ) -> Evidence:
     """Return what runs say, the run as unit of replication.
 
-    Parameters
-    ----------
-    runs : sequence of EvidenceRun
-        Of one machine, and with one correction or none.
-
-    Raises
-    ------
-    GateRefusal
-        When a condition has too few runs, none was run both ways, or the ways follow each other
-        instead of taking turns.
+    ``runs``: of one machine, and with one correction or none.
+    Raises ``GateRefusal`` when a condition has too few runs, none was run both ways, or the ways follow each other
+    instead of taking turns.
     """
     own, copies = _without_copies(runs)
     said = [*told, *copies]

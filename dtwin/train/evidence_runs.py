@@ -17,10 +17,7 @@ from dtwin.train.evidence import WITH, WITHOUT, EvidenceRun, Way, started_at
 
 @dataclass(frozen=True)
 class Gathered:
-    """Runs that may count.
-
-    ``kind``: ``virtual`` when anything that was measured, or what was served, is.
-    """
+    """Runs that may count. ``kind``: ``virtual`` when anything that was measured, or what was served, is."""
 
     runs: tuple[EvidenceRun, ...]
     kind: str
@@ -34,22 +31,12 @@ def gathered(
 
     A campaign may be named for both ways: its runs then say themselves which one they are.
 
-    Parameters
-    ----------
-    home : Home
-        Lake, and the journal of the serving sessions.
-    model_sha256 : str
-        Of the model whose correction is judged.
-    virtual : bool
-        Whether the machine is known to be virtual. For every other one the journal must say that
-        the model was served throughout each run with it, and nothing during those without.
-
-    Raises
-    ------
-    InputError
-        When a campaign is unknown, or of another machine.
-    GateRefusal
-        When a run was measured in another way than it is named for.
+    ``home``: lake, and the journal of the serving sessions.
+    ``model_sha256``: of the model whose correction is judged.
+    ``virtual``: whether the machine is known to be virtual. For every other one the journal must say that the model was
+    served throughout each run with it, and nothing during those without.
+    Raises ``InputError`` when a campaign is unknown, or of another machine.
+    Raises ``GateRefusal`` when a run was measured in another way than it is named for.
     """
     lake = Lake(home.lake)
     runs: list[EvidenceRun] = []

@@ -20,15 +20,7 @@ _NUMPY: dict[str, Callable[..., Floats]] = {
     "mul": np.multiply,
     "div": np.divide,
     "neg": np.negative,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "exp": np.exp,
-    "log": np.log,
-    "sqrt": np.sqrt,
-    "square": np.square,
-    "abs": np.abs,
-    "tanh": np.tanh,
+    **{name: getattr(np, name) for name in _FUNCTIONS},
 }
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 _MAX_CHARS = 20_000
@@ -38,12 +30,8 @@ _MAX_CHARS = 20_000
 class Formula:
     """A formula as a tree.
 
-    Attributes
-    ----------
-    op : str
-        ``constant``, ``input`` or an operation.
-    place : int
-        Of a constant, in the vector of constants.
+    ``op``: ``constant``, ``input`` or an operation.
+    ``place``: of a constant, in the vector of constants.
     """
 
     op: str

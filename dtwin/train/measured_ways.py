@@ -19,18 +19,11 @@ from dtwin.train.run_errors import run_errors
 class MeasuredWays:
     """What a virtual machine was measured to do.
 
-    Attributes
-    ----------
-    runs : tuple of Run
-        In order of time; those whose ``meta.correction`` is set were corrected.
-    clock : str
-        Clock that they ran on.
-    oracle : tuple of Run
-        Runs of a correction that knows the machine's repeatable error, under the same guard.
-    acted : dict
-        By the name of a condition: share of the ticks in which each guard acted.
-    trained : callable
-        Whether a condition is of a kind that was trained.
+    ``runs``: in order of time; those whose ``meta.correction`` is set were corrected.
+    ``clock``: clock that they ran on.
+    ``oracle``: runs of a correction that knows the machine's repeatable error, under the same guard.
+    ``acted``: by the name of a condition: share of the ticks in which each guard acted.
+    ``trained``: whether a condition is of a kind that was trained.
     """
 
     runs: tuple[Run, ...]

@@ -37,22 +37,12 @@ def best_offsets(
     taken off, and by less after a round that was worse. The best round is returned, so it is
     never worse than no correction; nobody proves that there is no better one.
 
-    Parameters
-    ----------
-    begun : sequence of callable
-        New controllers at the start of their programs, which repeat exactly; what is left is judged
-        about one centre and one radius for all of them, as the ball bar is.
-    centre_mm : ndarray, shape (3,)
-        About which they turn.
-    motion : ControllerParameters
-        For delay and lag.
-    safety : SafetyLimits
-        Limits of the bundle, to which these offsets are subject, too.
-
-    Returns
-    -------
-    list of ndarray, each of shape (ticks, 3)
-        um, before the guard.
+    ``begun``: new controllers at the start of their programs, which repeat exactly; what is left is judged about one
+    centre and one radius for all of them, as the ball bar is.
+    ``centre_mm``, shape (3,): about which they turn.
+    ``motion``: for delay and lag.
+    ``safety``: limits of the bundle, to which these offsets are subject, too.
+    Returns, shape (ticks, 3): um, before the guard.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -78,12 +68,8 @@ def best_offsets(
 def follow(controller: Controller, offsets_um: Floats, safety: SafetyLimits) -> tuple[Controller, dict[str, int]]:
     """Run a program with offsets through the guard; return it and how often each guard acted.
 
-    Parameters
-    ----------
-    controller : CobotController
-        At the start of the program.
-    offsets_um : ndarray, shape (n, 3)
-        By tick; the last one is held.
+    ``controller``: at the start of the program.
+    ``offsets_um``, shape (n, 3): by tick; the last one is held.
     """
     guard, ticks = Guard(safety, np.empty(0), np.empty(0)), controller.ticks_left
     wanted = offsets_um[np.minimum(np.arange(ticks), len(offsets_um) - 1)]

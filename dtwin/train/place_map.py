@@ -26,15 +26,10 @@ _Circle = tuple[str, float, float]
 class PlaceMap:
     """A map and what it is worth.
 
-    Attributes
-    ----------
-    text : str
-        JSON: plane, radius in mm, direction (+1 CCW, -1 CW) and the error in um of every degree, of each circle.
-    gain : float
-        Share of the mean square that it takes away at a feed that it did not see, with weights that never saw the
-        place: a plane and radius at a time. The effects beside it are those of all runs.
-    groups : int
-        Places of which each was left out once.
+    ``text``: JSON: plane, radius in mm, direction (+1 CCW, -1 CW) and the error in um of every degree, of each circle.
+    ``gain``: share of the mean square that it takes away at a feed that it did not see, with weights that never saw the
+    place: a plane and radius at a time. The effects beside it are those of all runs.
+    ``groups``: places of which each was left out once.
     """
 
     text: str
@@ -49,15 +44,8 @@ def place_map(obs: Observations, residual_um: Floats) -> PlaceMap:
     moves with the feed, and has no place in a map. The weight is that of Wiener's filter, from cross spectra between
     feeds and power, both summed over the circles.
 
-    Parameters
-    ----------
-    residual_um : ndarray, shape (rows, 360)
-        What the twin leaves.
-
-    Raises
-    ------
-    GateRefusal
-        With fewer than two places (plane and radius), each at two feeds, nothing could be left out.
+    ``residual_um``, shape (rows, 360): what the twin leaves.
+    Raises ``GateRefusal`` with fewer than two places (plane and radius), each at two feeds: nothing could be left out.
     """
     spectra = _spectra(obs, residual_um)
     places = sorted({circle[:2] for circle in spectra})
@@ -86,15 +74,8 @@ def place_map(obs: Observations, residual_um: Floats) -> PlaceMap:
 def place_map_effect(name: str, text: str) -> Effect:
     """Return the effect that a map describes: nothing on circles that it does not hold.
 
-    Parameters
-    ----------
-    text : str
-        Of :class:`PlaceMap`.
-
-    Raises
-    ------
-    ValueError, TypeError
-        When it is not a map.
+    ``text``: of :class:`PlaceMap`.
+    Raises ``ValueError``, ``TypeError`` when it is not a map.
     """
     circles: dict[_Circle, Floats] = {}
     for plane, radius, direction, error_um in json.loads(text):

@@ -24,12 +24,8 @@ _AXES = ("base_x", "base_y", "base_z")
 class TrainingPlacement:
     """One placement without correction that counts.
 
-    Attributes
-    ----------
-    motion : str
-        ``MoveL`` or ``MoveJ``.
-    error_um : ndarray, shape (3,)
-        Measured.
+    ``motion``: ``MoveL`` or ``MoveJ``.
+    ``error_um``, shape (3,): measured.
     """
 
     motion: str
@@ -45,10 +41,7 @@ def placement_bundle(
     One place and two motions cannot support more than a mean by motion; a term of the feed is not
     fitted, because it would be asked for beyond what was measured.
 
-    Parameters
-    ----------
-    feeds_mm_min : tuple of float
-        Lowest and highest feed at which the correction may be used.
+    ``feeds_mm_min``: lowest and highest feed at which the correction may be used.
     """
     means = [np.mean([p.error_um for p in placements if p.motion == motion], axis=0) for motion in ("MoveL", "MoveJ")]
     g = GraphBuilder()

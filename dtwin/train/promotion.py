@@ -54,26 +54,12 @@ def promote(
 ) -> Path:
     """Make a version the champion of its machine, or refuse with the reasons.
 
-    Parameters
-    ----------
-    geometry : mapping
-        The machine's geometry, for the serving host.
-    evidence : Evidence or None
-        Closed-loop evidence, computed from runs just now; without it nothing becomes champion.
-    despite : sequence of str
-        Names of the evidence on record that speaks against the version; all of it must be named.
-    valid_days : float
-        How long the evidence holds; 0 for ever.
-
-    Returns
-    -------
-    Path
-        The served bundle.
-
-    Raises
-    ------
-    GateRefusal
-        When a gate says no.
+    ``geometry``: the machine's geometry, for the serving host.
+    ``evidence``: closed-loop evidence, computed from runs just now; without it nothing becomes champion.
+    ``despite``: names of the evidence on record that speaks against the version; all of it must be named.
+    ``valid_days``: how long the evidence holds; 0 for ever.
+    Returns the served bundle.
+    Raises ``GateRefusal`` when a gate says no.
     """
     bundle, verdicts = check_version(registry, version)
     if version.tags.get(TRIAL_ONLY):
@@ -112,10 +98,7 @@ def trial(
 ) -> Path:
     """Put a version on trial: served only with ``--trial``, under a tight clamp.
 
-    Raises
-    ------
-    GateRefusal
-        When an offline gate says no.
+    Raises ``GateRefusal`` when an offline gate says no.
     """
     bundle, verdicts = check_version(registry, version)
     _record_verdicts(registry, version, verdicts)
@@ -140,10 +123,7 @@ def trial(
 def rollback(registry: Registry, home: Home, machine: str, comment: str = "") -> RegisteredVersion:
     """Restore the previous champion and bar the present one.
 
-    Raises
-    ------
-    InputError
-        When there is no previous champion.
+    Raises ``InputError`` when there is no previous champion.
     """
     with alone(home, machine):
         return _roll_back(registry, home, machine, comment)
@@ -156,15 +136,9 @@ def withdraw(
 
     Without a version to go back to, nothing is served any more. When another one became champion meanwhile, that stays.
 
-    Parameters
-    ----------
-    reason : str
-        Why; kept in the history, in the registry and beside the bundles.
-
-    Returns
-    -------
-    withdrawn, restored : tuple
-        The version that was barred, and the champion from now on, None when there is none.
+    ``reason``: why; kept in the history, in the registry and beside the bundles.
+    Returns ``withdrawn``, ``restored``: the version that was barred, and the champion from now on, None when there is
+    none.
     """
     machine = judged.machine
     with alone(home, machine):

@@ -26,12 +26,8 @@ _FEWEST_PAIRS = 3
 class CheckedRun:
     """One circle, with or without the correction.
 
-    Attributes
-    ----------
-    block : int
-        Pass over all conditions; the two ways of one block make a pair.
-    compensated : bool
-        Whether the champion was served.
+    ``block``: pass over all conditions; the two ways of one block make a pair.
+    ``compensated``: whether the champion was served.
     """
 
     plane: str
@@ -80,12 +76,8 @@ class _ConditionCheck:
 class Recheck:
     """The verdict on a champion.
 
-    Attributes
-    ----------
-    verdict : {"helps", "unclear", "worse"}
-        ``worse`` when any condition, or all together, are worse beyond their interval.
-    conditions : tuple of ConditionCheck
-        Every condition, and ``all`` last.
+    ``verdict``: ``worse`` when any condition, or all together, are worse beyond their interval.
+    ``conditions``: every condition, and ``all`` last.
     """
 
     verdict: Verdict
@@ -101,15 +93,8 @@ class Recheck:
 def judge(runs: Sequence[CheckedRun]) -> Recheck:
     """Say whether a correction still helps, the pair of runs as unit.
 
-    Parameters
-    ----------
-    runs : sequence of CheckedRun
-        Pairs: with and without, of the same condition, direction and block.
-
-    Raises
-    ------
-    InputError
-        When runs have no partner, or a condition has fewer than three pairs.
+    ``runs``: pairs: with and without, of the same condition, direction and block.
+    Raises ``InputError`` when runs have no partner, or a condition has fewer than three pairs.
     """
     pairs = _pairs(runs)
     level = _LEVEL / (len(pairs) + 1)

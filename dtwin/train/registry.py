@@ -37,14 +37,9 @@ _Found = TypeVar("_Found")
 class RegisteredVersion:
     """A version in the model registry.
 
-    Attributes
-    ----------
-    run_id : str
-        MLflow run that it comes from.
-    aliases : tuple of str
-        ``candidate``, ``champion``, ``previous`` that point at it.
-    created : str
-        ISO 8601.
+    ``run_id``: MLflow run that it comes from.
+    ``aliases``: ``candidate``, ``champion``, ``previous`` that point at it.
+    ``created``: ISO 8601.
     """
 
     machine: str
@@ -85,15 +80,8 @@ class Registry:
     def log_training(self, report: TrainingReport, artifacts: Mapping[str, str | bytes]) -> dict[str, str]:
         """Log every candidate as a run, below one parent for the training.
 
-        Parameters
-        ----------
-        artifacts : dict of str to str or bytes
-            Pages and tables of the whole training, by file name.
-
-        Returns
-        -------
-        dict of str to str
-            MLflow run id by candidate name, and of the parent under ``""``.
+        ``artifacts``: pages and tables of the whole training, by file name.
+        Returns MLflow run id by candidate name, and of the parent under ``""``.
         """
         stamp = time.strftime("%Y%m%d-%H%M%S")
         ids: dict[str, str] = {}
@@ -113,10 +101,7 @@ class Registry:
     ) -> RegisteredVersion:
         """Register an expression as a new version and point ``candidate`` at it.
 
-        Parameters
-        ----------
-        description : str
-            What the reviewer reads first, in Markdown.
+        ``description``: what the reviewer reads first, in Markdown.
         """
         name = model_name(report.machine)
         self.ensure_model(
@@ -144,15 +129,8 @@ class Registry:
     def version(self, machine: str, wanted: str) -> RegisteredVersion:
         """Return a version by number or alias.
 
-        Parameters
-        ----------
-        wanted : str
-            A version number, or ``candidate``, ``champion``, ``previous``.
-
-        Raises
-        ------
-        InputError
-            When there is no such version.
+        ``wanted``: a version number, or ``candidate``, ``champion``, ``previous``.
+        Raises ``InputError`` when there is no such version.
         """
         name = model_name(machine)
         try:
@@ -207,18 +185,13 @@ class Registry:
 
     def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
-        loaded: dict[str, Any] = self.read_json(version, f"{_BUNDLE_FOLDER}/bundle.json")
-        return loaded
+        return self.read_json(version, f"{_BUNDLE_FOLDER}/bundle.json")
 
     def read_json(self, version: RegisteredVersion, name: str) -> Any:
         """Return a JSON artifact of the run behind a version.
 
-        Raises
-        ------
-        InputError
-            When there is no such artifact.
-        StoreError
-            When it cannot be read as JSON.
+        Raises ``InputError`` when there is no such artifact.
+        Raises ``StoreError`` when it cannot be read as JSON.
         """
         where = f"machine {version.machine} version {version.version} {name}"
         try:

@@ -31,15 +31,9 @@ _Row = dict[str, Any]
 def copy_registry(source: Home, target: Home, artifacts: str, progress: Progress | None = None) -> int:
     """Copy all of a registry's database and artifacts, and return how many rows; can be repeated.
 
-    Parameters
-    ----------
-    artifacts : str
-        Where the artifacts are going to lie when the copy is in force.
-
-    Raises
-    ------
-    StoreError
-        When the target holds other models, or something cannot be read or written, or differs afterwards.
+    ``artifacts``: where the artifacts are going to lie when the copy is in force.
+    Raises ``StoreError`` when the target holds other models, or something cannot be read or written, or differs
+    afterwards.
     """
     for home in (source, target):
         # Makes the tables, of the version of MLflow that runs here.

@@ -32,14 +32,10 @@ _NEAR = 1.02
 class ResidualFormula:
     """A formula and what it is worth.
 
-    Attributes
-    ----------
-    text : str
-        In um; ``c5`` and ``s5`` are cosine and sine of five times the path angle, ``f`` is the feed
-        over 50 mm/s, ``r`` the radius over 100 mm, ``d`` +1 counter-clockwise and -1 clockwise.
-    gain : float
-        Share of the mean square that it takes away on conditions that search and constants never
-        saw: a plane, radius and feed at a time.
+    ``text``: in um; ``c5`` and ``s5`` are cosine and sine of five times the path angle, ``f`` is the feed over 50 mm/s,
+    ``r`` the radius over 100 mm, ``d`` +1 counter-clockwise and -1 clockwise.
+    ``gain``: share of the mean square that it takes away on conditions that search and constants never saw: a plane,
+    radius and feed at a time.
     """
 
     text: str
@@ -56,15 +52,8 @@ class ResidualFormula:
 def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed: int) -> ResidualFormula:
     """Search a formula for what repeats agree on, each time without one condition, then with all.
 
-    Parameters
-    ----------
-    residual_um : ndarray, shape (rows, 360)
-        What the twin leaves.
-
-    Raises
-    ------
-    GateRefusal
-        With fewer than three conditions nothing could be left out, or no formula is finite.
+    ``residual_um``, shape (rows, 360): what the twin leaves.
+    Raises ``GateRefusal`` with fewer than three conditions, of which none could be left out, or without a finite formula.
     """
     inputs, target, place_of = _table(obs, residual_um)
     places = sorted(set(place_of.tolist()))
@@ -94,15 +83,8 @@ def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed
 def formula_effect(name: str, text: str) -> Effect:
     """Return the effect that a formula describes.
 
-    Parameters
-    ----------
-    text : str
-        The formula; nothing but numbers, the inputs, arithmetic and known functions.
-
-    Raises
-    ------
-    InputError
-        When it holds anything else.
+    ``text``: the formula; nothing but numbers, the inputs, arithmetic and known functions.
+    Raises ``InputError`` when it holds anything else.
     """
     formula, constants = parse_formula(text, INPUTS)
 

@@ -26,19 +26,12 @@ _SAME = 1.0 + 1e-6
 class Scores:
     """Error of a candidate on data that it was not trained on.
 
-    Attributes
-    ----------
-    group : str
-        What was left out as a whole: ``run``, ``feed_mm_min``, ``radius_mm`` ...
-    r2 : float
-        Share of the held-out variance explained, pooled over the held-out groups; finite, and
-        negative where the model does harm.
-    rms_um, mae_um : float
-        Held-out error after the set-up's centre and radius are removed.
-    worst_slice_ratio : float
-        Largest ratio of error with the model to error without, over conditions.
-    n_groups, n_runs : int
-        Number of groups that were left out in turn, and of runs in them.
+    ``group``: what was left out as a whole: ``run``, ``feed_mm_min``, ``radius_mm`` ...
+    ``r2``: share of the held-out variance explained, pooled over the held-out groups; finite, and negative where the
+    model does harm.
+    ``rms_um``, ``mae_um``: held-out error after the set-up's centre and radius are removed.
+    ``worst_slice_ratio``: largest ratio of error with the model to error without, over conditions.
+    ``n_groups``, ``n_runs``: number of groups that were left out in turn, and of runs in them.
     """
 
     group: str
@@ -74,30 +67,17 @@ class Latency:
 class Candidate:
     """A trained model with everything that a reviewer needs.
 
-    Attributes
-    ----------
-    name, family : str
-        For example ``physics-library`` of family ``symbolic``.
-    promotable : bool
-        Whether it is an expression that can be frozen into a bundle.
-    complexity : int
-        Nodes of the expression, or parameters of the model.
-    scores : dict of str to Scores
-        By held-out group.
-    train_rms_um : float
-        Error on the rows it was fitted to.
-    equation : str
-        Readable form, empty for what is not an expression.
-    exports : dict of str to str
-        File name to content: C, Python, LaTeX ...
-    onnx : bytes, optional
-        The model of what is not an expression.
-    findings : tuple of str
-        Constant or never-firing terms, bad extrapolation, and the like.
-    front : tuple of dict
-        Accuracy-complexity front of a symbolic search.
-    numbers : dict of str to float
-        Further figures.
+    ``name``, ``family``: for example ``physics-library`` of family ``symbolic``.
+    ``promotable``: whether it is an expression that can be frozen into a bundle.
+    ``complexity``: nodes of the expression, or parameters of the model.
+    ``scores``: by held-out group.
+    ``train_rms_um``: error on the rows it was fitted to.
+    ``equation``: readable form, empty for what is not an expression.
+    ``exports``: file name to content: C, Python, LaTeX ...
+    ``onnx``: the model of what is not an expression.
+    ``findings``: constant or never-firing terms, bad extrapolation, and the like.
+    ``front``: accuracy-complexity front of a symbolic search.
+    ``numbers``: further figures.
     """
 
     name: str
@@ -125,24 +105,14 @@ class Candidate:
 class TrainingReport:
     """One training: its data, its candidates, and the one that is proposed.
 
-    Attributes
-    ----------
-    table_versions : dict of str to int
-        Versions of the lake's tables: the same data can be read again.
-    noise_floor_um : float
-        RMS that no model's held-out error may go below.
-    rms_before_um : float
-        RMS of the set-up-corrected error without any model.
-    candidates : tuple of Candidate
-        Best first, by held-out error.
-    proposed : str
-        Name of the promotable candidate that the gates should look at.
-    told : tuple of str
-        What the data show before any model, for the reviewer.
-    floor_is : str
-        What the noise floor is made of.
-    noise_floor_dof : int
-        Degrees of freedom of the noise floor; 0 when nobody counted them.
+    ``table_versions``: versions of the lake's tables: the same data can be read again.
+    ``noise_floor_um``: RMS that no model's held-out error may go below.
+    ``rms_before_um``: RMS of the set-up-corrected error without any model.
+    ``candidates``: best first, by held-out error.
+    ``proposed``: name of the promotable candidate that the gates should look at.
+    ``told``: what the data show before any model, for the reviewer.
+    ``floor_is``: what the noise floor is made of.
+    ``noise_floor_dof``: degrees of freedom of the noise floor; 0 when nobody counted them.
     """
 
     machine: str
@@ -184,10 +154,7 @@ def without_correction(candidates: Iterable[Candidate]) -> Candidate | None:
 def r2_text(r2: float, rms_um: float, zero_um: float | None) -> str:
     """Return R2 to three decimals, or that the model does harm where it was held out.
 
-    Parameters
-    ----------
-    zero_um : float, optional
-        Error without a correction on the same rows.
+    ``zero_um``: error without a correction on the same rows.
     """
     worse = zero_um is not None and round(1.0 - (rms_um / zero_um) ** 2, 3) < 0.0
     return "worse than no correction" if worse else f"{r2:z.3f}"
@@ -234,10 +201,7 @@ def condition_name(condition: Mapping[str, Any]) -> str:
 class Training:
     """A training and what later steps need of it.
 
-    Attributes
-    ----------
-    conditions : tuple of (plane, radius_mm, feed_mm_min)
-        What was trained; of tones (name, frequency_hz, amplitude_um).
+    ``conditions``, of (plane, radius_mm, feed_mm_min): what was trained; of tones (name, frequency_hz, amplitude_um).
     """
 
     report: TrainingReport

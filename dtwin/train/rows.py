@@ -18,16 +18,10 @@ from dtwin.train.dataset import TickRun
 class Rows:
     """Rows of every run on the controller's clock.
 
-    Attributes
-    ----------
-    of_run : ndarray of int, shape (n,)
-        Which run a row belongs to.
-    angle_rad, measured_um : ndarray, shape (n,)
-        Path angle, and the bar's deviation as measured.
-    target_um : ndarray, shape (n,)
-        Measured deviation after centre and radius of its set-up are taken out.
-    scored : ndarray of bool, shape (n,)
-        Rows inside the marked windows: errors are stated over these.
+    ``of_run``, shape (n,): which run a row belongs to.
+    ``angle_rad``, ``measured_um``, shape (n,): path angle, and the bar's deviation as measured.
+    ``target_um``, shape (n,): measured deviation after centre and radius of its set-up are taken out.
+    ``scored``, shape (n,): rows inside the marked windows: errors are stated over these.
     """
 
     runs: tuple[TickRun, ...]

@@ -19,16 +19,10 @@ Condition = Mapping[str, str | float]
 class RunError:
     """The error of one run under one condition.
 
-    Attributes
-    ----------
-    run : int
-        Place of the run among those that were given.
-    condition : mapping
-        What was set; runs of equal conditions are repeats.
-    direction : str
-        Sense of the motion; runs of one condition differ by it without disagreeing.
-    rest_um : ndarray, shape (n,)
-        The error at places that the repeats share, its RMS about ``size_um``.
+    ``run``: place of the run among those that were given.
+    ``condition``: what was set; runs of equal conditions are repeats.
+    ``direction``: sense of the motion; runs of one condition differ by it without disagreeing.
+    ``rest_um``, shape (n,): the error at places that the repeats share, its RMS about ``size_um``.
     """
 
     run: int

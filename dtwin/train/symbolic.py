@@ -25,14 +25,9 @@ _OPERON_SYMBOLS = "add,sub,mul,div,sin,cos,exp,square,constant,variable"
 class Found:
     """One formula of a search's accuracy-complexity front.
 
-    Attributes
-    ----------
-    text : str
-        As the engine wrote it.
-    complexity : int
-        The engine's own measure.
-    loss : float
-        The engine's own loss on its subsample.
+    ``text``: as the engine wrote it.
+    ``complexity``: the engine's own measure.
+    ``loss``: the engine's own loss on its subsample.
     """
 
     text: str
@@ -138,13 +133,7 @@ class PySREngine:
         }
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
-        """Return PySR's hall of fame.
-
-        Raises
-        ------
-        MissingPart
-            When PySR or Julia is absent.
-        """
+        """Return PySR's hall of fame. Raises ``MissingPart`` when PySR or Julia is absent."""
         self.require()
         from pysr import PySRRegressor
 
@@ -166,12 +155,8 @@ def read_hall_of_fame(equations: Any) -> list[Found]:
 class FittedFormula:
     """A formula with constants refitted on all rows.
 
-    Attributes
-    ----------
-    constants : ndarray, shape (k,)
-        Refitted values.
-    rms : float
-        Error on the rows that it was refitted to.
+    ``constants``, shape (k,): refitted values.
+    ``rms``: error on the rows that it was refitted to.
     """
 
     formula: Formula

@@ -159,10 +159,7 @@ class NotTold(Traced):
 
 
 def expressions_of(traced: Any, builder: GraphBuilder, count: int) -> list[Expression]:
-    """Return the columns that an effect returned.
-
-    ``traced``, (1, count): what its regressors gave.
-    """
+    """Return the columns that an effect returned. ``traced``, (1, count): what its regressors gave."""
     columns = _columns(traced, builder)
     if len(columns) != count:
         raise NotTraceable(f"{len(columns)} columns for {count} parameters")
@@ -327,8 +324,7 @@ _BUILT: dict[Any, Callable[..., Expression]] = {
 
 def _where(builder: GraphBuilder, condition: Any, then: Any, other: Any) -> Traced:
     chosen = Traced(_columns(condition, builder))
-    made: Traced = other + chosen * (then - other)
-    return made
+    return other + chosen * (then - other)
 
 
 def _stack(builder: GraphBuilder, parts: Sequence[Any], axis: int = 0) -> Traced:
@@ -338,8 +334,7 @@ def _stack(builder: GraphBuilder, parts: Sequence[Any], axis: int = 0) -> Traced
 
 
 def _clip(builder: GraphBuilder, value: Any, low: Any, high: Any) -> Traced:
-    made: Traced = np.minimum(np.maximum(value, low), high)
-    return made
+    return np.minimum(np.maximum(value, low), high)
 
 
 def _like(number: float) -> Callable[..., Traced]:

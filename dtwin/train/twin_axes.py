@@ -42,12 +42,8 @@ class AxisErrors:
 class Motion:
     """Positions and motion of a machine.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (n, 3)
-        From the centre of the circles that the twin was fitted to.
-    velocity_mm_s, acceleration_mm_s2 : ndarray, shape (n, 3)
-        Motion along X, Y, Z.
+    ``position_mm``, shape (n, 3): from the centre of the circles that the twin was fitted to.
+    ``velocity_mm_s``, ``acceleration_mm_s2``, shape (n, 3): motion along X, Y, Z.
     """
 
     position_mm: Floats
@@ -67,15 +63,8 @@ def axis_errors_um(twin: Twin, motion: Motion) -> Floats:
     A reversal of an axis counts as long past: lost motion has its full size on the side that the
     axis comes from. An axis that stands still has none.
 
-    Parameters
-    ----------
-    twin : Twin
-        Its terms are all used; take out first what cannot be corrected.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        um along X, Y, Z; zero for axes that were not measured.
+    ``twin``: its terms are all used; take out first what cannot be corrected.
+    Returns, shape (n, 3): um along X, Y, Z; zero for axes that were not measured.
     """
     out = np.zeros(motion.position_mm.shape)
     for term in twin.terms:
@@ -115,21 +104,11 @@ def own_axis_only(
 ) -> dict[str, str]:
     """Say which effects on an axis do not depend on its own position and direction alone.
 
-    Parameters
-    ----------
-    axis : str
-        X, Y or Z.
-    along : str, optional
-        The axis whose position and direction alone shall count; the same one without.
-    travel_mm : tuple of float
-        Travel that counts.
-    speed_mm_s : float
-        Usual speed.
-
-    Returns
-    -------
-    dict of str to str
-        Reason by label, for the effects that a table of one axis cannot hold.
+    ``axis``: X, Y or Z.
+    ``along``: the axis whose position and direction alone shall count; the same one without.
+    ``travel_mm``: travel that counts.
+    ``speed_mm_s``: usual speed.
+    Returns reason by label, for the effects that a table of one axis cannot hold.
     """
     read, number = AXES.index(axis), AXES.index(along or axis)
     positions = np.linspace(*travel_mm, 9)
@@ -165,18 +144,11 @@ def axis_table_um(
 ) -> tuple[Floats, Floats]:
     """Return the error of one axis over its own position, or that of another, forwards and in reverse, shape (n,).
 
-    Parameters
-    ----------
-    twin : Twin
-        With effects that pass ``own_axis_only``.
-    axis : str
-        X, Y or Z.
-    position_mm : ndarray, shape (n,)
-        From the centre of the circles.
-    speed_mm_s : float
-        Usual speed; only its sign counts.
-    along : str, optional
-        The axis that moves; the same one without.
+    ``twin``: with effects that pass ``own_axis_only``.
+    ``axis``: X, Y or Z.
+    ``position_mm``, shape (n,): from the centre of the circles.
+    ``speed_mm_s``: usual speed; only its sign counts.
+    ``along``: the axis that moves; the same one without.
     """
     read, number = AXES.index(axis), AXES.index(along or axis)
     ways = (speed_mm_s, -speed_mm_s)

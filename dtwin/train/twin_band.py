@@ -73,8 +73,5 @@ def squared(builder: GraphBuilder, regressors: Sequence[Expression], factor: Flo
 
 
 def band(builder: GraphBuilder, name: str, half: Expression) -> Band:
-    """Return the band of a bundle with one output.
-
-    ``name``: of the output.
-    """
+    """Return the band of a bundle with one output. ``name``: of the output."""
     return Band(COVARIANCE, builder.graph({name: half}))

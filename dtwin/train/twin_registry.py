@@ -19,19 +19,10 @@ def log_twin(
 ) -> dict[str, str]:
     """Log a version of a twin as a child run and register it; what a kill left of that is finished.
 
-    Parameters
-    ----------
-    digest : str
-        Tells the version from every other; a tag of its run.
-    description : str
-        What a reviewer reads first, in Markdown.
-    parent : str, optional
-        Run of the twin; a new one is opened without.
-
-    Returns
-    -------
-    dict of str to str
-        ``parent_run_id``, ``run_id``, ``model``, ``model_version``.
+    ``digest``: tells the version from every other; a tag of its run.
+    ``description``: what a reviewer reads first, in Markdown.
+    ``parent``: run of the twin; a new one is opened without.
+    Returns ``parent_run_id``, ``run_id``, ``model``, ``model_version``.
     """
     client = registry.client
     name = f"twin-{document['twin']}"
@@ -87,12 +78,8 @@ def _params(document: Mapping[str, Any]) -> dict[str, Any]:
 def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis: Mapping[str, Any]) -> None:
     """Set the verdict of a diagnosis as tags of a twin's version; nothing happens when somebody deleted it in MLflow.
 
-    Parameters
-    ----------
-    model, model_version : str
-        As ``log_twin`` returned them.
-    diagnosis : dict
-        As it was stored: what is not a number is None.
+    ``model``, ``model_version``: as ``log_twin`` returned them.
+    ``diagnosis``: as it was stored: what is not a number is None.
     """
     p_value = diagnosis["lack_of_fit_p"]
     group = [_label(c) for c in diagnosis["candidates"] if c["in_group"]]

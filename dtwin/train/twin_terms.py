@@ -28,10 +28,7 @@ _NOT_BY_OFFSETS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class TermChoice:
-    """What becomes of one effect of a twin.
-
-    ``how``: how an offset corrects it, or why it is left out.
-    """
+    """What becomes of one effect of a twin. ``how``: how an offset corrects it, or why it is left out."""
 
     label: str
     included: bool
@@ -61,15 +58,10 @@ def choose(term: Term) -> TermChoice:
 class TwinBundle:
     """A twin's correction, frozen.
 
-    Attributes
-    ----------
-    bundle : Bundle
-        What would be served: the predicted error, to be applied with its sign changed; of tones the
-        correction itself.
-    terms : tuple of TermChoice
-        Every effect of the twin, included or left out with the reason.
-    twin : Twin
-        The twin reduced to what is included.
+    ``bundle``: what would be served: the predicted error, to be applied with its sign changed; of tones the correction
+    itself.
+    ``terms``: every effect of the twin, included or left out with the reason.
+    ``twin``: the twin reduced to what is included.
     """
 
     bundle: Bundle
@@ -94,15 +86,8 @@ class _Carried(Generic[Made]):
 def carried(twin: Twin, trace: Callable[[Term], Made]) -> _Carried[Made]:
     """Turn the effects of a twin that offsets of position can correct into something else.
 
-    Parameters
-    ----------
-    trace : callable
-        Turns one effect into expressions, or raises ``NotTraceable`` with the reason.
-
-    Raises
-    ------
-    InputError
-        When nothing is left to correct.
+    ``trace``: turns one effect into expressions, or raises ``NotTraceable`` with the reason.
+    Raises ``InputError`` when nothing is left to correct.
     """
     choices, kept, traced = [], [], []
     for term in twin.terms:
@@ -128,17 +113,9 @@ def carried(twin: Twin, trace: Callable[[Term], Made]) -> _Carried[Made]:
 def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> Expression:
     """Return what an effect does at a traced state, in um: its columns times its parameters.
 
-    Parameters
-    ----------
-    state : State
-        With stand-ins for what serving tells.
-    weights : ndarray, shape (parameters,)
-        Its fitted parameters.
-
-    Raises
-    ------
-    NotTraceable
-        When the effect does what a bundle cannot.
+    ``state``: with stand-ins for what serving tells.
+    ``weights``, shape (parameters,): its fitted parameters.
+    Raises ``NotTraceable`` when the effect does what a bundle cannot.
     """
     columns = traced_columns(term, state, builder)
     # Columns that are zero need no node.
@@ -154,10 +131,7 @@ def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> 
 def traced_columns(term: Term, state: Any, builder: GraphBuilder) -> list[Expression]:
     """Return the regressors of an effect at a traced state, one for each parameter.
 
-    Raises
-    ------
-    NotTraceable
-        When the effect does what a bundle cannot.
+    Raises ``NotTraceable`` when the effect does what a bundle cannot.
     """
     return expressions_of(_regressors(term, state), builder, len(term.instance.effect.parameters))
 

@@ -49,10 +49,7 @@ Reduced = tuple[Observations, Floats | None]
 
 
 def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return what a reduction of these runs of the lake is made from.
-
-    ``rows``: rows of the lake's table of runs.
-    """
+    """Return what a reduction of these runs of the lake is made from. ``rows``: rows of the lake's table of runs."""
     digest = hashlib.sha256(_code_sha256().encode())
     for row in rows:
         digest.update(json.dumps(row, sort_keys=True, default=str).encode())

@@ -17,10 +17,7 @@ _ABOUT = ("kind", "started", "weight")
 
 
 def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
-    """Return a twin from its stored form.
-
-    ``document``: what ``as_dict`` of a twin returned.
-    """
+    """Return a twin from its stored form. ``document``: what ``as_dict`` of a twin returned."""
     twin = _twin_from(document, library, where)
     if "campaigns" not in document:
         return twin

@@ -74,23 +74,11 @@ class _Intervention:
 def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> _Intervention:
     """Fit the twin's effects to measurements from after an intervention, and compare one.
 
-    Parameters
-    ----------
-    name, effect : str
-        The twin, and the label of one of its effects: ``backlash:X``.
-    after : str
-        Campaign on the same machine after the cause was mended.
-
-    Returns
-    -------
-    Intervention
-        Kept beside the twin, also when it did not confirm anything.
-
-    Raises
-    ------
-    InputError
-        When the twin does not have the effect, or the campaign is of another machine, is the one
-        of the fit, or has no repeats.
+    ``name``, ``effect``: the twin, and the label of one of its effects: ``backlash:X``.
+    ``after``: campaign on the same machine after the cause was mended.
+    What is returned is kept beside the twin, also when it did not confirm anything.
+    Raises ``InputError`` when the twin does not have the effect, or the campaign is of another machine, is the one of
+    the fit, or has no repeats.
     """
     twin = require_alone(twins.newest(name), "confirming an effect")
     label = effect.replace(":", " ")

@@ -43,18 +43,11 @@ _NOT_NEEDED = "not needed: without it the residual is at the floor"
 class TwinWay:
     """How a twin of one kind becomes a correction.
 
-    Attributes
-    ----------
-    freeze : callable
-        Returns the bundle of a twin, or refuses.
-    judge : callable
-        Returns what is known of that bundle from runs that were left out.
-    grades : tuple of str
-        Grades that confirm an effect.
-    little : float
-        Share of the error before that may be left, whatever the verdict says of it.
-    geometry : dict of str to str
-        What a campaign need not say of its machine, because its kind does.
+    ``freeze``: returns the bundle of a twin, or refuses.
+    ``judge``: returns what is known of that bundle from runs that were left out.
+    ``grades``: grades that confirm an effect.
+    ``little``: share of the error before that may be left, whatever the verdict says of it.
+    ``geometry``: what a campaign need not say of its machine, because its kind does.
     """
 
     freeze: Callable[[Twin, Observations, Home], TwinBundle]
@@ -121,18 +114,10 @@ class Correction:
 def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> Correction:
     """Register the correction that a twin stands for.
 
-    Parameters
-    ----------
-    trial : bool
-        Go on although the twin is not confirmed; such a version can be tried, never promoted.
-
-    Raises
-    ------
-    GateRefusal
-        When the twin lacks something, or an effect is not confirmed, and ``trial`` is not set.
-    InputError
-        When no effect can be corrected by offsets of position, or the runs were measured under a
-        correction.
+    ``trial``: go on although the twin is not confirmed; such a version can be tried, never promoted.
+    Raises ``GateRefusal`` when the twin lacks something, or an effect is not confirmed, and ``trial`` is not set.
+    Raises ``InputError`` when no effect can be corrected by offsets of position, or the runs were measured under a
+    correction.
     """
     obs = load(twins.home, require_alone(twins.newest(name), "a correction").campaign).obs
     require_uncorrected(obs.campaign)

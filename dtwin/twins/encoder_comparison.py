@@ -106,10 +106,7 @@ def encoder_split(
 def cutoff_of(cycles_per_rev: float | None, hz: float | None) -> Cutoff:
     """Return the split that a user asked for, the usual one without.
 
-    Raises
-    ------
-    InputError
-        When both are given, or one is not positive.
+    Raises ``InputError`` when both are given, or one is not positive.
     """
     if cycles_per_rev is None and hz is None:
         return DEFAULT_CUTOFF

@@ -13,14 +13,9 @@ NAME = "twin-correction"
 class Judged:
     """A twin's bundle with the figures that its gates read.
 
-    Attributes
-    ----------
-    candidate : Candidate
-        With scores on what was left out.
-    noise_floor_um : float
-        What repeats disagree by.
-    conditions : tuple of tuple
-        What was measured: a name or plane, and two numbers.
+    ``candidate``: with scores on what was left out.
+    ``noise_floor_um``: what repeats disagree by.
+    ``conditions``: what was measured: a name or plane, and two numbers.
     """
 
     candidate: Candidate

@@ -28,13 +28,9 @@ from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, e
 class Loaded:
     """Runs of a campaign, ready to look at.
 
-    Attributes
-    ----------
-    data : dict
-        Table versions, a hash of what was used, ``left_out``: runs and why, and ``amended``:
-        what was stated anew.
-    controller_um : ndarray, shape (rows, n), or None
-        Following error that the controller saw; None when it was not logged.
+    ``data``: table versions, a hash of what was used, ``left_out``: runs and why, and ``amended``: what was stated
+    anew.
+    ``controller_um``, shape (rows, n): following error that the controller saw; None when it was not logged.
     """
 
     obs: Observations
@@ -46,16 +42,10 @@ class Loaded:
 class Comparison:
     """Measured against predicted.
 
-    Attributes
-    ----------
-    residual_um : ndarray, shape (rows, n)
-        Measured minus predicted.
-    before_um : ndarray, shape (rows, n)
-        Measured, set-ups taken out.
-    warnings : tuple of str
-        What a reader must know: another machine, outside the box.
-    controller_um : ndarray, shape (rows, n), or None
-        Following error that the controller saw; None when it was not logged.
+    ``residual_um``, shape (rows, n): measured minus predicted.
+    ``before_um``, shape (rows, n): measured, set-ups taken out.
+    ``warnings``: what a reader must know: another machine, outside the box.
+    ``controller_um``, shape (rows, n): following error that the controller saw; None when it was not logged.
     """
 
     twin: Twin
@@ -68,10 +58,7 @@ class Comparison:
     def as_dict(self, cutoff: Cutoff = DEFAULT_CUTOFF) -> dict[str, Any]:
         """Return a JSON-ready mapping.
 
-        Parameters
-        ----------
-        cutoff : Cutoff
-            Where quasi-static ends and dynamic begins, when the controller was logged.
+        ``cutoff``: where quasi-static ends and dynamic begins, when the controller was logged.
         """
         obs = self.obs
         parts = encoder_split(obs, self.controller_um, cutoff)
@@ -107,15 +94,8 @@ def _pure_error(obs: Observations, residual_um: Floats) -> PureError | None:
 def load(home: Home, campaign: str) -> Loaded:
     """Return the usable runs of a campaign.
 
-    Parameters
-    ----------
-    campaign : str
-        Name in the lake, or a file or folder, which is ingested first.
-
-    Raises
-    ------
-    InputError
-        When there is no such campaign, or no usable run in it.
+    ``campaign``: name in the lake, or a file or folder, which is ingested first.
+    Raises ``InputError`` when there is no such campaign, or no usable run in it.
     """
     lake = Lake(home.lake)
     name = in_lake(home, campaign)

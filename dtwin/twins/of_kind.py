@@ -30,15 +30,8 @@ def twins_for(
 ) -> tuple[Twins | HeatTwins, list[str]]:
     """Return the twins that suit campaigns, and the names of the campaigns in the lake.
 
-    Parameters
-    ----------
-    campaigns : sequence of str
-        Names in the lake, or files or folders, which are ingested first.
-
-    Raises
-    ------
-    InputError
-        When there is no such campaign, or several cannot have one twin.
+    ``campaigns``: names in the lake, or files or folders, which are ingested first.
+    Raises ``InputError`` when there is no such campaign, or several cannot have one twin.
     """
     if not campaigns:
         raise InputError(

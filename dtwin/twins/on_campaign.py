@@ -16,12 +16,8 @@ from dtwin.twins.of_kind import every_shelf
 class TwinView:
     """One twin on one campaign.
 
-    Attributes
-    ----------
-    diagnosed : bool
-        Whether the campaign is the one that it was fitted to; otherwise it was compared.
-    result : dict
-        Diagnosis or comparison, as ``--json`` prints it.
+    ``diagnosed``: whether the campaign is the one that it was fitted to; otherwise it was compared.
+    ``result``: diagnosis or comparison, as ``--json`` prints it.
     """
 
     name: str

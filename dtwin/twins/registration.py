@@ -166,10 +166,7 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
 def log_waiting(home: Home) -> list[_Waiting]:
     """Log what waits, in this process, and return what could not be logged.
 
-    Raises
-    ------
-    StoreError
-        When the home cannot be written.
+    Raises ``StoreError`` when the home cannot be written.
     """
     if not _something_waits(home):
         return []

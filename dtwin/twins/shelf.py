@@ -67,10 +67,7 @@ def effect_absent(twin: _Versioned, effect: str) -> InputError:
 class TwinShelf:
     """Where the twins of a home are kept: one folder each, one file for a version.
 
-    Parameters
-    ----------
-    kind : str
-        Twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
+    ``kind``: twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
     """
 
     def __init__(self, home: Home, kind: str) -> None:
@@ -89,12 +86,8 @@ class TwinShelf:
     def newest_document(self, name: str, version: int | None = None) -> tuple[dict[str, Any], Path]:
         """Return a version as it was stored, the newest one without a number, and its file.
 
-        Raises
-        ------
-        InputError
-            When there is no such twin or version, or it is of another kind.
-        StoreError
-            When its file is damaged.
+        Raises ``InputError`` when there is no such twin or version, or it is of another kind.
+        Raises ``StoreError`` when its file is damaged.
         """
         folder = self.folder(name)
         paths = version_paths(folder)
@@ -107,10 +100,7 @@ class TwinShelf:
         return document, paths[-1]
 
     def folder(self, name: str) -> Path:
-        """Return the folder of a twin.
-
-        Raises ``InputError`` when there is none.
-        """
+        """Return the folder of a twin. Raises ``InputError`` when there is none."""
         require_name(name, "the twin")
         folder = self.root / name
         # A first fit that could not be written leaves an empty one.
@@ -127,10 +117,7 @@ class TwinShelf:
     def next_version(self, name: str, machine: str) -> int:
         """Return the number of the version to come.
 
-        Raises
-        ------
-        InputError
-            When the twin is of another kind or machine.
+        Raises ``InputError`` when the twin is of another kind or machine.
         """
         numbers = self._numbers(name)
         its = self.newest_document(name)[0]["machine"] if numbers else machine
@@ -147,15 +134,8 @@ class TwinShelf:
     def store(self, document: Mapping[str, Any]) -> None:
         """Write the file of a version, and have it logged in MLflow.
 
-        Parameters
-        ----------
-        document : dict
-            ``as_dict`` of the twin.
-
-        Raises
-        ------
-        InputError
-            When another process made this version meanwhile.
+        ``document``: ``as_dict`` of the twin.
+        Raises ``InputError`` when another process made this version meanwhile.
         """
         name, version, at_once = document["twin"], document["version"], self.home.mlflow_at_once
         # No two files are alike: by that MLflow tells a version from one of another home or of a

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from fastapi import Request
 
@@ -21,9 +23,42 @@ from dtwin.pipeline.machine_history import machine_history
 from dtwin.twins.of_kind import twins_with
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
-from dtwin.workbench._cache import Cache
 from dtwin.workbench._jobs import Jobs
 from dtwin.workbench._uploads import Trays
+
+_Result = TypeVar("_Result")
+
+
+class Cache:
+    """The newest results by key; a key holds the version of what it was made from.
+
+    Two requests for the same absent key make it once.
+    """
+
+    def __init__(self, most: int = 48) -> None:
+        self.most = most
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._making: dict[Hashable, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], _Result]) -> _Result:
+        """Return the result of a key, made now when it is absent."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return cast(_Result, self._kept[key])
+            making = self._making.setdefault(key, threading.Lock())
+        with making:
+            with self._lock:
+                if key in self._kept:
+                    return cast(_Result, self._kept[key])
+            made = make()
+            with self._lock:
+                self._kept[key] = made
+                self._making.pop(key, None)
+                while len(self._kept) > self.most:
+                    self._kept.popitem(last=False)
+        return made
 
 
 @dataclass

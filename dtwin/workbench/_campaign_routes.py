@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
@@ -20,8 +21,7 @@ from dtwin.report.sheet import budget_rows, notes_beside
 from dtwin.schema import fresh_name
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._campaigns import possible_effects
-from dtwin.workbench._jobs import Tell
-from dtwin.workbench._pages import accepted, drawn, rendered
+from dtwin.workbench._pages import begun, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
@@ -173,14 +173,9 @@ def amend_campaign(request: Request, name: str, wanted: _Amendment) -> JSONRespo
     """State anew what was stated wrongly; raw values never change."""
     bench = bench_of(request)
     bench.lake.campaign(name)
-
-    def work(tell: Tell) -> str:
-        tell("judge the runs again")
-        runs = [wanted.run] if wanted.run else []
-        amend(bench.lake, name, [f"{wanted.field}={wanted.value}"], wanted.because, runs=runs)
-        return f"/campaigns/{name}"
-
-    return accepted(bench.jobs.start(f"Amend {name}", work))
+    stated, runs = [f"{wanted.field}={wanted.value}"], [wanted.run] if wanted.run else []
+    change = partial(amend, bench.lake, name, stated, wanted.because, runs=runs)
+    return begun(bench, f"Amend {name}", f"/campaigns/{name}", change, "judge the runs again")
 
 
 @router.post("/api/campaigns/{name}/runs/{run_id}/{verb}")
@@ -190,13 +185,8 @@ def leave_run_out(
     """Leave a run out of every figure, twin and report, or take it in again."""
     bench = bench_of(request)
     _row(bench, name, run_id)
-
-    def work(tell: Tell) -> str:
-        tell("keep the record")
-        leave_out(bench.lake, name, [run_id], why.because, out=verb == "leave-out")
-        return f"/campaigns/{name}"
-
-    return accepted(bench.jobs.start(f"{verb} {run_id}", work))
+    change = partial(leave_out, bench.lake, name, [run_id], why.because, out=verb == "leave-out")
+    return begun(bench, f"{verb} {run_id}", f"/campaigns/{name}", change, "keep the record")
 
 
 def _row(bench: Bench, name: str, run_id: str) -> Any:

@@ -68,10 +68,7 @@ class Jobs:
         threading.Thread(target=self._run, daemon=True, name="workbench-jobs").start()
 
     def start(self, title: str, work: Work) -> Job:
-        """Queue work and return at once.
-
-        ``work``: gets a function that tells the stage; returns the page to go to.
-        """
+        """Queue work and return at once. ``work``: gets a function that tells the stage; returns the page to go to."""
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         job = Job(secrets.token_hex(8), title, begun=begun)
         self._note(job)

@@ -40,10 +40,7 @@ _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_
 
 @dataclass(frozen=True)
 class _Serving:
-    """A process that serves a machine now.
-
-    ``since``: ISO 8601.
-    """
+    """A process that serves a machine now. ``since``: ISO 8601."""
 
     machine: str
     pid: int

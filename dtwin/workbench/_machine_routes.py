@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal
 
 import tomli_w
@@ -25,7 +26,7 @@ from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
-from dtwin.workbench._pages import accepted, download, drawn, rendered
+from dtwin.workbench._pages import accepted, begun, download, drawn, rendered
 from dtwin.workbench._plan_routes import planned_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
@@ -235,24 +236,15 @@ def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JS
     """Write the record of a machine with what is stated; tables are joined."""
     # What is not usable is refused at once; the work before this one may change the record still.
     record_with(bench.home, name, stated)
-
-    def work(tell: Tell) -> str:
-        keep_record(bench.home, name, stated)
-        return f"/machines/{name}"
-
-    return accepted(bench.jobs.start(f"{what} of {name}", work))
+    return begun(bench, f"{what} of {name}", f"/machines/{name}", lambda: keep_record(bench.home, name, stated))
 
 
 def _noted(
     bench: Bench, name: str, title: str, change: Callable[..., object], told: EventTold | NotedEvent
 ) -> JSONResponse:
     bench.history(name)
-
-    def work(tell: Tell) -> str:
-        change(bench.home, name, told.what, told.on, told.note)
-        return f"/machines/{name}"
-
-    return accepted(bench.jobs.start(f"{title} {name}", work))
+    note = partial(change, bench.home, name, told.what, told.on, told.note)
+    return begun(bench, f"{title} {name}", f"/machines/{name}", note)
 
 
 def _series(history: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -1,8 +1,9 @@
-"""Page of the campaigns that are being measured: what the operator is asked, and the answers."""
+"""What is under way: campaigns that are being measured, with what the operator is asked, and the progress of work."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +49,24 @@ def answered(request: Request, desk: str, question: str, answer: str) -> JSONRes
         )
     give_answer(asking[0], question, answer)
     return JSONResponse({"answered": answer})
+
+
+@router.get("/api/jobs/{job_id}")
+def progress(request: Request, job_id: str) -> dict[str, Any]:
+    """Say how far a job is."""
+    job = bench_of(request).jobs.get(job_id)
+    if job is None:
+        raise InputError(
+            "this work is not known here",
+            code="page.unknown",
+            got=job_id[:40],
+            hint="reload the page: what was finished is there",
+        )
+    return asdict(job)
+
+
+@router.delete("/api/jobs/{job_id}")
+def forget(request: Request, job_id: str) -> dict[str, Any]:
+    """Drop the note of a job that has ended."""
+    bench_of(request).jobs.forget(job_id)
+    return {}

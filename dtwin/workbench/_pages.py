@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import plotly.graph_objects as go
@@ -18,8 +18,8 @@ from dtwin.kinds.registry import unit_of_limit
 from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
-from dtwin.workbench._bench import bench_of
-from dtwin.workbench._jobs import Job
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._jobs import Job, Tell
 from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
@@ -66,10 +66,7 @@ _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
-    """Return a page.
-
-    ``context``: what the template shows; everything is escaped.
-    """
+    """Return a page. ``context``: what the template shows; everything is escaped."""
     bench = bench_of(request)
     text = _ENVIRONMENT.get_template(template).render(
         allowed=request.state.allowed,
@@ -98,6 +95,18 @@ def download(content: str | bytes, name: str, kind: str) -> Response:
 def accepted(job: Job) -> JSONResponse:
     """Return where to ask for the progress of a job."""
     return JSONResponse({"job": job.id}, 202)
+
+
+def begun(bench: Bench, title: str, address: str, do: Callable[[], object], said: str = "") -> JSONResponse:
+    """Queue work that leads to an address, and return where to ask for its progress; ``said``: its stage."""
+
+    def work(tell: Tell) -> str:
+        if said:
+            tell(said)
+        do()
+        return address
+
+    return accepted(bench.jobs.start(title, work))
 
 
 def refused(request: Request, error: DtwinError) -> Response:

@@ -38,7 +38,7 @@ from dtwin.units import UNITS, shown_unit
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
-from dtwin.workbench._pages import accepted, download, rendered
+from dtwin.workbench._pages import accepted, begun, download, rendered
 
 router = APIRouter()
 _COMPARED = 3
@@ -131,12 +131,7 @@ def start_test(request: Request, name: str, wanted: _PlanTold) -> JSONResponse:
 def take_back(request: Request, name: str, plan: str) -> JSONResponse:
     """Take a plan back."""
     bench = bench_of(request)
-
-    def work(tell: Tell) -> str:
-        drop_plan(bench.home, plan)
-        return f"/machines/{name}#planned"
-
-    return accepted(bench.jobs.start(f"Take back {plan}", work))
+    return begun(bench, f"Take back {plan}", f"/machines/{name}#planned", lambda: drop_plan(bench.home, plan))
 
 
 @router.get("/machines/{name}/changes")

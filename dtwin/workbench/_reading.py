@@ -112,8 +112,7 @@ def said_together_in(bench: Bench, campaign: str) -> list[dict[str, Any]]:
     known = next((one for one in bench.campaigns() if one.name == campaign), None)
     if known is None or not kind_named(known.kind).offers("sheet"):
         return []
-    found: list[dict[str, Any]] = campaign_sheet_of(bench, campaign, known.machine)["findings"]
-    return found
+    return campaign_sheet_of(bench, campaign, known.machine)["findings"]
 
 
 def campaign_floor(bench: Bench, campaign: str) -> Floor:

@@ -21,7 +21,7 @@ from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Tell
-from dtwin.workbench._pages import accepted
+from dtwin.workbench._pages import accepted, begun
 
 router = APIRouter()
 # With a limit, what is no text (half a character) is refused, too.
@@ -127,13 +127,8 @@ def diagnose(request: Request, name: str) -> JSONResponse:
     bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name)
-
-    def work(tell: Tell) -> str:
-        tell("test every effect of the library, and what repeats say")
-        twins.diagnose(name)
-        return f"/twins/{name}/diagnose"
-
-    return accepted(bench.jobs.start(f"Diagnose {name}", work))
+    said = "test every effect of the library, and what repeats say"
+    return begun(bench, f"Diagnose {name}", f"/twins/{name}/diagnose", lambda: twins.diagnose(name), said)
 
 
 @router.post("/api/campaigns/{campaign}/find")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from typing import Annotated, Any
 
 import numpy as np
@@ -36,7 +38,6 @@ from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
-from dtwin.workbench._numbers import decimal
 from dtwin.workbench._pages import download, drawn, rendered
 from dtwin.workbench._told_pages import told_page, told_sections
 
@@ -316,3 +317,29 @@ def _with_nan(stored: dict[str, Any]) -> dict[str, Any]:
     """Return a stored diagnosis with what JSON calls null as NaN again."""
     names = ("residual_rms_um", "systematic_rms_um", "noise_floor_um", "lack_of_fit_p")
     return {**stored, **{n: float("nan") for n in names if stored.get(n) is None}}
+
+
+_PLAIN = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{1,3})?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+(\.\d*)?|(\.\d{3})+(,\d*)?)")
+_MOST_CHARACTERS = 40
+
+
+def decimal(text: str, what: str) -> float:
+    """Return the number that a text means; ``0,5`` and ``0.5`` are the same.
+
+    A single comma or point is the decimal sign. When both occur, the last one is, and the
+    other one groups thousands, as the same sign twice does.
+    """
+    plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace("\u2212", "-")
+    value = math.nan
+    if len(plain) <= _MOST_CHARACTERS:
+        if _PLAIN.fullmatch(plain):
+            value = float(plain.replace(",", "."))
+        elif grouped := _GROUPED.fullmatch(plain):
+            groups = "," if grouped.group(2) else "."
+            value = float(plain.replace(groups, "").replace(",", "."))
+    if math.isfinite(value):
+        return value
+    raise InputError(
+        f"{what} is not a number", code="number.invalid", got=text[:_MOST_CHARACTERS], allowed="for example 0.5 or 0,5"
+    )

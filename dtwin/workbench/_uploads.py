@@ -32,10 +32,7 @@ _ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a ta
 
 
 class Trays:
-    """Folders that uploads collect in.
-
-    ``root``: where; what an earlier server left there is removed.
-    """
+    """Folders that uploads collect in. ``root``: where; what an earlier server left there is removed."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -106,10 +103,7 @@ class Trays:
 
 
 def safe_path(name: str) -> PurePosixPath:
-    """Return a relative path that stays where it is put.
-
-    ``name``: as a browser or an archive states it.
-    """
+    """Return a relative path that stays where it is put. ``name``: as a browser or an archive states it."""
     parts = name.replace("\\", "/").split("/")
     if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(p) and len(p.encode()) <= _MAX_PART_BYTES for p in parts):
         raise InputError(

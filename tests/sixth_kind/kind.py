@@ -15,9 +15,9 @@ from sixth_kind.machine import REPEATS, RIM_MM, SPEEDS_DEG_S, Table
 if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.twin_report import TwinReport
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
+    from dtwin.report.twin_of_kind import TwinReport
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training

@@ -14,7 +14,8 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
 from dtwin.config import home
-from dtwin.fleet import Alert, channels_of, tell
+from dtwin.fleet.alerts import Alert, tell
+from dtwin.fleet.channels import channels_of
 
 pytestmark = pytest.mark.system
 

@@ -17,7 +17,8 @@ from fleet_lake import fill
 
 from dtwin.config import Home, home
 from dtwin.errors import StoreError
-from dtwin.fleet import DIAGNOSE, run_fleet
+from dtwin.fleet.jobs import DIAGNOSE
+from dtwin.fleet.run import run_fleet
 
 pytestmark = pytest.mark.system
 CAMPAIGNS = 9
@@ -94,7 +95,7 @@ def test_a_worker_and_then_the_scheduler_is_killed_and_nothing_is_lost_or_done_t
         if len(done) == 6:
             plant.kill("scheduler")
 
-    monkeypatch.setattr("dtwin.fleet._engine._CONNECT_S", 2)
+    monkeypatch.setattr("dtwin.fleet.engine._CONNECT_S", 2)
     with pytest.raises(StoreError) as caught:
         run_fleet(home(), DIAGNOSE, on=at, progress=killing)
     assert caught.value.code == "fleet.died"

@@ -26,7 +26,8 @@ from shared_servers import BUCKET, KEYS, running_store
 from dtwin.atomic import write_toml
 from dtwin.config import Home, home
 from dtwin.errors import InputError
-from dtwin.fleet import DIAGNOSE, run_fleet
+from dtwin.fleet.jobs import DIAGNOSE
+from dtwin.fleet.run import run_fleet
 from dtwin.home_file import HOME_FILE
 
 pytestmark = pytest.mark.system

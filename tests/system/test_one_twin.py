@@ -22,7 +22,7 @@ from dtwin.twins.several import require_together
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
 

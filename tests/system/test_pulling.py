@@ -28,7 +28,7 @@ from dtwin.serve.pointer import clear_trial, resolve
 from dtwin.serve.pulling import pull, pulled
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
 

@@ -26,7 +26,7 @@ from dtwin.pipeline.planned_tests import draft_of, keep_plan
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
 ROOT = Path(__file__).parents[2]

@@ -19,7 +19,7 @@ from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.workbench import _campaign_routes
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 
 def committed(lake: Lake, name: str, machine: str, days: list[str]) -> None:

@@ -21,7 +21,7 @@ from distributed.security import Security
 from dtwin import __version__
 from dtwin.cli import app
 from dtwin.config import SETTINGS, Home
-from dtwin.fleet._engine import require_engine
+from dtwin.fleet.engine import require_engine
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"

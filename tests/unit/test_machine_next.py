@@ -23,7 +23,7 @@ from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 
 @pytest.fixture(scope="module")

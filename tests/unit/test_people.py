@@ -34,7 +34,7 @@ from dtwin.train.registry import Registry
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench._roles import role_for
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 BASE = "http://127.0.0.1:8765"
 

@@ -34,7 +34,7 @@ from dtwin.plan_file import planned_document
 from dtwin.report.changes import changes_text
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 CIRCLES = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "1000", "repeats": "3"}
 

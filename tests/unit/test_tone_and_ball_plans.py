@@ -16,7 +16,7 @@ from dtwin.features.tone_window import HORIZON_S, WINDOW_S
 from dtwin.kinds.sinusoidal._plan import FORETOLD_S, LEARNED_S, duration_s, tone_advice, tone_plan
 from dtwin.kinds.sinusoidal._simulate import planned_runs, virtual_slide
 from dtwin.kinds.volumetric._plan import ball_advice, ball_plan
-from dtwin.machines.turning_drift import RoomDrift
+from dtwin.machines.turning import RoomDrift
 from dtwin.plan_file import planned_campaign
 
 TONES: dict[str, Any] = {

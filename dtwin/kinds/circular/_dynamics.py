@@ -56,15 +56,8 @@ class _Turned:
 def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split:
     """Part static from dynamic in every usable run of a campaign.
 
-    Parameters
-    ----------
-    campaign : str
-        Name in the lake, or a folder, which is ingested first.
-
-    Raises
-    ------
-    InputError
-        When the campaign is not circular, has no reference, or something cannot be chosen.
+    ``campaign``: name in the lake, or a folder, which is ingested first.
+    Raises ``InputError`` when the campaign is not circular, has no reference, or something cannot be chosen.
     """
     filter_of(request, 1.0)
     lake = Lake(home.lake)

@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.html import Section, Table, page
-from dtwin.report.plots import COLOURS, error_figure, polar_figure, styled
+from dtwin.report.plots import COLOURS, draw_line, error_figure, polar_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
 
@@ -111,7 +111,7 @@ def _by_feed(result: Mapping[str, Any]) -> go.Figure:
     )
     for name, key, colour in looks:
         means = [float(np.mean([r[key] for r in result["rows"] if r["feed_mm_min"] == f])) for f in feeds]
-        figure.add_trace(go.Scatter(x=feeds, y=means, name=name, mode="lines+markers", line={"color": colour}))
+        draw_line(figure, feeds, means, name, mode="lines+markers", color=colour)
     figure.update_layout(
         title="Mean of the runs of each feed", xaxis_title="feed, mm/min", yaxis={"title": "um", "rangemode": "tozero"}
     )
@@ -131,9 +131,7 @@ def _alpha_figure(found: Mapping[str, Any]) -> go.Figure:
     for colour, (model, values) in zip(
         (COLOURS["measured"], COLOURS["second"]), ((k, v) for k, v in found.items() if k != "alpha"), strict=True
     ):
-        figure.add_trace(
-            go.Scatter(x=found["alpha"], y=values, name=model, mode="lines+markers", line={"color": colour})
-        )
+        draw_line(figure, found["alpha"], values, model, mode="lines+markers", color=colour)
     figure.update_layout(
         title="Sensitivity to alpha",
         xaxis={"title": "alpha", "type": "log", "dtick": 1, "exponentformat": "power"},

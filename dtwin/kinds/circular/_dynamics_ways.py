@@ -29,20 +29,12 @@ TWIN_EFFECTS = ("scale_mismatch", "squareness", "straightness", "servo_mismatch"
 class DynamicsRequest:
     """What to compute.
 
-    Attributes
-    ----------
-    how : str
-        One of ``_FILTERS``.
-    reference_feed_mm_min : float, optional
-        Feed of the slow reference; the slowest of the campaign without.
-    readings : int
-        Readings per revolution after resampling by angle.
-    q_um2, r_um2 : float, optional
-        Variances of the Kalman filters; the published ones without.
-    alpha : float
-        Of the unscented filters.
-    tuned, fitness : str
-        What the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
+    ``how``: one of ``_FILTERS``.
+    ``reference_feed_mm_min``: feed of the slow reference; the slowest of the campaign without.
+    ``readings``: readings per revolution after resampling by angle.
+    ``q_um2``, ``r_um2``: variances of the Kalman filters; the published ones without.
+    ``alpha``: of the unscented filters.
+    ``tuned``, ``fitness``: what the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
     """
 
     how: str = "twin"

@@ -146,10 +146,7 @@ def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
 
 
 def log_tuning(registry: Registry, tuning: Tuning, settings: SwarmSettings, source: str) -> str:
-    """Log a tuning as an MLflow run and return its id.
-
-    ``source``: campaign or table that the turns come from.
-    """
+    """Log a tuning as an MLflow run and return its id. ``source``: campaign or table that the turns come from."""
     tags = {"dtwin.campaign": source, "dtwin.kind": "filter tuning"}
     name = f"filter tuning {source}"
     params = {

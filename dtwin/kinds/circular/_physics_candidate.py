@@ -72,10 +72,7 @@ def physics_candidate(
 
 
 def _physics_bundle(fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]) -> Bundle:
-    """Freeze the chosen terms into a bundle.
-
-    ``horizon_s``: how far joint angles are taken ahead.
-    """
+    """Freeze the chosen terms into a bundle. ``horizon_s``: how far joint angles are taken ahead."""
     library = Library(fit.library.gears, fit.library.modes, horizon_s=horizon_s)
     terms = list(library.atoms.values())
     chosen = zip(fit.weights.tolist(), (terms[i] for i in fit.chosen), strict=True)

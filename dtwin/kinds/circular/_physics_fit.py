@@ -47,16 +47,11 @@ class _FrontPoint:
 class PhysicsFit:
     """A fitted physics library.
 
-    Attributes
-    ----------
-    design, absorbed : ndarray, shape (n, p)
-        Terms at the rows, centre and radius of set-ups taken out; and what was taken out.
-    chosen : tuple of int
-        Columns of the proposed equation.
-    weights : ndarray, shape (len(chosen),)
-        Their coefficients, fitted on all rows.
-    lag_shift_s : float
-        RMS by which the alignment of single runs was corrected.
+    ``design``, ``absorbed``, shape (n, p): terms at the rows, centre and radius of set-ups taken out; and what was
+    taken out.
+    ``chosen``: columns of the proposed equation.
+    ``weights``, shape (len(chosen),): their coefficients, fitted on all rows.
+    ``lag_shift_s``: RMS by which the alignment of single runs was corrected.
     """
 
     rows: Rows

@@ -46,9 +46,10 @@ def planned(plan: Plan) -> Planned:
     )
 
 
-def programs(plan: Plan) -> dict[str, str]:
+def programs(circles: Planned, control: str) -> dict[str, str]:
     """Return G-code and URScript of every test, by file name."""
     makers = {".nc": gcode, ".script": urscript}
+    plan: Plan = circles.plan
     return {
         f"{test.test_id}{suffix}": make(test, plan.directions) for test in plan.tests for suffix, make in makers.items()
     }

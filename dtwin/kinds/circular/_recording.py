@@ -11,8 +11,8 @@ import numpy as np
 
 from dtwin.acquire.b5r import BallbarTest, read_b5r
 from dtwin.kinds.circular import _recording_models as models
-from dtwin.kinds.circular._recording_harmonics import chosen_harmonics
 from dtwin.kinds.circular._recording_passes import Aligned, align, within_run_floor_um
+from dtwin.kinds.circular._recording_search import Search
 from dtwin.kinds.circular._recording_vendor import vendor_figures
 from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Term
@@ -23,6 +23,7 @@ from dtwin.schema import Floats
 _ELBOW_UP_DEG = (-18.5, -86.3, 137.0, -140.7, -90.0, -108.5)
 _ASKED_HZ = (9.0, 9.8)
 _REPEATS = 3
+_HIGHEST, _PER_ORDER = 90, 3
 _GRADES = {ARC_DIP.name: "description only"}
 
 
@@ -30,10 +31,7 @@ _GRADES = {ARC_DIP.name: "description only"}
 class Study:
     """A recording and what was found in it.
 
-    Attributes
-    ----------
-    residual_um : tuple of ndarray, shape (n,)
-        What is left of each pass by the model that was fitted to the other.
+    ``residual_um``, shape (n,): what is left of each pass by the model that was fitted to the other.
     """
 
     passes: models.Passes
@@ -44,12 +42,8 @@ class Study:
 def ur10e_geometry(centre_mm: Sequence[float], zero_deg: float) -> dict[str, Any]:
     """Return the geometry of a UR10e in the frame of the bar.
 
-    Parameters
-    ----------
-    centre_mm : sequence of float
-        Centre of the circle in the robot's base frame.
-    zero_deg : float
-        Where the bar's 0 deg lies, as an angle about the base's vertical axis.
+    ``centre_mm``: centre of the circle in the robot's base frame.
+    ``zero_deg``: where the bar's 0 deg lies, as an angle about the base's vertical axis.
     """
     turn = np.radians(-zero_deg)
     x, y, z = centre_mm
@@ -66,17 +60,9 @@ def ur10e_geometry(centre_mm: Sequence[float], zero_deg: float) -> dict[str, Any
 def study_recording(path: Path, library: Mapping[str, Effect], geometry: Mapping[str, Any] | None = None) -> Study:
     """Align a ball-bar file by its stops, fit on one pass and judge on the other.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.b5r`` file whose runs stop every half turn and pass parts of the path twice.
-    geometry : dict, optional
-        ``machine_geometry``; without one, effects of joints are left out.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, or a run cannot be aligned or repeats nothing.
+    ``path``: a ``.b5r`` file whose runs stop every half turn and pass parts of the path twice.
+    ``geometry``: ``machine_geometry``; without one, effects of joints are left out.
+    Raises ``InputError`` when the file cannot be read, or a run cannot be aligned or repeats nothing.
     """
     test = read_b5r(path)
     passes = models.passes_of([align(run, geometry or {}) for run in test.runs])
@@ -176,23 +162,49 @@ def _best_harmonics(passes: models.Passes, most: int, *, by_direction: bool) -> 
         return models.judge(passes.y_um, waves)[1]
 
     best = min(range(3, most + 1, 2), key=held_out)
-    waves = models.harmonic_columns(passes, best, by_direction=by_direction)
-    return {
-        "at_most": most,
-        "parameters": best,
-        "held_out_um": models.judge(passes.y_um, waves)[1],
-        "unseen_path_um": models.unseen_path_um(passes, waves),
-    }
+    return _judged_harmonics(passes, most, best, models.harmonic_columns(passes, best, by_direction=by_direction))
 
 
-def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
-    parameters, waves = chosen_harmonics(passes, most, by_direction=True)
+def _judged_harmonics(
+    passes: models.Passes, most: int, parameters: int, waves: tuple[Floats, Floats]
+) -> dict[str, Any]:
     return {
         "at_most": most,
         "parameters": parameters,
         "held_out_um": models.judge(passes.y_um, waves)[1],
         "unseen_path_um": models.unseen_path_um(passes, waves),
     }
+
+
+def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
+    """Return what is left by harmonics of each direction, added one after the other by what they leave on the other pass.
+
+    An order counts as three parameters: two amplitudes and its number, as shapes of effects do.
+    """
+    runs = range(len(passes.aligned))
+    model = models.stack([_wave(passes, 0, run) for run in runs])
+    pool = [_wave(passes, order, run) for run in runs for order in range(1, _HIGHEST + 1)]
+    search = Search(passes.y_um, pool)
+    search.add(model)
+    chosen: list[int] = []
+    while len(runs) + _PER_ORDER * (len(chosen) + 1) <= most and len(chosen) < len(pool):
+        left_um = search.left_um()
+        left_um[chosen] = np.inf
+        best = int(np.argmin(left_um))
+        search.add(pool[best])
+        chosen.append(best)
+    model = models.stack([model, *(pool[number] for number in chosen)])
+    return _judged_harmonics(passes, most, len(runs) + _PER_ORDER * len(chosen), model)
+
+
+def _wave(passes: models.Passes, order: int, run: int) -> tuple[Floats, Floats]:
+    """Return the waves of one order in one run, nothing in the others, of both passes."""
+    whole = []
+    for number, aligned in enumerate(passes.aligned):
+        phase = order * aligned.state.angle_rad
+        waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)[:, : 2 if order else 1]
+        whole.append(waves * float(number == run))
+    return passes.both(whole)
 
 
 def _unseen_by_rung(passes: models.Passes, base: Sequence[Term], rungs: Sequence[models.Rung]) -> list[float]:

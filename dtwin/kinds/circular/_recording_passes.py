@@ -117,10 +117,7 @@ def _repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
 
 
 def within_run_floor_um(stretches: tuple[Stretch, ...]) -> float:
-    """Return the RMS of one pass about the mean of two, all stretches together, in um.
-
-    ``stretches``: at least one.
-    """
+    """Return the RMS of one pass about the mean of two, all stretches together, in um. ``stretches``: at least one."""
     weight = np.array([s.end - s.first for s in stretches], dtype=float)
     square = np.array([s.non_repeatable_um**2 for s in stretches])
     return float(np.sqrt((weight * square).sum() / weight.sum()))

@@ -20,10 +20,7 @@ _BETWEEN = timedelta(minutes=5)
 
 
 def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
-    """Return the published sweep: YZ, 50 mm, nine feeds, twice, both directions.
-
-    ``quick``: three of the feeds.
-    """
+    """Return the published sweep: YZ, 50 mm, nine feeds, twice, both directions. ``quick``: three of the feeds."""
     grid = {
         "plane": ["YZ"],
         "radius_mm": [RADIUS_MM],

@@ -11,7 +11,6 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS
-from dtwin.kinds.circular._traced_joints import JOINT_RANGES, traced_joints
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state
@@ -99,8 +98,7 @@ class _Logged(Mapping[str, Any]):
         if source == name:
             return value
         mean = _mean(self.obs, source)
-        lowered: Traced = value - mean
-        return lowered
+        return value - mean
 
     def __iter__(self) -> Any:
         return iter(self.names)
@@ -153,7 +151,7 @@ class _Path:
             ahead = speed.columns[0] / radius.columns[0]
             angle = angle + sign * ahead * self.horizon_s
         forward = builder.apply("step", sign)
-        joints = traced_joints(builder, self.horizon_s)
+        joints = _traced_joints(builder, self.horizon_s)
         out: dict[str, list[Expression]] = {}
         for plane in self.twin.box.planes:
             ways = []
@@ -220,8 +218,8 @@ def _inputs(used: set[str], twin: Twin, obs: Observations) -> list[Input]:
     }
     # Whether or not the equation uses them: outside of what was measured nothing is corrected.
     wanted = [_ANGLE, _DIRECTION, _SPEED, _RADIUS, _PLANE]
-    joints = [name for name in JOINT_RANGES if name in used]
-    ranges |= {name: JOINT_RANGES[name] for name in joints}
+    joints = [name for name in _JOINT_RANGES if name in used]
+    ranges |= {name: _JOINT_RANGES[name] for name in joints}
     channels = sorted(used - set(wanted) - set(joints))
     for name in channels:
         values = [float(m.covariates[name]) for m in obs.runs]
@@ -249,3 +247,41 @@ def _safety(twin: Twin, obs: Observations) -> SafetyLimits:
     radii = np.array([m.radius_mm or 1.0 for m in obs.runs])
     steepest = float((per_rad * obs.feed_mm_s / radii).max())
     return SafetyLimits(clamp_um=max(_CLAMP_SHARE * largest, 1.0), slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest))
+
+
+_N_JOINTS = 6
+# Wider than any robot moves: plane, radius and feed are what bounds the correction.
+_JOINT_RANGES: dict[str, tuple[float, float]] = {
+    **{f"q{j}_rad": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"qd{j}_rad_s": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"lever_{j}_mm_rad": (-3000.0, 3000.0) for j in range(1, _N_JOINTS + 1)},
+}
+
+
+@dataclass(frozen=True)
+class _TracedJoints:
+    """What effects of joints ask a state for.
+
+    ``q_rad``, ``qd_rad_s``, ``lever_mm``: tables of one row: angle, speed, and change of the radius per radian of each
+    joint.
+    """
+
+    q_rad: Traced
+    qd_rad_s: Traced
+    lever_mm: Traced
+
+    @property
+    def gravity_nmm(self) -> Traced:
+        """Refuse: the path inputs do not hold moments."""
+        raise NotTraceable("it needs the moments of the joints, which serving does not compute")
+
+
+def _traced_joints(builder: GraphBuilder, horizon_s: float) -> _TracedJoints:
+    """Return the joints where they will be when a correction takes effect."""
+    numbers = range(1, _N_JOINTS + 1)
+    speed = [builder.input(f"qd{j}_rad_s") for j in numbers]
+    angle = [builder.input(f"q{j}_rad") for j in numbers]
+    if horizon_s:
+        angle = [q + horizon_s * qd for q, qd in zip(angle, speed, strict=True)]
+    lever = [builder.input(f"lever_{j}_mm_rad") for j in numbers]
+    return _TracedJoints(Traced(angle, table=True), Traced(speed, table=True), Traced(lever, table=True))

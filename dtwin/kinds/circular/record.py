@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Drawing, Planned
-from dtwin.kinds.path_kind import PathKind
+from dtwin.kinds.kind import TWINS_OF_PATHS, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import plotly.graph_objects as go
-
-    from dtwin.kinds.kind import FileReader
-    from dtwin.kinds.machine import VirtualMachine
-    from dtwin.lake.store import Lake
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
-    from dtwin.progress import Progress
-    from dtwin.report.sheet import Sheet
-    from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Campaign, Finding, Run
-    from dtwin.serve.bundle import Bundle
-    from dtwin.train.champion_error import ChampionError, HeldOut
-    from dtwin.train.gates import Verdict
-    from dtwin.train.results import Training
-    from dtwin.train.run_errors import RunError
-    from dtwin.twins.correct import TwinWay
+    from dtwin.schema import Campaign, Run
 
 
-class _Circular(PathKind):
+class _Circular(Kind):
     name = "circular"
     settings = (
         "instrument.nominal_mm",
@@ -53,22 +38,30 @@ class _Circular(PathKind):
     figures = ("G(CCW)", "Fmax(CCW)", "Fmin(CCW)", "G(CW)", "Fmax(CW)", "Fmin(CW)", "G(b)", "H", "D")
     laws = True
     always_fitted = "Centre and radius of every set-up are always fitted."
-
-    @property
-    def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.circular._machines import MACHINES
-
-        return MACHINES
+    places: ClassVar[Mapping[str, str]] = {
+        **TWINS_OF_PATHS,
+        "machines": "_machines:MACHINES",
+        "takes_alone": "_circle_table:is_circle_table",
+        "draft": "_planned:draft",
+        "programs": "_planned:programs",
+        "proposals": "_planned:proposals",
+        "judge_run": "_check:judge_circular_run",
+        "judge_campaign": "_check:judge_circular_campaign",
+        "sheet": "_sheet:circular_sheet",
+        "sheet_figure": "_sheet:both_ways_figure",
+        "drawings": "_drawings:DRAWINGS",
+        "run_errors": "_run_errors:circle_errors",
+        "training": "_training:train_campaign",
+        "gates": "dtwin.train.gates:offline_gates",
+        "twin_correction": "_correction:WAY",
+        "champion_error": "_drift:circles_error",
+        "held_out": "_drift:circles_held_out",
+    }
 
     def reader_of(self, path: Path) -> FileReader | None:
         from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
 
         return read_circle_runs if is_circle_table(path) else None
-
-    def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.circular._circle_table import is_circle_table
-
-        return is_circle_table(path)
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.circular._planned import planned
@@ -82,50 +75,15 @@ class _Circular(PathKind):
 
         return planned(training_plan())
 
-    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
-        from dtwin.kinds.circular._planned import draft
-
-        return draft(machine, axes)
-
-    def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.circular._planned import programs
-
-        return programs(planned.plan)
-
     def foreseen(self, planned: Planned) -> Observations:
         from dtwin.physics.experiment import planned_observations
 
         return planned_observations(planned.plan)
 
-    def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
-        from dtwin.kinds.circular._planned import proposals
-
-        return proposals(machine, axes)
-
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.circular._check import with_whole_angle
 
         return with_whole_angle(run)
-
-    def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.circular._check import judge_circular_run
-
-        return judge_circular_run(run)
-
-    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.circular._check import judge_circular_campaign
-
-        return judge_circular_campaign(runs)
-
-    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.circular._sheet import circular_sheet
-
-        return circular_sheet(runs, under)
-
-    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.circular._sheet import both_ways_figure
-
-        return both_ways_figure(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         from dtwin.kinds.circular._report import circular_result
@@ -133,38 +91,11 @@ class _Circular(PathKind):
         lost = any(f.severity == "error" and f.code in ("angle.jump", "angle.short") for f in run.findings)
         return circular_result(run) if run.meta.radius_mm and not lost else {}
 
-    @property
-    def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.circular._drawings import DRAWINGS
-
-        return DRAWINGS
-
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.gridding import CIRCLE, rows_of
 
         pairs = zip(runs, times_h, strict=True)
         return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
-
-    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.kinds.circular._run_errors import circle_errors
-
-        return circle_errors(runs)
-
-    def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.circular._training import train_campaign
-
-        return train_campaign
-
-    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.train.gates import offline_gates
-
-        return offline_gates(bundle, metrics)
-
-    def twin_correction(self) -> TwinWay:
-        from dtwin.kinds.circular._correction import freeze_circles, judge_circles
-        from dtwin.twins.correct import BY_LAW, TwinWay
-
-        return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
 
     def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
         if not all(map(_has_controller, rows)):
@@ -174,23 +105,6 @@ class _Circular(PathKind):
 
     def drift_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
         return "" if all(map(_has_controller, rows)) else "no controller signals, so it cannot judge a champion"
-
-    def champion_error(
-        self,
-        lake: Lake,
-        rows: Sequence[dict[str, Any]],
-        bundle: Bundle,
-        metrics: Mapping[str, float],
-        progress: Progress | None = None,
-    ) -> ChampionError:
-        from dtwin.kinds.circular._drift import circles_error
-
-        return circles_error(lake, rows, bundle, metrics, progress)
-
-    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.circular._drift import circles_held_out
-
-        return circles_held_out(known, fresh)
 
 
 def _has_controller(row: Mapping[str, Any]) -> bool:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._model import series_of
-from dtwin.kinds.drift._sense import moved_um
+from dtwin.kinds.drift._model import moved_um, series_of
 from dtwin.kinds.drift._training import HELD_OUT
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
@@ -22,7 +21,7 @@ _TIME = "timestamp_s"
 _FRAMES = ("base_x", "base_y", "base_z")
 
 
-def logs_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle) -> ChampionError:
+def logs_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, *_: object) -> ChampionError:
     """Return a bundle's error over all readings; each log begins at its own zero, and its lags begin anew."""
     runs = [lake.load(row) for row in rows]
     known = set.intersection(*({n for n in run.samples if n.startswith("temperature_")} for run in runs))

@@ -8,7 +8,7 @@ from datetime import timedelta
 import numpy as np
 
 from dtwin.acquire.virtual import EPOCH
-from dtwin.kinds.drift._sense import moved_um
+from dtwin.kinds.drift._model import moved_um
 from dtwin.kinds.drift._simulate import AGAIN, AXIS, PROBED_S, column_of, probed
 from dtwin.machines.warm_column import STEP_S, Day, WarmColumn
 from dtwin.progress import Progress

@@ -5,13 +5,14 @@ Unit of replication is the block: a stretch of time, for readings near in time e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.drift._sense import moved_um
+from dtwin.errors import InputError
 from dtwin.schema import Floats, Run
 from dtwin.statistics import gain_tail, t_quantile, usual_size
 
@@ -264,3 +265,25 @@ def _late(t_s: Floats, values: Floats, tau_s: float) -> Floats:
     for share, more in zip(kept.tolist(), added.tolist(), strict=True):
         out.append(share * out[-1] + more)
     return np.array(out)
+
+
+def sense(condition: Mapping[str, Any], where: str) -> float:
+    """Return 1 for displacements of the tool, -1 for positions at which a probe triggers: the tool has moved the other way.
+
+    Raises ``InputError`` when ``reads`` of the condition is neither.
+    """
+    reads = condition.get("reads", "displacement")
+    if reads not in ("displacement", "position"):
+        raise InputError(
+            "what the log reads is not known",
+            code="drift.reads",
+            where=where,
+            got=f"reads = {reads!r}"[:60],
+            allowed='condition = { reads = "displacement" }: of the tool along its axis; "position": of the machine when a probe triggers',
+        )
+    return -1.0 if reads == "position" else 1.0
+
+
+def moved_um(run: Run) -> Floats:
+    """Return the tool's displacement of each reading, (n,)."""
+    return sense(run.meta.condition, run.meta.run_id) * run.samples["displacement_um"]

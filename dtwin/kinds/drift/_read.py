@@ -35,7 +35,7 @@ from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS
 from dtwin.errors import InputError
 from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible
-from dtwin.kinds.drift._sense import sense
+from dtwin.kinds.drift._model import sense
 from dtwin.kinds.drift._standing import standing
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number

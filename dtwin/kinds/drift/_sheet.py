@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Series, series_of
-from dtwin.kinds.drift._sense import moved_um
+from dtwin.kinds.drift._model import Series, moved_um, series_of
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Variation

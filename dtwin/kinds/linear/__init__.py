@@ -9,24 +9,21 @@ from dtwin.offered import offered
 if TYPE_CHECKING:
     from dtwin.kinds.linear._bundle import is_positioning_bundle as is_positioning_bundle
     from dtwin.kinds.linear._fit import fitted as fitted
-    from dtwin.kinds.linear._fit import judged as judged
-    from dtwin.kinds.linear._fit import write_judged as write_judged
     from dtwin.kinds.linear._loop import before_and_after as before_and_after
     from dtwin.kinds.linear._plan import LinearPlan as LinearPlan
     from dtwin.kinds.linear._plan import read_linear_plan as read_linear_plan
+    from dtwin.kinds.linear._report import compensation_text as compensation_text
+    from dtwin.kinds.linear._report import wall_clock_text as wall_clock_text
     from dtwin.kinds.linear._simulate import verification_plan as verification_plan
-    from dtwin.kinds.linear._text import compensation_text as compensation_text
-    from dtwin.kinds.linear._text import gate_lines as gate_lines
-    from dtwin.kinds.linear._text import wall_clock_text as wall_clock_text
     from dtwin.kinds.linear._wall_clock import paced as paced
 
 _PLACES = {
     "_bundle": "is_positioning_bundle",
-    "_fit": "fitted judged write_judged",
+    "_fit": "fitted",
     "_loop": "before_and_after",
     "_plan": "LinearPlan read_linear_plan",
+    "_report": "compensation_text wall_clock_text",
     "_simulate": "verification_plan",
-    "_text": "compensation_text gate_lines wall_clock_text",
     "_wall_clock": "paced",
 }
 __all__ = " ".join(_PLACES.values()).split()

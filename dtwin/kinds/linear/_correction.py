@@ -30,6 +30,7 @@ from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.judged import NAME, Judged
 
 _FEWEST_RUNS = 2
@@ -135,3 +136,6 @@ def _equation(twin: Twin) -> str:
             *lines,
         ]
     )
+
+
+WAY = TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})

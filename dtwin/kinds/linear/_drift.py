@@ -20,7 +20,7 @@ from dtwin.train.champion_error import ChampionError, HeldOut, as_served, held_o
 _BOTH = {"forward", "reverse"}
 
 
-def strokes_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle) -> ChampionError:
+def strokes_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, *_: object) -> ChampionError:
     """Return a bundle's error over all readings, the zero of the laser in each set-up taken out."""
     here = np.zeros(1)
     require_inputs(bundle, tuple(told(here, here)), ("base_x", "base_y", "base_z"), "the position of one axis")

@@ -73,10 +73,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
 
 
 def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
-    """Return a recording of a whole plan in matrices.
-
-    ``recording``: every reading of the plan, none missed.
-    """
+    """Return a recording of a whole plan in matrices. ``recording``: every reading of the plan, none missed."""
     if len(recording.error_um) != plan.readings:
         raise InputError(
             "the laser missed readings", code="lathe.missed", got=f"{len(recording.error_um)} of {plan.readings}"
@@ -129,10 +126,7 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
 def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None) -> dict[str, Any]:
     """Return figures of the virtual lathe without a bundle and with it in the loop; of the published plan without one.
 
-    Parameters
-    ----------
-    truth : str
-        As for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
+    ``truth``: as for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
     """
     chosen = plan or verification_plan()
     lathe = virtual_lathe(truth, seed)

@@ -33,29 +33,17 @@ _TURN_S = 0.3
 class LinearPlan:
     """A bidirectional positioning test of one axis; lengths are in ``unit``.
 
-    Attributes
-    ----------
-    axis : str
-        ``X``, ``Y`` or ``Z``.
-    unit : str
-        ``in`` or ``mm``.
-    start, end, step : float
-        First and last target, and from one to the next.
-    runs : int
-        Sweeps forward and back.
-    dwell_s : float
-        Halt of the machine at each target.
-    feed_min : float
-        Feed in ``unit`` a minute.
-    overshoot : float
-        How far the axis goes beyond both ends before it turns.
-    axis_low, axis_high : float
-        Travel limits of the axis.
-    pitch : float
-        Travel in one turn of the screw; 0 when unknown.
-    laser_dwell_s, window : float
-        Of the laser's own trigger: it reads when the axis has been within ``window`` of the next
-        target for ``laser_dwell_s``.
+    ``axis``: ``X``, ``Y`` or ``Z``.
+    ``unit``: ``in`` or ``mm``.
+    ``start``, ``end``, ``step``: first and last target, and from one to the next.
+    ``runs``: sweeps forward and back.
+    ``dwell_s``: halt of the machine at each target.
+    ``feed_min``: feed in ``unit`` a minute.
+    ``overshoot``: how far the axis goes beyond both ends before it turns.
+    ``axis_low``, ``axis_high``: travel limits of the axis.
+    ``pitch``: travel in one turn of the screw; 0 when unknown.
+    ``laser_dwell_s``, ``window``: of the laser's own trigger: it reads when the axis has been within ``window`` of the
+    next target for ``laser_dwell_s``.
     """
 
     name: str
@@ -99,24 +87,14 @@ class LinearPlan:
 def read_linear_plan(path: Path) -> LinearPlan:
     """Read a plan file of kind ``linear``.
 
-    Parameters
-    ----------
-    path : Path
-        TOML with one table ``[plan]``: ``kind = "linear"`` and the attributes of a plan.
-
-    Raises
-    ------
-    InputError
-        With the first rule that is broken.
+    ``path``: TOML with one table ``[plan]``: ``kind = "linear"`` and the attributes of a plan.
+    Raises ``InputError`` with the first rule that is broken.
     """
     return linear_plan(plan_settings(read_plan_file(path), str(path)), str(path))
 
 
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
-    """Return a plan whose numbers obey every rule.
-
-    ``where``: where they come from, for error messages.
-    """
+    """Return a plan whose numbers obey every rule. ``where``: where they come from, for error messages."""
     plan = filled(LinearPlan, stated, where)
     _check_linear(plan, where)
     return plan

@@ -50,14 +50,14 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     )
 
 
-def programs(plan: LinearPlan, control: str) -> dict[str, str]:
+def programs(test: Planned, control: str) -> dict[str, str]:
     """Return the program of the test, by file name."""
-    return {f"{plan.name}.nc": laser_program(plan, control)}
+    return {f"{test.plan.name}.nc": laser_program(test.plan, control)}
 
 
-def foreseen(plan: LinearPlan) -> Observations:
+def foreseen(test: Planned) -> Observations:
     """Return the sweeps of a plan with nothing in them."""
-    return observe(_campaign_of(plan), _empty_runs(plan))
+    return observe(_campaign_of(test.plan), _empty_runs(test.plan))
 
 
 def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:

@@ -34,8 +34,7 @@ class SmallNet:
 
     def evaluate(self, inputs: Floats) -> Floats:
         """Return outputs, shape (n,), of inputs, shape (n, inputs)."""
-        out: Floats = self._active(inputs) @ self.out_weights + self.out_bias
-        return out
+        return self._active(inputs) @ self.out_weights + self.out_bias
 
     def with_jacobian(self, inputs: Floats) -> tuple[Floats, Floats]:
         """Return outputs (n,) and their derivatives by all parameters (n, parameters)."""

@@ -80,10 +80,7 @@ def screw_of(test: LinearTest, where: str) -> Screw:
 
 
 def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
-    """Train the published pair, with fewer neurons where the screw makes few turns.
-
-    ``averages``: mean errors.
-    """
+    """Train the published pair, with fewer neurons where the screw makes few turns. ``averages``: mean errors."""
     turns = len(averages.every(screw.pitch_mm).position_mm)
     slow = min(_NEURONS[0], max(_FEWEST_NEURONS, turns // _TURNS_PER_NEURON))
     return fit_dual(averages, screw.pitch_mm / MM_PER_IN, seed, hidden=(slow, _NEURONS[1]))

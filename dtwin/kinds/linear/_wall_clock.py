@@ -25,10 +25,7 @@ Send = Callable[[int, float], None]
 
 
 class _Cycles:
-    """What happened to each cycle.
-
-    ``n``: cycles that are due.
-    """
+    """What happened to each cycle. ``n``: cycles that are due."""
 
     def __init__(self, n: int) -> None:
         self.begun_s = np.full(n, np.nan)
@@ -46,26 +43,12 @@ def paced(
     the axis where it is by then. A cycle is late when its correction was ready after the next one
     was due.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Predicts the error from the commanded position ``position_mm``.
-    plan : LinearPlan
-        The motion; it begins again when it has ended.
-    priority : int
-        As for :func:`dtwin.serve.realtime.realtime`; 0 leaves the scheduler alone.
-    send : callable, optional
-        Called with (cycle, um) for every correction, as a link to a control would be.
-
-    Returns
-    -------
-    dict
-        Counts, jitter and times in ms, what the system allowed, and the guard's reasons.
-
-    Raises
-    ------
-    InputError
-        When the bundle asks for more than the position.
+    ``bundle``: predicts the error from the commanded position ``position_mm``.
+    ``plan``: the motion; it begins again when it has ended.
+    ``priority``: as for :func:`dtwin.serve.realtime.realtime`; 0 leaves the scheduler alone.
+    ``send``: called with (cycle, um) for every correction, as a link to a control would be.
+    Returns counts, jitter and times in ms, what the system allowed, and the guard's reasons.
+    Raises ``InputError`` when the bundle asks for more than the position.
     """
     names = [i.name for i in bundle.inputs]
     if names != [POSITION]:

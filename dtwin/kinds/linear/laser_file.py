@@ -42,8 +42,7 @@ class LaserTest:
 
     def column(self, name: str) -> Floats:
         """Return one column of the raw rows, shape (n,)."""
-        values: Floats = self.raw[:, _COLUMNS.index(name)]
-        return values
+        return self.raw[:, _COLUMNS.index(name)]
 
 
 def read_laser_file(path: Path) -> LaserTest:
@@ -105,8 +104,7 @@ def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) 
     reading falls.
     """
     travelled = -reading if sense == "decrease" else reading
-    error: Floats = travelled - (position - start)
-    return error
+    return travelled - (position - start)
 
 
 def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:

@@ -2,36 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
-from dtwin.kinds.path_kind import PathKind
+from dtwin.kinds.kind import TWINS_OF_PATHS, Drawing, FileReader, Kind
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import plotly.graph_objects as go
-
-    from dtwin.kinds.machine import VirtualMachine
-    from dtwin.lake.store import Lake
-    from dtwin.physics.grid import Grid, Row
-    from dtwin.physics.observations import Observations
-    from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Campaign, Finding, Run
-    from dtwin.serve.bundle import Bundle
-    from dtwin.train.champion_error import ChampionError, HeldOut
-    from dtwin.train.gates import Verdict
-    from dtwin.train.results import Training
-    from dtwin.train.run_errors import RunError
-    from dtwin.train.twin_axes import AxisErrors
-    from dtwin.twins.correct import TwinWay
+    from dtwin.schema import Finding, Run
 
 
-class _Linear(PathKind):
+class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
@@ -53,12 +38,27 @@ class _Linear(PathKind):
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation"
     }
-
-    @property
-    def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.linear._machines import MACHINES
-
-        return MACHINES
+    places: ClassVar[Mapping[str, str]] = {
+        **TWINS_OF_PATHS,
+        "machines": "_machines:MACHINES",
+        "plan": "_planned:planned",
+        "draft": "_planned:draft",
+        "programs": "_planned:programs",
+        "foreseen": "_planned:foreseen",
+        "proposals": "_planned:proposals",
+        "completed": "_read:with_pitch",
+        "judge_run": "dtwin.positioning.check:judge_positioning_run",
+        "sheet_figure": "dtwin.positioning.sheet:positioning_figure",
+        "axis_errors": "_served_axis:axis_errors",
+        "rows": "_grid:stroke_rows",
+        "run_errors": "_run_errors:stroke_errors",
+        "training": "_training:train_positioning",
+        "recognises": "_bundle:is_positioning_bundle",
+        "gates": "_gates:registered_positioning_gates",
+        "twin_correction": "_correction:WAY",
+        "champion_error": "_drift:strokes_error",
+        "held_out": "_drift:strokes_held_out",
+    }
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
@@ -78,45 +78,10 @@ class _Linear(PathKind):
 
         return path.suffix.lower() in SUFFIXES or axis_turns(path) is False
 
-    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.linear._planned import planned
-
-        return planned(document, where)
-
-    def draft(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Mapping[str, Any]:
-        from dtwin.kinds.linear._planned import draft
-
-        return draft(machine, axes)
-
-    def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.linear._planned import programs
-
-        return programs(planned.plan, control)
-
-    def foreseen(self, planned: Planned) -> Observations:
-        from dtwin.kinds.linear._planned import foreseen
-
-        return foreseen(planned.plan)
-
-    def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
-        from dtwin.kinds.linear._planned import proposals
-
-        return proposals(machine, axes)
-
     def require_condition(self, condition: Mapping[str, Any], where: str) -> None:
         from dtwin.kinds.linear._read import require_pitch
 
         require_pitch(condition.get("screw_pitch_mm"), where)
-
-    def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.linear._read import with_pitch
-
-        return with_pitch(run, campaign)
-
-    def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.positioning.check import judge_positioning_run
-
-        return judge_positioning_run(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
         from dtwin.positioning.check import judge_positioning_campaign
@@ -129,11 +94,6 @@ class _Linear(PathKind):
         from dtwin.positioning.sheet import positioning_sheet
 
         return positioning_sheet(runs, asked, partial(contributions, under))
-
-    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.positioning.sheet import positioning_figure
-
-        return positioning_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.linear._report import positioning_result
@@ -150,59 +110,6 @@ class _Linear(PathKind):
         from dtwin.positioning.drawings import drawings
 
         return drawings()
-
-    def axis_errors(self, bundle: Bundle) -> AxisErrors:
-        from dtwin.kinds.linear._served_axis import axis_errors
-
-        return axis_errors(bundle)
-
-    def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.kinds.linear._grid import stroke_rows
-
-        return stroke_rows(runs, times_h)
-
-    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.kinds.linear._run_errors import stroke_errors
-
-        return stroke_errors(runs)
-
-    def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.linear._training import train_positioning
-
-        return train_positioning
-
-    def recognises(self, bundle: Bundle) -> bool:
-        from dtwin.kinds.linear._bundle import is_positioning_bundle
-
-        return is_positioning_bundle(bundle)
-
-    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.kinds.linear._gates import registered_positioning_gates
-
-        return registered_positioning_gates(bundle, metrics)
-
-    def twin_correction(self) -> TwinWay:
-        from dtwin.kinds.linear._correction import freeze_axis, judge_axis
-        from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
-
-        return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
-
-    def champion_error(
-        self,
-        lake: Lake,
-        rows: Sequence[dict[str, Any]],
-        bundle: Bundle,
-        metrics: Mapping[str, float],
-        progress: Progress | None = None,
-    ) -> ChampionError:
-        from dtwin.kinds.linear._drift import strokes_error
-
-        return strokes_error(lake, rows, bundle)
-
-    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.linear._drift import strokes_held_out
-
-        return strokes_held_out(known, fresh)
 
 
 KIND = _Linear()

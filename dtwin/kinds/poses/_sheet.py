@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,17 +12,17 @@ import numpy as np
 from dtwin.kinds.poses._changes import changes_of, uncertainty_of_changes
 from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of, measured_of
-from dtwin.kinds.poses._scatter import scatter_of
 from dtwin.kinds.poses._series import Series
 from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Floats, Run
-from dtwin.statistics import rms, times_simulated
+from dtwin.statistics import rms, shared_variances, times_simulated
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
+
 
 _FEWEST_REPEATS, _ASKED_REPEATS = 3, 30
 _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
@@ -200,3 +201,36 @@ def pose_figure(runs: Sequence[Run]) -> go.Figure:
         x_title="reading",
         y_title="distance, µm",
     )
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Standard deviations of one reading in one direction.
+
+    ``of_reading`` (n,): of the pose of each reading.
+    ``dof``: degrees of freedom of all repeats.
+    ``dof_of_one``: of what a largest figure hangs on, the scatter of one pose; that of all where poses are alike.
+    """
+
+    of_reading: Floats
+    dof: float
+    dof_of_one: float
+
+
+def scatter_of(error: Floats, place: Floats, usual: float) -> _Scatter:
+    """Return the scatter of poses that were measured again.
+
+    Poses far out or fast may scatter more than others. By how much more than chance the mean squares of poses differ tells
+    what weight those of a pose have beside that of all (empirical Bayes): none where they differ by chance.
+
+    ``error`` (n, 3), ``place`` (n,): errors of readings, and the numbers of their poses.
+    ``usual``: standard deviation of a reading in one direction, of all poses.
+    """
+    count = np.bincount(place)
+    square = np.bincount(place, ((error - means_of(error, place)[place]) ** 2).sum(axis=1))
+    dof = np.asarray(3.0 * (count - 1.0), dtype=np.float64)
+    own, weight = shared_variances(square / np.maximum(dof, 1.0), dof, usual**2)
+    again = dof > 0.0
+    of_all = float((count - 1).sum())
+    share, of_pose = float(weight[again].mean()), float(np.median(dof[again]))
+    return _Scatter(np.sqrt(own)[place], of_all, 1.0 / ((1.0 - share) / of_all + share / of_pose))

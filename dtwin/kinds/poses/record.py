@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    import plotly.graph_objects as go
-
     from dtwin.config import Home
-    from dtwin.kinds.twin_report import TwinReport
-    from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
-    from dtwin.report.sheet import Sheet
-    from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Campaign, Finding, Run
+    from dtwin.schema import Run
     from dtwin.twins.verbs import Twins
 
 
@@ -42,6 +34,15 @@ class _Poses(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm"
     }
+    places: ClassVar[Mapping[str, str]] = {
+        "takes_alone": "_read:is_pose_table",
+        "completed": "_data:with_chain",
+        "judge_run": "_check:judge_poses",
+        "sheet": "_sheet:pose_sheet",
+        "sheet_figure": "_sheet:pose_figure",
+        "export_twin": "_export:export_twin",
+        "twin_report": "_twin_report",
+    }
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
@@ -49,31 +50,6 @@ class _Poses(Kind):
         from dtwin.kinds.poses._read import read_poses
 
         return dict.fromkeys((".csv", *SUFFIXES), read_poses)
-
-    def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.poses._read import is_pose_table
-
-        return is_pose_table(path)
-
-    def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.poses._data import with_chain
-
-        return with_chain(run, campaign)
-
-    def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.poses._check import judge_poses
-
-        return judge_poses(run)
-
-    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.poses._sheet import pose_sheet
-
-        return pose_sheet(runs, under)
-
-    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.poses._sheet import pose_figure
-
-        return pose_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.poses._check import problem_of
@@ -92,17 +68,6 @@ class _Poses(Kind):
 
         # The same verbs, for a twin of an arm.
         return cast("Twins", PoseTwins(home))
-
-    def export_twin(self, home: Home, name: str, form: str) -> Export:
-        from dtwin.kinds.poses._export import export_twin
-
-        return export_twin(home, name, form)
-
-    @property
-    def twin_report(self) -> TwinReport:
-        from dtwin.kinds.poses import _twin_report as twin_report
-
-        return twin_report
 
 
 KIND = _Poses()

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Drawing, FileReader, Kind
+from dtwin.kinds.kind import FileReader, Kind
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import plotly.graph_objects as go
-
-    from dtwin.kinds.machine import VirtualMachine
-    from dtwin.report.sheet import Sheet
-    from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Finding, Run
+    from dtwin.schema import Run
 
 
 class _Rotation(Kind):
@@ -45,54 +40,22 @@ class _Rotation(Kind):
             "20 turns or more at each of four speeds or more, the lowest again at the end: docs/how-to/rotation.md",
         ),
     }
-
-    @property
-    def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.rotation._machines import MACHINES
-
-        return MACHINES
+    places: ClassVar[Mapping[str, str]] = {
+        "machines": "_machines:MACHINES",
+        "takes_alone": "_files:is_rotation_file",
+        "judge_run": "_check:judge_rotation",
+        "judge_campaign": "_campaign:judge_speeds",
+        "sheet": "_sheet:rotation_sheet",
+        "sheet_figure": "_sheet:rotation_figure",
+        "drawings": "_sheet:DRAWINGS",
+        "run_figures": "_campaign:run_figures",
+    }
 
     def reader_of(self, path: Path) -> FileReader | None:
         from dtwin.kinds.rotation._files import SUFFIXES
         from dtwin.kinds.rotation._read import read_rotation
 
         return read_rotation if path.suffix.lower() in SUFFIXES else None
-
-    def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.rotation._files import is_rotation_file
-
-        return is_rotation_file(path)
-
-    def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.rotation._check import judge_rotation
-
-        return judge_rotation(run)
-
-    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.rotation._campaign import judge_speeds
-
-        return judge_speeds(runs)
-
-    def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.rotation._sheet import rotation_sheet
-
-        return rotation_sheet(runs, under)
-
-    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.rotation._sheet import rotation_figure
-
-        return rotation_figure(runs)
-
-    @property
-    def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.rotation._sheet import DRAWINGS
-
-        return DRAWINGS
-
-    def run_figures(self, run: Run) -> Mapping[str, Any]:
-        from dtwin.kinds.rotation._campaign import run_figures
-
-        return run_figures(run)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.rotation._campaign import rotation_figures

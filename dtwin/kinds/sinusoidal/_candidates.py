@@ -5,17 +5,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.exceptions import ConvergenceWarning
 
+from dtwin.features.sine import fit_tone, lag_deg
+from dtwin.features.tone_window import HORIZON_S
 from dtwin.kinds.sinusoidal._bundle import Action, tone_bundle
 from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups
 from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched, two_modes
-from dtwin.kinds.sinusoidal._narx import Narx
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
@@ -205,7 +206,7 @@ def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
 
 def narx_candidate(groups: ToneGroups) -> Candidate:
     """Return the baseline that predicts the tool's error from lagged commands."""
-    return _compared(groups, "narx", "baseline", 2 * Narx.LAGS + 1, _narx)
+    return _compared(groups, "narx", "baseline", 2 * _Narx.LAGS + 1, _narx)
 
 
 def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Predict) -> Candidate:
@@ -237,7 +238,7 @@ def _regressor(recipe: Recipe, seed: int) -> Predict:
 
 
 def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
-    model = Narx.fitted(train)
+    model = _Narx.fitted(train)
     found = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
     values: NDArray[np.float64] = np.array(found)
     return values[:, 0], values[:, 1]
@@ -251,3 +252,54 @@ def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
     laws = [c for c in candidates if c.promotable]
     sound = [c for c in laws if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius]
     return min(sound or laws, key=lambda c: c.held_out.rms_um).name
+
+
+_EVERY = 4
+_RIDGE = 1e-9
+_EXPLODED_UM = 1e4
+
+
+@dataclass(frozen=True)
+class _Narx:
+    """Linear in its lags, which is what a linear slide asks for.
+
+    ``own``, ``command``: weights of earlier errors, and of the command now and earlier.
+    ``rate_hz``: samples a second of the model.
+    """
+
+    LAGS: ClassVar[int] = 6
+    own: Floats
+    command: Floats
+    rate_hz: float
+
+    @classmethod
+    def fitted(cls, groups: ToneGroups) -> _Narx:
+        """Fit one step ahead on every sample of the groups, by ridge regression."""
+        n = cls.LAGS
+        size = 2 * n + 1
+        gram, moment = np.zeros((size, size)), np.zeros(size)
+        for trace in groups.traces:
+            command, error = trace[0, ::_EVERY], (trace[1] - trace[0])[::_EVERY]
+            lagged = [error[n - k : -k] for k in range(1, n + 1)]
+            driven = [command[n - k : len(command) - k] for k in range(n + 1)]
+            design = np.column_stack([*lagged, *driven])
+            gram += design.T @ design
+            moment += design.T @ error[n:]
+        weights = np.linalg.solve(gram + _RIDGE * np.trace(gram) * np.eye(size), moment)
+        return cls(weights[:n], weights[n:], groups.contract.rate_hz / _EVERY)
+
+    def errors(self, trace: Floats, frequency_hz: float) -> tuple[float, float]:
+        """Return amplitude error in um and lag in degrees of the last second, from the command alone.
+
+        ``trace``, (2, n): command and tool; only the command is used.
+        """
+        # As everywhere: importing it takes half a second, which most commands can do without.
+        from scipy.signal import lfilter
+
+        command = trace[0, ::_EVERY]
+        error = lfilter(self.command, np.concatenate([[1.0], -self.own]), command)
+        tool = command + np.clip(np.nan_to_num(error), -_EXPLODED_UM, _EXPLODED_UM)
+        t = np.arange(len(command)) / self.rate_hz
+        last = t >= t[-1] - HORIZON_S
+        sent, followed = (fit_tone(t[last], v[last], frequency_hz) for v in (command, tool))
+        return followed.amplitude - sent.amplitude, lag_deg(sent, followed)

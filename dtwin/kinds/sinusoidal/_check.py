@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.acquire.quality import judge_clock
 from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
 from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
@@ -99,12 +100,9 @@ def heard(run: Run) -> Tone | None:
 
 
 def judge_sinusoidal_run(run: Run) -> list[Finding]:
-    """Return the findings of one run of a tone.
-
-    ``run``: with samples, and with signals where there are any.
-    """
+    """Return the findings of one run of a tone. ``run``: with samples, and with signals where there are any."""
     told = commanded(run)
-    findings = _sampling(run, told) + _tone(run, told)
+    findings = judge_clock(run) + _sampling(run, told) + _tone(run, told)
     bandwidth = run.meta.condition.get("z_bandwidth_hz")
     if is_number(bandwidth) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
         findings.append(
@@ -125,10 +123,7 @@ def judge_sinusoidal_run(run: Run) -> list[Finding]:
 
 
 def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the groups of a campaign lack together.
-
-    ``runs``: samples are not needed.
-    """
+    """Return what the groups of a campaign lack together. ``runs``: samples are not needed."""
     told = [commanded(run) for run in runs]
     count = Counter(told)
     single = sum(n == 1 for n in count.values())

@@ -24,6 +24,7 @@ from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.judged import NAME, Judged
 from dtwin.twins.measured import pure_rms_um
 
@@ -114,3 +115,6 @@ def _told(twin: Twin, obs: Observations, groups: ToneGroups) -> Predicted:
     responses = np.array([vectors[tone] for tone in tones])
     lags = np.degrees([-cmath.phase(v) for v in responses.tolist()])
     return (np.abs(responses) - 1.0) * groups.amplitude_um, lags
+
+
+WAY = TwinWay(freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})

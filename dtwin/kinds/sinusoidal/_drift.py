@@ -29,7 +29,7 @@ from dtwin.train.champion_error import ChampionError, HeldOut, held_out, new_val
 _TOLD = "amplitude_error_um"
 
 
-def tones_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle) -> ChampionError:
+def tones_error(lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, *_: object) -> ChampionError:
     """Return a bundle's amplitude error over the tones that the accelerometer hears, as training states it."""
     everything = load_tone_groups(lake, list(rows))
     groups = everything.only(everything.heard >= HEARD)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from dtwin.acquire.ingest import open_source
@@ -15,8 +15,7 @@ from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of, heard_groups
 from dtwin.kinds.sinusoidal._training import what_was_seen
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import require_new, save_bundle
-from dtwin.train.gates import Verdict
+from dtwin.train.gates import JudgedBundle
 from dtwin.train.logged import candidate_metrics
 from dtwin.train.results import Candidate
 
@@ -25,7 +24,7 @@ MODELS = (*FORMS, _SEARCHED)
 
 
 @dataclass(frozen=True)
-class FittedTones:
+class FittedTones(JudgedBundle):
     """Equations of a campaign, judged.
 
     ``candidate``: with held-out scores and figures.
@@ -33,23 +32,13 @@ class FittedTones:
     """
 
     candidate: Candidate
-    bundle: Bundle
-    verdicts: list[Verdict]
     told: list[str]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every gate passed."""
-        return all(v.passed for v in self.verdicts)
 
 
 def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, ToneGroups]:
     """Return the machine and the groups of a campaign folder, runs with errors left out.
 
-    Raises
-    ------
-    InputError
-        When it is of another kind, or no run can be learned from.
+    Raises ``InputError`` when it is of another kind, or no run can be learned from.
     """
     campaign, sources, total = open_source(folder)
     if campaign.kind != "sinusoidal":
@@ -73,17 +62,4 @@ def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Actio
         candidate = form_candidate(groups, machine, model, {}, action)
     bundle = Bundle.from_dict(candidate.bundle)
     verdicts = tone_gates(bundle, candidate_metrics(candidate))
-    provenance = replace(bundle.provenance, gates={v.gate: v.passed for v in verdicts})
-    return FittedTones(candidate, replace(bundle, provenance=provenance), verdicts, what_was_seen(everything))
-
-
-def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
-    """Write the bundle.
-
-    Raises
-    ------
-    InputError
-        When the file is there.
-    """
-    require_new(out, force=force)
-    save_bundle(made.bundle, out)
+    return FittedTones(bundle, verdicts, candidate, what_was_seen(everything))

@@ -74,10 +74,7 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
 
 
 def response_at(graph: Graph, frequency_hz: float, amplitude_um: float) -> complex:
-    """Return tool over sent command as a vector, as a window graph tells it.
-
-    ``graph``: of :func:`tone_twin_bundle`.
-    """
+    """Return tool over sent command as a vector, as a window graph tells it. ``graph``: of :func:`tone_twin_bundle`."""
     rms = amplitude_um / float(np.sqrt(2.0))
     told, _ = graph.evaluate({SENT_FREQUENCY: frequency_hz, SENT_RMS: rms}, {})
     return complex(told["gain_1"] * np.exp(-1j * told["phase_error_rad"]))

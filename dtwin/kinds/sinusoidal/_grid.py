@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +74,11 @@ class ToneCondition(OneAxis):
     def __str__(self) -> str:
         """Return it as people write it."""
         return f"{self.axis} {self.frequency_hz:g} Hz {self.amplitude_um:g} µm"
+
+
+def tone_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
+    """Return the grid of tones, and runs on it."""
+    return TONE, [tone_row(run, time_h) for run, time_h in zip(runs, times_h, strict=True)]
 
 
 def tone_row(run: Run, time_h: float) -> Row:

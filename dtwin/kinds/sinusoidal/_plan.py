@@ -75,10 +75,7 @@ class TonePlan:
 
 
 def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
-    """Return a plan whose numbers obey every rule.
-
-    ``where``: where they come from, for error messages.
-    """
+    """Return a plan whose numbers obey every rule. ``where``: where they come from, for error messages."""
     plan = filled(TonePlan, stated, where)
     rules = (
         (
@@ -110,10 +107,7 @@ def duration_s(plan: TonePlan) -> float:
 
 
 def tone_advice(plan: TonePlan) -> list[Finding]:
-    """Say what may harm the slide, and what the campaign cannot tell.
-
-    ``plan``: a plan that breaks no rule.
-    """
+    """Say what may harm the slide, and what the campaign cannot tell. ``plan``: a plan that breaks no rule."""
     return [*_drive_advice(plan), *_sampling_advice(plan), *_size_advice(plan)]
 
 

@@ -63,8 +63,9 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, An
     return {"plan": {"kind": "sinusoidal", **stated}}
 
 
-def foreseen(plan: TonePlan) -> Observations:
+def foreseen(tones: Planned) -> Observations:
     """Return the tones of a plan with nothing in them."""
+    plan: TonePlan = tones.plan
     campaign = Campaign(plan.name, plan.machine, kind="sinusoidal")
     return observe(campaign, [_empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)])
 

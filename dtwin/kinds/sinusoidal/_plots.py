@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, styled
-from dtwin.schema import Floats
+from dtwin.kinds.kind import Drawing
+from dtwin.kinds.sinusoidal._grid import TONE, tone_row
+from dtwin.report.plots import COLOURS, error_figure, styled
+from dtwin.schema import Floats, Run
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
 
 _MOST_POINTS = 4000
 
@@ -90,3 +96,13 @@ def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> lis
         )
         figures.append(styled(figure))
     return figures
+
+
+def _along(run: Run, floor_um: Callable[[], float]) -> go.Figure:
+    """Draw the tool over the phase of its command."""
+    curves = {"tool minus command": (TONE.points, tone_row(run, 0.0).y_um)}
+    title = f"{run.meta.run_id}: error as measured"
+    return error_figure(curves, title=title, x_title="phase of the command, deg")
+
+
+DRAWINGS = (Drawing("along", "Error of the run along its path", 520, _along),)

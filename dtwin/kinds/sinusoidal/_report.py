@@ -15,10 +15,7 @@ from dtwin.schema import Run
 
 
 def tone_result(run: Run) -> dict[str, Any]:
-    """Return ``tone``: how a run followed its tone, JSON-ready.
-
-    ``run``: of kind ``sinusoidal``.
-    """
+    """Return ``tone``: how a run followed its tone, JSON-ready. ``run``: of kind ``sinusoidal``."""
     told, errors, sensed = commanded(run), followed(run), heard(run)
     figures: dict[str, Any] = asdict(told)
     if errors is not None:
@@ -106,12 +103,8 @@ def trial_text(trial: Mapping[str, Any]) -> str:
 def trial_section(trial: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]) -> Section:
     """Return the section about surfaces without and with a correction.
 
-    Parameters
-    ----------
-    trial : mapping
-        From ``dtwin.kinds.sinusoidal.trial.trial``.
-    surfaces : mapping of float to (Surface, Surface)
-        Without and with, by frequency; may be empty.
+    ``trial``: from ``dtwin.kinds.sinusoidal.trial.trial``.
+    ``surfaces``: without and with, by frequency; may be empty.
     """
     figures = trial_figures(trial["rows"])
     if surfaces:

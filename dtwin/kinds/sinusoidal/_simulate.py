@@ -12,8 +12,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.machine import require_no_campaign
 from dtwin.kinds.sinusoidal._folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal._plan import BETWEEN_S, TonePlan
-from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, Slide, TurningSlide
-from dtwin.machines.turning_drift import RoomDrift
+from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, RoomDrift, Slide, TurningSlide
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 
@@ -164,10 +163,7 @@ def tone_run(
     repeat: int = 1,
     covariates: Mapping[str, float] | None = None,
 ) -> Run:
-    """Return a recorded tone as a run.
-
-    ``number``: of the group, from 1.
-    """
+    """Return a recorded tone as a run. ``number``: of the group, from 1."""
     condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency_hz, "amplitude_um": amplitude_um}
     meta = RunMeta(
         f"g{number:03d}",

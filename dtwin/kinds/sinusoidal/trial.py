@@ -87,19 +87,10 @@ def trial(
 ) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:
     """Cut the surface at several frequencies without and with a bundle.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects tones.
-    truth : str
-        As for :func:`dtwin.kinds.sinusoidal._simulate.virtual_slide`.
-    slide : Slide, optional
-        A mechanism instead of ``truth``.
-
-    Returns
-    -------
-    found, surfaces : tuple
-        JSON-ready figures, and (without, with) by frequency.
+    ``bundle``: corrects tones.
+    ``truth``: as for :func:`dtwin.kinds.sinusoidal._simulate.virtual_slide`.
+    ``slide``: a mechanism instead of ``truth``.
+    Returns ``found``, ``surfaces``: JSON-ready figures, and (without, with) by frequency.
     """
     mechanism = slide or virtual_slide(truth)
     rows, surfaces = [], {}

@@ -75,10 +75,7 @@ class Coefficient:
 
 
 def coefficient(name: str) -> Coefficient:
-    """Return a coefficient by name.
-
-    Raises ``InputError`` when the name means nothing.
-    """
+    """Return a coefficient by name. Raises ``InputError`` when the name means nothing."""
     letters = name[1:2]
     rigid = len(name) == 3 and name[2:] == "0"
     moving = len(name) == 4 and name[2] in _AXES and name[3].isdigit()

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._evidence import corrections
-from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um
 from dtwin.kinds.volumetric._training import HELD_OUT
 from dtwin.kinds.volumetric.session import session_in
 from dtwin.lake.store import Lake
@@ -20,7 +20,7 @@ from dtwin.train.champion_error import ChampionError, HeldOut, held_out
 
 
 def heat_error(
-    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, progress: Progress | None = None
+    lake: Lake, rows: Sequence[dict[str, Any]], bundle: Bundle, metrics: object, progress: Progress | None = None
 ) -> ChampionError:
     """Return a bundle's error in the changes of distances since the first cycles, as training states it.
 
@@ -39,10 +39,7 @@ def heat_error(
     off, trusted = corrections(bundle, measured)
     was = [distance_changes_um(where, moved) for where, moved in measured.moved]
     left = [distance_changes_um(where, moved - by) for (where, moved), by in zip(measured.moved, off, strict=True)]
-    seen = [
-        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
-        for (where, moved), values in zip(measured.moved, measured.values, strict=True)
-    ]
+    seen = changes_left_um(measured, measured.values)
     return ChampionError(
         rms_um=rms(np.concatenate(left)),
         before_um=rms(np.concatenate(was)),

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
-from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um
 from dtwin.kinds.volumetric._thermal_model import independent
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.lake.store import Lake
@@ -89,12 +89,10 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     ``measured``: another campaign than that of its fit.
     """
     correction, trusted = corrections(bundle, measured)
-    was, left, noise = [], [], []
-    for (where, moved), values, off in zip(measured.moved, measured.values, correction, strict=True):
-        was.append(rms(distance_changes_um(where, moved)))
-        left.append(rms(distance_changes_um(where, moved - off)))
-        seen = measured.artefact.predicted_um(where, values)
-        noise.append(rms(distance_changes_um(where, moved - seen)))
+    was = [rms(distance_changes_um(where, moved)) for where, moved in measured.moved]
+    pairs = zip(measured.moved, correction, strict=True)
+    left = [rms(distance_changes_um(where, moved - off)) for (where, moved), off in pairs]
+    noise = [rms(changes) for changes in changes_left_um(measured, measured.values)]
     apart_h = float(np.median(np.diff(measured.hour)))
     span_h = _DAY_H * math.ceil(_FEWEST_CYCLES * apart_h / _DAY_H)
     day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)

@@ -77,10 +77,7 @@ class HeatTwin:
     def expected(self, series: HeatSeries) -> Floats:
         """Return what the twin says of every motion of a campaign, shape (n, m).
 
-        Raises
-        ------
-        InputError
-            When a temperature is missing there.
+        Raises ``InputError`` when a temperature is missing there.
         """
         return _expected(series, self.models)
 
@@ -173,7 +170,7 @@ def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
 def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     """Fit terms to a campaign; each motion was identified already, so that none disturbs another.
 
-    Raises ``InputError``: with too few cycles, or when a temperature is not known.
+    Raises ``InputError`` with too few cycles, or when a temperature is not known.
     """
     if len(series.hour) < FEWEST_CYCLES:
         raise InputError(
@@ -204,10 +201,7 @@ def heat_twin_of(
     action: str,
     data: Mapping[str, Any],
 ) -> HeatTwin:
-    """Return the twin that a fit makes.
-
-    ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`.
-    """
+    """Return the twin that a fit makes. ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`."""
     left = series.values - fitted.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}

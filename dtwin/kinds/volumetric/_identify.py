@@ -100,10 +100,7 @@ class Artefact:
         return shown, moved
 
     def identify(self, balls: Balls, moved_um: Floats) -> Identified:
-        """Return the error motions that explain how the tool point moved.
-
-        ``moved_um``, (n, 3): how it moved.
-        """
+        """Return the error motions that explain how the tool point moved. ``moved_um``, (n, 3): how it moved."""
         ready = self._prepared(balls)
         parameters, noise_um = self._solved(ready, moved_um)
         spread = np.sqrt(np.diag(ready.inverse) * noise_um**2)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient, design
 from dtwin.kinds.volumetric._identify import Balls
-from dtwin.kinds.volumetric._intervals import IntervalCurve, interval_curve, reduction_pct, worse_steps
-from dtwin.kinds.volumetric._slots import SLOTS, slot_places_mm, slot_ranges_um
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
 from dtwin.schema import Floats
@@ -27,12 +28,8 @@ def models_of(
 ) -> tuple[list[ThermalModel], Session]:
     """Fit a thermal model to every error motion; return them and the session with what was offered.
 
-    Parameters
-    ----------
-    offered : sequence of str
-        Other logged temperatures that may be used, too.
-    static : bool
-        Without memory.
+    ``offered``: other logged temperatures that may be used, too.
+    ``static``: without memory.
     """
     whole = with_offered(training, offered)
     names = whole.artefact.names
@@ -43,7 +40,7 @@ def models_of(
     return made, whole
 
 
-def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
@@ -51,20 +48,12 @@ def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
 def judged(models: Sequence[ThermalModel], measured: Session, training: Session | None = None) -> dict[str, Any]:
     """Compare the models with a campaign.
 
-    Parameters
-    ----------
-    measured : Session
-        Another campaign than that of the fit, when the figures shall say anything.
-    training : Session, optional
-        The campaign of the fit: causes of what is unexplained are fitted there, and judged here.
-
-    Returns
-    -------
-    dict
-        ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how
-        long), ``slots``, ``unexplained`` and ``worse``.
+    ``measured``: another campaign than that of the fit, when the figures shall say anything.
+    ``training``: the campaign of the fit: causes of what is unexplained are fitted there, and judged here.
+    Returns ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how long), ``slots``,
+    ``unexplained`` and ``worse``.
     """
-    expected = _predicted(models, measured)
+    expected = predicted(models, measured)
     left = measured.values - expected
     rows = [_row(model, measured, i, left[:, i]) for i, model in enumerate(models)]
     lines = _lines(measured, left)
@@ -147,15 +136,21 @@ def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
     return np.concatenate(changes_um)
 
 
+def changes_left_um(measured: Session, expected: Floats) -> list[Floats]:
+    """Return what is left of the changes of distances between balls, cycle by cycle, shape (pairs,) each.
+
+    ``expected``, (cycles, coefficients): error motions that are taken off.
+    """
+    return [
+        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
+        for (where, moved), values in zip(measured.moved, expected, strict=True)
+    ]
+
+
 def _distances(measured: Session, expected: Floats) -> dict[str, float]:
     """Return how distances between balls change, before and after; fitted and held-out poses."""
-    before: list[Floats] = []
-    after: list[Floats] = []
-    for (where, moved), values in zip(measured.moved, expected, strict=True):
-        rest = moved - measured.artefact.predicted_um(where, values)
-        before.append(distance_changes_um(where, moved))
-        after.append(distance_changes_um(where, rest))
-    was, is_now = np.concatenate(before), np.concatenate(after)
+    was = np.concatenate([distance_changes_um(where, moved) for where, moved in measured.moved])
+    is_now = np.concatenate(changes_left_um(measured, expected))
     return {
         "p2p_um": float(np.ptp(was)),
         "p2p_left_um": float(np.ptp(is_now)),
@@ -200,7 +195,7 @@ def _line_mm(strokes: Strokes, axis: str) -> Floats:
 
 def _slots(measured: Session, left: Floats) -> dict[str, float] | None:
     """Return the slot test for every hour at which it may start; None when cycles are not hourly."""
-    if len(left) < SLOTS or not np.allclose(np.diff(measured.hour), 1.0):
+    if len(left) < _SLOTS or not np.allclose(np.diff(measured.hour), 1.0):
         return None
     places = slot_places_mm(dict(measured.artefact.strokes_mm))
     unit = design(places, measured.artefact.strokes_mm, measured.artefact.names)[:, 2]
@@ -215,9 +210,101 @@ def _slots(measured: Session, left: Floats) -> dict[str, float] | None:
     }
 
 
-def _spread(curve: IntervalCurve) -> list[float]:
+def _spread(curve: _IntervalCurve) -> list[float]:
     return [float(v) for v in curve.p95_spread]
 
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
+
+
+_SLOTS = 16
+
+
+def slot_places_mm(strokes_mm: dict[str, tuple[float, float]]) -> Floats:
+    """Return where the slots are milled: a four by four grid in the lower middle of the volume.
+
+    Returns (16, 3): the grid is ours: the source's drawing cannot be read.
+    """
+    low = {axis: reach[0] + 0.25 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
+    high = {axis: reach[0] + 0.75 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
+    grid = [(x, y) for y in np.linspace(low["y"], high["y"], 4) for x in np.linspace(low["x"], high["x"], 4)]
+    return np.array([(x, y, low["z"]) for x, y in grid])
+
+
+def slot_errors_um(depth_um: Floats, start: int) -> Floats:
+    """Return the depth error of the slots against the first one.
+
+    ``depth_um``, (hours, 16): error along the tool at every slot's place, hour by hour.
+    ``start``: hour of the first slot.
+    """
+    if not 0 <= start <= len(depth_um) - _SLOTS:
+        raise InputError(
+            "the slots do not fit into the campaign",
+            code="volumetric.slots",
+            got=f"start {start} h",
+            allowed=f"0 to {len(depth_um) - _SLOTS} h",
+        )
+    milled = np.array([depth_um[start + k, k] for k in range(_SLOTS)])
+    return np.asarray(milled - milled[0])
+
+
+def slot_ranges_um(depth_um: Floats) -> Floats:
+    """Return the range of the slots' errors for every hour at which the test may start."""
+    starts = range(len(depth_um) - _SLOTS + 1)
+    return np.array([np.ptp(slot_errors_um(depth_um, start)) for start in starts])
+
+
+@dataclass(frozen=True)
+class _IntervalCurve:
+    """Statistics of an error over windows of growing length.
+
+    ``steps``, (k,): length of the windows in time steps; a window has one sample more.
+    ``worst``, ``mean``, (k,): of the range inside a window.
+    ``p95_spread``, (k,): 95th percentile of the standard deviation inside a window: in 95 % of the jobs of that length
+    the error varies less.
+    """
+
+    steps: Floats
+    worst: Floats
+    mean: Floats
+    p95_spread: Floats
+
+
+def interval_curve(series: Floats, steps: Sequence[int]) -> _IntervalCurve:
+    """Return the statistics of a series over sliding windows.
+
+    ``series``, (n,) or (n, points): an error at equal time steps; of several points the pooled windows count.
+    ``steps``: lengths from 1 to n - 1: n - length windows of length + 1 samples each.
+    """
+    values = series.reshape(len(series), -1)
+    bad = [s for s in steps if not 1 <= s <= len(values) - 1]
+    if bad:
+        raise InputError(
+            "a window is longer than the series",
+            code="volumetric.window",
+            got=str(bad[0]),
+            allowed=f"1 to {len(values) - 1} steps",
+        )
+    rows = []
+    for step in steps:
+        windows = sliding_window_view(values, step + 1, axis=0)
+        spans = np.ptp(windows, axis=2)
+        spread = np.percentile(windows.std(axis=2), 95)
+        rows.append((spans.max(), spans.mean(), spread))
+    worst, mean, spread_95 = np.array(rows).T
+    return _IntervalCurve(np.array(steps), worst, mean, spread_95)
+
+
+def worse_steps(before: _IntervalCurve, after: _IntervalCurve) -> list[int]:
+    """Return the window lengths at which a correction makes the error vary more.
+
+    ``before``, ``after``: without and with the correction, over the same windows.
+    """
+    more = after.p95_spread > before.p95_spread
+    return [int(s) for s in before.steps[more]]
+
+
+def reduction_pct(before: float, after: float) -> float:
+    """Return by how many per cent an error got smaller; NaN when there was none."""
+    return 100.0 * (1.0 - after / before) if before > 0.0 else float("nan")

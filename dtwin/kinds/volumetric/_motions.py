@@ -115,10 +115,7 @@ FAMILIES = {
 
 
 def family_of(motion: str) -> Family:
-    """Return the kind of cause of an error motion.
-
-    Raises ``InputError`` when the name means nothing.
-    """
+    """Return the kind of cause of an error motion. Raises ``InputError`` when the name means nothing."""
     what = coefficient(motion)
     shifts = what.letter in "XYZ"
     if what.axis == "0":

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from dtwin.kinds.volumetric._text import finding_lines
 from dtwin.report.html import Section, Table, page
-from dtwin.report.plots import COLOURS, styled
+from dtwin.report.plots import COLOURS, draw_line, styled
 
 
 def volumetric_page(result: Mapping[str, Any]) -> str:
@@ -60,14 +60,8 @@ def _spread(result: Mapping[str, Any], direction: str) -> go.Figure:
     lines = [line for line in result["lines"] if line["direction"] == direction]
     for line, dash in zip(lines, ("solid", "dash", "dot"), strict=True):
         for label, key, colour in (("", "p95_um", "measured"), (", left", "p95_left_um", "second")):
-            figure.add_trace(
-                go.Scatter(
-                    x=line["hours"],
-                    y=line[key],
-                    name=f"{line['line']} line{label}",
-                    line={"color": COLOURS[colour], "dash": dash},
-                )
-            )
+            named = f"{line['line']} line{label}"
+            draw_line(figure, line["hours"], line[key], named, mode=None, color=COLOURS[colour], dash=dash)
     figure.update_layout(
         title=f"Error in {direction}",
         xaxis={"title": "length of the job, h", "type": "log"},

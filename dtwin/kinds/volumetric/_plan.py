@@ -57,10 +57,7 @@ class BallPlan:
 
 
 def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
-    """Return a plan whose numbers obey every rule.
-
-    ``where``: where they come from, for error messages.
-    """
+    """Return a plan whose numbers obey every rule. ``where``: where they come from, for error messages."""
     plan = filled(BallPlan, stated, where)
     rules = (
         ("hours", 1.0 <= plan.hours <= 10_000.0, plan.hours, "1 to 10000 h"),
@@ -81,10 +78,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
 
 
 def ball_advice(plan: BallPlan) -> list[Finding]:
-    """Say what the campaign cannot tell.
-
-    ``plan``: a plan that breaks no rule.
-    """
+    """Say what the campaign cannot tell. ``plan``: a plan that breaks no rule."""
     return [*_drift_advice(plan), *_ball_advice(plan), *_length_advice(plan)]
 
 

@@ -32,7 +32,7 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     )
 
 
-def draft(machine: str) -> dict[str, Any]:
+def draft(machine: str, axes: object) -> dict[str, Any]:
     """Return a plan of a day, with a cycle each hour."""
     stated: dict[str, Any] = {
         "name": "ball-array",

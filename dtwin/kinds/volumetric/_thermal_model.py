@@ -27,16 +27,10 @@ _AS_GOOD = 1.15
 class ThermalModel:
     """One error motion from temperatures.
 
-    Attributes
-    ----------
-    per_k : ndarray, shape (sensors,)
-        Its unit per kelvin.
-    memory : float
-        Share of the previous cycle that is kept, 0 for a static model.
-    criterion : float
-        What it was chosen by; smaller is better.
-    tried : tuple of tuple
-        Number of inputs, memory and criterion of every candidate.
+    ``per_k``, shape (sensors,): its unit per kelvin.
+    ``memory``: share of the previous cycle that is kept, 0 for a static model.
+    ``criterion``: what it was chosen by; smaller is better.
+    ``tried``: number of inputs, memory and criterion of every candidate.
     """
 
     name: str

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.kinds.volumetric._bundle import volumetric_bundle
-from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import changes_left_um, predicted
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
 from dtwin.kinds.volumetric.session import Session, session_in
 from dtwin.lake.store import Lake
@@ -17,6 +17,7 @@ from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
+from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
@@ -45,7 +46,7 @@ def train_volumetric(
         found.append(_candidate(title, fit, measured, campaign.machine))
         tell("candidates", done, len(_FITS), title)
     found.sort(key=lambda c: c.held_out.rms_um)
-    before, floor = (_distances(measured, values) for values in (np.zeros_like(measured.values), measured.values))
+    before, floor = (changes_left_um(measured, values) for values in (np.zeros_like(measured.values), measured.values))
     equations = [c for c in found if c.promotable]
     report = TrainingReport(
         machine=campaign.machine,
@@ -71,12 +72,8 @@ def serving_bundle(
 ) -> Bundle:
     """Return models without memory as an equation.
 
-    Parameters
-    ----------
-    training : Session
-        Gives what the thermocouples read, in the reference and in all.
-    switched_off : collection of str
-        Error motions that are worse than none.
+    ``training``: gives what the thermocouples read, in the reference and in all.
+    ``switched_off``: error motions that are worse than none.
     """
     begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
     absolute = training.rise_c + training.begun_c
@@ -109,7 +106,7 @@ _FAMILY: Mapping[str, _Family] = {"zero": "baseline", "all temperatures": "linea
 def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candidate:
     expected, spans = _left_out(fit, measured)
     models = _models(fit, measured, np.ones(len(measured.hour), bool))
-    fitted = _run(models, measured)
+    fitted = predicted(models, measured)
     family = _FAMILY.get(title, "symbolic")
     bundle: Bundle | None = None
     worse: tuple[str, ...] = ()
@@ -122,7 +119,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
         scores={HELD_OUT: _scores(measured, expected, spans)},
-        train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
+        train_rms_um=rms(np.concatenate(changes_left_um(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
         bundle=None if bundle is None else bundle.to_dict(),
@@ -138,7 +135,7 @@ def _left_out(fit: _Fit, measured: Session) -> tuple[Floats, list[Any]]:
     for span in spans:
         kept = np.ones(len(measured.hour), bool)
         kept[span] = False
-        expected[span] = _run(_models(fit, measured, kept), measured)[span]
+        expected[span] = predicted(_models(fit, measured, kept), measured)[span]
     return expected, spans
 
 
@@ -149,26 +146,14 @@ def _models(fit: _Fit, measured: Session, kept: Any) -> list[ThermalModel]:
     ]
 
 
-def _run(models: Sequence[ThermalModel], measured: Session) -> Floats:
-    return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
-
-
 def _worse(measured: Session, expected: Floats) -> tuple[str, ...]:
     left = measured.values - expected
     return tuple(name for i, name in enumerate(measured.artefact.names) if rms(left[:, i]) > rms(measured.values[:, i]))
 
 
-def _distances(measured: Session, expected: Floats) -> list[Floats]:
-    """Return what is left of the changes of distances between balls, cycle by cycle."""
-    return [
-        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
-        for (where, moved), values in zip(measured.moved, expected, strict=True)
-    ]
-
-
 def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores:
-    before = _distances(measured, np.zeros_like(expected))
-    after = _distances(measured, expected)
+    before = changes_left_um(measured, np.zeros_like(expected))
+    after = changes_left_um(measured, expected)
     ratios = {}
     for span in spans:
         was, is_now = (np.concatenate([part[i] for i in span]) for part in (before, after))
@@ -197,3 +182,26 @@ def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
 def _readable(model: ThermalModel) -> str:
     terms = " ".join(f"{k:+.4g} {s}" for s, k in zip(model.sensors, model.per_k.tolist(), strict=True))
     return f"{model.name} = {terms or '0'} (rises since the reference)"
+
+
+_LEAST_R2 = 0.5
+
+
+def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+    """Judge a bundle for heat by everything that needs no other campaign.
+
+    ``metrics``: what training logged: scores of hours left out, latency.
+    """
+    r2 = metrics.get("leave_hours_out.r2", float("nan"))
+    worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
+    return [
+        Verdict("held-out hours", r2 >= _LEAST_R2, f"R² {r2:z.3f}; at least {_LEAST_R2}"),
+        Verdict(
+            "no slice worse than no correction",
+            worst < 1.0,
+            f"the worst span of hours keeps {100 * worst:z.0f} % of its error",
+        ),
+        bounded_output(bundle),
+        vectors_proved(bundle),
+        latency_gate(metrics),
+    ]

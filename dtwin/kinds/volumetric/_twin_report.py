@@ -13,7 +13,7 @@ from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric._heat_twin import HeatTwin
 from dtwin.kinds.volumetric._motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table
-from dtwin.report.plots import COLOURS, styled
+from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.report.text import micrometres, table
 from dtwin.report.told_twins import history_section as history_section
 from dtwin.report.told_twins import missing_section
@@ -243,15 +243,8 @@ def day_figure(result: Mapping[str, Any]) -> go.Figure:
         ("left by the twin", "rms_after_um", "second"),
     ):
         figure.add_trace(go.Bar(x=named, y=[d[key] for d in days], name=label, marker_color=COLOURS[colour]))
-    figure.add_trace(
-        go.Scatter(
-            x=named,
-            y=[result["noise_floor_um"]] * len(days),
-            mode="lines",
-            name="noise floor",
-            line={"color": COLOURS["floor"], "dash": "dash"},
-        )
-    )
+    floor = [result["noise_floor_um"]] * len(days)
+    draw_line(figure, named, floor, "noise floor", color=COLOURS["floor"], dash="dash")
     figure.update_layout(
         title="Error at the balls, day by day", yaxis_title="RMS, µm", xaxis_title="hours", barmode="group"
     )

@@ -33,13 +33,7 @@ _MOST_RUNGS = 30
 
 @dataclass(frozen=True)
 class HeatComparison:
-    """A twin of heat against a campaign.
-
-    Attributes
-    ----------
-    left : ndarray, shape (cycles, motions)
-        Motions less what the twin says of them.
-    """
+    """A twin of heat against a campaign. ``left``, shape (cycles, motions): motions less what the twin says of them."""
 
     twin: HeatTwin
     series: HeatSeries

@@ -31,24 +31,14 @@ Strokes = dict[str, tuple[float, float]]
 class Session:
     """A campaign, cycle by cycle, as differences to its first cycles.
 
-    Attributes
-    ----------
-    hour : ndarray, shape (cycles,)
-        Begin of each cycle.
-    artefact : Artefact
-        How readings become error motions.
-    moved : tuple of (Balls, ndarray)
-        Where each cycle measured, and how the tool point moved there.
-    found : tuple of Identified
-        Error motions of each cycle.
-    sensors : tuple of str
-        Thermocouples with plausible readings in every cycle.
-    rise_c : ndarray, shape (cycles, sensors)
-        Their means over the cycle.
-    begun_c : ndarray, shape (sensors,)
-        What they read in the reference.
-    offered_c : dict of str to ndarray, shape (cycles,)
-        Other temperatures that were logged: means over the cycle, as they were read.
+    ``hour``, shape (cycles,): begin of each cycle.
+    ``artefact``: how readings become error motions.
+    ``moved``, of (Balls, ndarray): where each cycle measured, and how the tool point moved there.
+    ``found``: error motions of each cycle.
+    ``sensors``: thermocouples with plausible readings in every cycle.
+    ``rise_c``, shape (cycles, sensors): their means over the cycle.
+    ``begun_c``, shape (sensors,): what they read in the reference.
+    ``offered_c``, shape (cycles,): other temperatures that were logged: means over the cycle, as they were read.
     """
 
     campaign: str
@@ -87,15 +77,8 @@ class Session:
 def session(home: Home, campaign: str, progress: Progress) -> Session:
     """Identify the error motions of every cycle of a campaign.
 
-    Parameters
-    ----------
-    campaign : str
-        Name in the lake, or a folder, which is ingested first.
-
-    Raises
-    ------
-    InputError
-        When it is of another kind, or its balls cannot tell the error motions.
+    ``campaign``: name in the lake, or a folder, which is ingested first.
+    Raises ``InputError`` when it is of another kind, or its balls cannot tell the error motions.
     """
     return session_in(Lake(home.lake), in_lake(home, campaign), progress)
 
@@ -156,10 +139,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
 def with_offered(measured: Session, offered: Sequence[str]) -> Session:
     """Return a session whose models may use other logged temperatures, too.
 
-    Raises
-    ------
-    InputError
-        When one was not logged.
+    Raises ``InputError`` when one was not logged.
     """
     absent = [name for name in offered if name not in measured.offered_c]
     if absent:

@@ -26,12 +26,8 @@ _APPROACH_MM_MIN = 6000
 class Circle:
     """One pass of the bar.
 
-    Attributes
-    ----------
-    plane, direction : str
-        Plane, and CCW or CW seen against its normal.
-    radius_mm, feed_mm_min : float
-        Length of the bar and programmed speed.
+    ``plane``, ``direction``: plane, and CCW or CW seen against its normal.
+    ``radius_mm``, ``feed_mm_min``: length of the bar and programmed speed.
     """
 
     plane: Plane
@@ -63,14 +59,10 @@ class Circle:
 class Trace:
     """One turn as the controller's sampler saw it, one row per servo cycle.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        From the first sample of the turn.
-    command_mm, encoder_mm, offset_mm : ndarray, shape (n, 3)
-        Programmed path without corrections, encoders, external offsets in force.
-    deviation_um : ndarray, shape (n,)
-        Of the bar's length.
+    ``t_s``, shape (n,): from the first sample of the turn.
+    ``command_mm``, ``encoder_mm``, ``offset_mm``, shape (n, 3): programmed path without corrections, encoders, external
+    offsets in force.
+    ``deviation_um``, shape (n,): of the bar's length.
     """
 
     circle: Circle
@@ -127,10 +119,7 @@ def program(circles: Sequence[Circle]) -> str:
 def read_samples(path: Path) -> Floats:
     """Return the recording of ``halsampler -t``, shape (n, 13): number, then the pins.
 
-    Raises
-    ------
-    DeviceError
-        When it is empty, broken, or samples are missing.
+    Raises ``DeviceError`` when it is empty, broken, or samples are missing.
     """
     rows: list[list[bytes]] = []
     whole = True
@@ -169,15 +158,8 @@ def read_samples(path: Path) -> Floats:
 def traces(samples: Floats, circles: Sequence[Circle]) -> list[Trace]:
     """Cut one whole turn at programmed speed out of every circle.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n, 13)
-        From ``read_samples``.
-
-    Raises
-    ------
-    DeviceError
-        When a circle is not there as a whole.
+    ``samples``, shape (n, 13): from ``read_samples``.
+    Raises ``DeviceError`` when a circle is not there as a whole.
     """
     return [_trace(samples, number, c) for number, c in enumerate(circles, start=1)]
 

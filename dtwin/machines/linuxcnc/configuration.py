@@ -26,24 +26,14 @@ _RANGES = {
 class MillFaults:
     """What is wrong with the simulated machine; the names are those of the component's parameters.
 
-    Attributes
-    ----------
-    position_gain : float
-        Of the position loops, 1/s.
-    feed_forward_x, feed_forward_y : float
-        Share of the commanded speed that is fed forward.
-    play_x, play_y : float
-        Play between encoder and carriage, mm.
-    scale_x, scale_y : float
-        Relative error of the screws.
-    wave_x : float
-        Amplitude once per turn of the screw, mm.
-    lean_xy : float
-        Lean of the Y axis towards X, rad.
-    mounting_x, mounting_y : float
-        Centre ball from the programmed centre, mm.
-    noise : float
-        Of the bar, um.
+    ``position_gain``: of the position loops, 1/s.
+    ``feed_forward_x``, ``feed_forward_y``: share of the commanded speed that is fed forward.
+    ``play_x``, ``play_y``: play between encoder and carriage, mm.
+    ``scale_x``, ``scale_y``: relative error of the screws.
+    ``wave_x``: amplitude once per turn of the screw, mm.
+    ``lean_xy``: lean of the Y axis towards X, rad.
+    ``mounting_x``, ``mounting_y``: centre ball from the programmed centre, mm.
+    ``noise``: of the bar, um.
     """
 
     position_gain: float = 300.0
@@ -74,15 +64,8 @@ class MillFaults:
 def read_faults(path: Path) -> MillFaults:
     """Return faults from a TOML file, such as the ``truth.toml`` of a campaign.
 
-    Parameters
-    ----------
-    path : Path
-        Attributes of ``MillFaults``; those that it does not name keep their value.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, names something else, or a value is no sensible number.
+    ``path``: attributes of ``MillFaults``; those that it does not name keep their value.
+    Raises ``InputError`` when it cannot be read, names something else, or a value is no sensible number.
     """
     names = [f.name for f in fields(MillFaults)]
     try:
@@ -106,10 +89,7 @@ def read_faults(path: Path) -> MillFaults:
 
 
 def ini_text(compensation: Mapping[str, str]) -> str:
-    """Return LinuxCNC's ini file.
-
-    ``compensation``: name of a compensation file in the same folder, by axis.
-    """
+    """Return LinuxCNC's ini file. ``compensation``: name of a compensation file in the same folder, by axis."""
     lines = [
         "[EMC]",
         "VERSION = 1.1",
@@ -163,15 +143,9 @@ def compensation_text(path: Path) -> str:
 
     LinuxCNC drops what it does not understand without a word that reaches a user.
 
-    Parameters
-    ----------
-    path : Path
-        Lines of nominal position, forward and reverse trim, in mm; comments (``#``) below them, where LinuxCNC has stopped.
-
-    Raises
-    ------
-    InputError
-        When a line is no triplet, the positions do not rise, or there are more than 256.
+    ``path``: lines of nominal position, forward and reverse trim, in mm; comments (``#``) below them, where LinuxCNC
+    has stopped.
+    Raises ``InputError`` when a line is no triplet, the positions do not rise, or there are more than 256.
     """
     try:
         with path.open("rb") as file:

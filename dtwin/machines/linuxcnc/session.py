@@ -78,15 +78,8 @@ def require_linuxcnc() -> None:
 class LinuxcncSession(OpenAndClose):
     """A running LinuxCNC with a simulated machine, and everything that belongs to it.
 
-    Parameters
-    ----------
-    compensation : mapping of str to str, optional
-        Text of a compensation file, by axis.
-
-    Attributes
-    ----------
-    folder : Path
-        Its files; gone after ``close``.
+    ``compensation``: text of a compensation file, by axis.
+    ``folder``: its files; gone after ``close``.
     """
 
     def __init__(
@@ -106,12 +99,8 @@ class LinuxcncSession(OpenAndClose):
     def open(self) -> None:
         """Start it: power on, homed, idle.
 
-        Raises
-        ------
-        MissingPart
-            When it is not installed or cannot be contained.
-        DeviceError
-            When it does not come up.
+        Raises ``MissingPart`` when it is not installed or cannot be contained.
+        Raises ``DeviceError`` when it does not come up.
         """
         require_linuxcnc()
         # Sockets have short names: not below DTWIN_HOME.

@@ -20,7 +20,9 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError
-from dtwin.fleet import Alert, channels_of, nightly, silence, tell, try_channels
+from dtwin.fleet.alerts import Alert, silence, tell
+from dtwin.fleet.channels import channels_of, try_channels
+from dtwin.fleet.nightly import nightly
 from dtwin.machine_record import keep_record
 
 DAY = date(2026, 11, 24)
@@ -183,7 +185,7 @@ def test_a_night_tells_the_newest_change_of_a_figure(monkeypatch: pytest.MonkeyP
         {"name": "H", "state": "trend", "crossing": None, "changes": [march]},
     ]
     monkeypatch.setattr(
-        "dtwin.fleet._nightly.machine_history", lambda *_: {"next_test": None, "series": series, "champion": None}
+        "dtwin.fleet.nightly.machine_history", lambda *_: {"next_test": None, "series": series, "champion": None}
     )
     night = nightly(home(), workers=1, today=DAY)
     assert [(alert.about, alert.text) for alert in night.alerts] == [
@@ -300,7 +302,7 @@ def test_a_file_that_was_refused_on_a_night_that_was_killed_is_told_the_next_nig
     arriving.mkdir()
     (arriving / "spoilt.b5r").write_text("<no>", encoding="utf-8")
     with monkeypatch.context() as killed:
-        killed.setattr("dtwin.fleet._nightly.tell", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        killed.setattr("dtwin.fleet.nightly.tell", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             nightly(where, folder=arriving, workers=1, today=DAY, settle_s=0.0)
     for alerts in (["failed:spoilt.b5r"], []):

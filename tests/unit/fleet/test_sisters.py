@@ -14,7 +14,9 @@ from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.fleet import DIAGNOSE, compared, run_fleet
+from dtwin.fleet.jobs import DIAGNOSE
+from dtwin.fleet.run import run_fleet
+from dtwin.fleet.sisters import compared
 from dtwin.lake.store import Lake
 from dtwin.machine_record import keep_record
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -27,7 +29,7 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.symbolic import Found
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]
 # Where a kind has no virtual machine.
@@ -164,6 +166,22 @@ def test_what_a_kind_lacks_is_refused_with_its_name_and_a_way_out(kind: Kind, ve
             ask()
         assert (refused.value.got, refused.value.code) == (kind.name, "kind.not_offered")
         assert refused.value.hint
+
+
+@pytest.mark.parametrize("kind", list(kinds()), ids=lambda kind: kind.name)
+def test_what_does_a_verb_takes_and_gives_what_the_verb_does(kind: Kind) -> None:
+    for verb in kind.places:
+        stated = inspect.getattr_static(Kind, verb)
+        done = kind._done(verb)
+        if isinstance(stated, property) or verb in {"training", "twin_correction"}:
+            assert done is not None
+        elif inspect.isclass(done):
+            inspect.signature(done).bind(*list(inspect.signature(stated).parameters)[1:])
+        else:
+            asked, given = inspect.signature(stated), inspect.signature(done)
+            given.bind(*list(asked.parameters)[1:])
+            told = [str(s.return_annotation).replace("Mapping", "dict") for s in (asked, given)]
+            assert re.sub(r"\W|Sequence|list|None", "", told[0]) == re.sub(r"\W|Sequence|list|None", "", told[1]), verb
 
 
 def test_it_is_in_the_lake_as_it_was_measured(measured: Measured) -> None:

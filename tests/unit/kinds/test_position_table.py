@@ -31,7 +31,7 @@ from dtwin.lake.store import Lake
 from dtwin.positioning.matrix import linear_test
 from dtwin.positioning.position_runs import PositionTable, runs_of
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
-from dtwin.positioning.way_words import way_of
+from dtwin.positioning.ways import way_of
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
 

@@ -17,9 +17,9 @@ from dtwin.acquire.quality import judge_run
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds import registry
-from dtwin.kinds.kind import Kind, NotOffered, Planned
+from dtwin.kinds.kind import VERBS, Kind, NotOffered, Planned
 from dtwin.kinds.machine import PLAN, Options, Request, Simulated, VirtualMachine
-from dtwin.kinds.registry import kind_named, kind_names, kinds, machine_named, verb_table
+from dtwin.kinds.registry import kind_named, kind_names, kinds, machine_named
 from dtwin.progress import Progress
 from dtwin.schema import Finding, Run
 
@@ -39,7 +39,7 @@ def test_a_kind_that_is_not_there_is_refused_with_those_that_are() -> None:
 
 
 def test_the_table_of_the_docs_is_that_of_the_records() -> None:
-    assert verb_table() in (ROOT / "docs/reference/kinds.md").read_text(encoding="utf-8")
+    assert _verb_table() in (ROOT / "docs/reference/kinds.md").read_text(encoding="utf-8")
 
 
 class _Spindle(Kind):
@@ -152,3 +152,13 @@ def test_an_entry_point_that_gives_no_kind_is_refused_and_hides_no_machine_of_ou
     assert machine_named("volumetric").kind == "volumetric"
     with pytest.raises(InputError, match="gives no kind"):
         kind_named("broken")
+
+
+def _verb_table() -> str:
+    """Return which kind offers which verb, as Markdown."""
+    every = list(kinds())
+    lines = [f"| verb | {' | '.join(k.name for k in every)} |", "|---" * (len(every) + 1) + "|"]
+    for verb, (title, _) in VERBS.items():
+        cells = ("yes" if kind.offers(verb) else "no" for kind in every)
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return "\n".join(lines)

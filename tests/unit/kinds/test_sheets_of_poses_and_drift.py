@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.kinds.poses._scatter import scatter_of
 from dtwin.kinds.poses._series import series_of_targets
 from dtwin.kinds.poses._setup import left_by_setup
+from dtwin.kinds.poses._sheet import scatter_of
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import variation_of
@@ -25,7 +25,7 @@ from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.tolerances import limits_from
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]
 

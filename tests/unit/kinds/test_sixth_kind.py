@@ -23,7 +23,7 @@ from dtwin.serve.pointer import resolve
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 POINTS = {
     "dtwin.kinds": [EntryPoint("turntable", "sixth_kind.kind:KIND", "dtwin.kinds")],

@@ -32,7 +32,7 @@ from dtwin.serve.pointer import (
 from dtwin.serve.sealed import BARRED, CHAMPION, SEAL, write_sealed
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._server import application
+from dtwin.workbench.server import application
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.serve._sensor_trouble import SATURATED, SOUND, saturated_kernel
+from dtwin.serve.decision import SATURATED, SOUND, saturated_kernel
 
 NOISE = np.random.default_rng(1).standard_normal(600)
 

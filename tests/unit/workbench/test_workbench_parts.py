@@ -30,16 +30,14 @@ from dtwin.serve import safety
 from dtwin.serve._lease import lease
 from dtwin.serve.live_board import _PID, _SHOWN, live_board
 from dtwin.twins.measured import pure_rms_um
-from dtwin.workbench import _connections
+from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
-from dtwin.workbench._bench import Bench
-from dtwin.workbench._cache import Cache
-from dtwin.workbench._connections import Connection
+from dtwin.workbench._bench import Bench, Cache
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._live_routes import sessions
-from dtwin.workbench._numbers import decimal
-from dtwin.workbench._server import application
+from dtwin.workbench._twin_routes import decimal
+from dtwin.workbench.server import Connection, application
 
 
 @pytest.mark.parametrize(
@@ -270,7 +268,7 @@ _BEGUN = """
 import socket, sys, threading
 from pathlib import Path
 from dtwin.config import Home
-from dtwin.workbench import _server
+from dtwin.workbench import server as _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
 _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
 """
@@ -377,7 +375,7 @@ def test_a_session_after_the_clock_was_set_back_is_the_newest_of_its_machine(tmp
 
 def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing, a head that comes byte by byte, and one after an answer."""
-    monkeypatch.setattr(_connections, "_PATIENCE_S", 0.4)
+    monkeypatch.setattr(_server, "_PATIENCE_S", 0.4)
 
     async def slow(scope: Any, receive: Any, send: Any) -> None:
         await asyncio.sleep(1.0)

@@ -9,8 +9,8 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, Interrupted, StoreError
-from dtwin.fleet._engine import Engine, engine, require_engine
-from dtwin.fleet._jobs import Job, Unit
+from dtwin.fleet.engine import Engine, engine, require_engine
+from dtwin.fleet.jobs import Job, Unit
 from dtwin.locks import locked
 from dtwin.progress import Progress
 
@@ -21,14 +21,9 @@ _TRIES = 3
 class FleetRun:
     """What became of a job.
 
-    Attributes
-    ----------
-    done : dict
-        What is said of each unit that was worked on and kept, by name.
-    failed : dict
-        The errors of others, as :meth:`dtwin.errors.DtwinError.as_dict` gives them.
-    passed : dict of str to str
-        What there was nothing to do about, and why.
+    ``done``: what is said of each unit that was worked on and kept, by name.
+    ``failed``: the errors of others, as :meth:`dtwin.errors.DtwinError.as_dict` gives them.
+    ``passed``: what there was nothing to do about, and why.
     """
 
     job: str
@@ -57,17 +52,9 @@ def run_fleet(
     Units that were kept are not there the next time: a job that was interrupted goes on. What is kept does not
     depend on the engine.
 
-    Parameters
-    ----------
-    machines : collection of str
-        All of the home without names.
-    on, workers
-        As for :func:`dtwin.fleet.engine`.
-
-    Raises
-    ------
-    StoreError
-        When another process does the same job in this home, or the scheduler died.
+    ``machines``: all of the home without names.
+    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
+    Raises ``StoreError`` when another process does the same job in this home, or the scheduler died.
     """
     require_engine(on, workers)
     with locked(home.root / "locks" / f"fleet-{job.name}.lock") as mine:

@@ -77,20 +77,11 @@ def require_engine(on: str, workers: int | None) -> str:
 def engine(on: str = "local", workers: int | None = None) -> Iterator[Engine]:
     """Start an engine, and stop it at the end; work that has not begun by then is given up.
 
-    Parameters
-    ----------
-    on : str
-        ``local``, or the address of a Dask scheduler: ``dask://host:port`` on this computer,
-        ``dask+tls://host:port`` with the certificates that Dask's own configuration names.
-    workers : int, optional
-        Processes of ``local``; 1 works in line. By default one for each processor.
-
-    Raises
-    ------
-    InputError
-        As :func:`require_engine`.
-    StoreError
-        When no scheduler answers, or it has no worker.
+    ``on``: ``local``, or the address of a Dask scheduler: ``dask://host:port`` on this computer,
+    ``dask+tls://host:port`` with the certificates that Dask's own configuration names.
+    ``workers``: processes of ``local``; 1 works in line. By default one for each processor.
+    Raises ``InputError`` as :func:`require_engine`.
+    Raises ``StoreError`` when no scheduler answers, or it has no worker.
     """
     scheduler = require_engine(on, workers)
     with _dask(scheduler) if scheduler else _local(workers or processors()) as found:

@@ -156,10 +156,7 @@ def channels_of(home: Home) -> list[Channel]:
 def try_channels(home: Home) -> dict[str, str]:
     """Send every channel a test message, and return why it failed, empty where it did not.
 
-    Raises
-    ------
-    InputError
-        When no channel is stated, or the file is not usable.
+    Raises ``InputError`` when no channel is stated, or the file is not usable.
     """
     channels = channels_of(home)
     if not channels:

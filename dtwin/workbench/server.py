@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import socket
@@ -11,12 +12,14 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
+import h11
 import uvicorn
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from plotly.offline import get_plotlyjs
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
@@ -25,7 +28,6 @@ from dtwin.workbench import _delivery_routes as delivery_routes
 from dtwin.workbench import _effect_routes as effect_routes
 from dtwin.workbench import _heat_pages as heat_pages
 from dtwin.workbench import _import_routes as import_routes
-from dtwin.workbench import _job_routes as job_routes
 from dtwin.workbench import _live_routes as live_routes
 from dtwin.workbench import _machine_routes as machine_routes
 from dtwin.workbench import _measuring_routes as measuring_routes
@@ -37,7 +39,6 @@ from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
 from dtwin.workbench._access import Access, Guarded
 from dtwin.workbench._bench import Bench, bench_of
-from dtwin.workbench._connections import Connection
 from dtwin.workbench._pages import refused
 
 _WARMED_TWINS = 3
@@ -61,7 +62,6 @@ def application(bench: Bench) -> Guarded:
         model_routes,
         live_routes,
         measuring_routes,
-        job_routes,
         delivery_routes,
     ):
         app.include_router(part.router, dependencies=[Depends(_require_home)])
@@ -85,14 +85,9 @@ def run(
 ) -> None:
     """Serve until a signal ends it.
 
-    Parameters
-    ----------
-    host : str
-        Address as it was asked for.
-    effects_path : Path or None
-        Folder of the user's own effects.
-    announce : callable
-        Gets the address, once it answers.
+    ``host``: address as it was asked for.
+    ``effects_path``: folder of the user's own effects.
+    ``announce``: gets the address, once it answers.
     """
     # Plotly looks into a pandas that is loaded: while the thread below loaded it (MLflow does), a page that draws failed.
     import_module("pandas")
@@ -183,3 +178,46 @@ def _unknown(request: Request, error: Exception) -> Response:
         )
         return refused(request, said)
     return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")
+
+
+_PATIENCE_S = 30.0
+
+
+class Connection(H11Protocol):
+    """A connection that is closed when the head of its next request is not whole in time.
+
+    The server itself limits only how long nothing at all comes after an answer.
+    """
+
+    _until: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Wait for the first request."""
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        """Read on; a request whose head is whole may take its time."""
+        super().data_received(data)
+        if self.conn.their_state is not h11.IDLE:
+            self._wait_no_more()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        super().on_response_complete()
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait for nothing."""
+        super().connection_lost(exc)
+        self._wait_no_more()
+
+    def _wait(self) -> None:
+        self._wait_no_more()
+        if self.conn.their_state is h11.IDLE:
+            self._until = self.loop.call_later(_PATIENCE_S, self.transport.close)
+
+    def _wait_no_more(self) -> None:
+        if self._until is not None:
+            self._until.cancel()
+            self._until = None

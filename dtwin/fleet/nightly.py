@@ -12,10 +12,10 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError
-from dtwin.fleet._alerts import Alert, Told, sorted_alerts, tell
-from dtwin.fleet._channels import channels_of
-from dtwin.fleet._jobs import DIAGNOSE, Job, recheck_job
-from dtwin.fleet._run import FleetRun, run_fleet
+from dtwin.fleet.alerts import Alert, Told, sorted_alerts, tell
+from dtwin.fleet.channels import channels_of
+from dtwin.fleet.jobs import DIAGNOSE, Job, recheck_job
+from dtwin.fleet.run import FleetRun, run_fleet
 from dtwin.local_time import local_day
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
@@ -32,12 +32,8 @@ _LONGEST_WAIT_S = 60.0
 class Night:
     """What a night did.
 
-    Attributes
-    ----------
-    arrived : list of WatchEvent
-        What became of what lay in the folder.
-    alerts : list of Alert
-        All that is open now, told before or not.
+    ``arrived``: what became of what lay in the folder.
+    ``alerts``: all that is open now, told before or not.
     """
 
     diagnosed: FleetRun
@@ -71,18 +67,11 @@ def nightly(
 ) -> Night:
     """Take in what arrived, diagnose what is new, check champions, and tell what is late, failed or changed.
 
-    Parameters
-    ----------
-    folder : Path, optional
-        Where new measurements arrive; only those of machines that are known are taken in.
-    machines : collection of str
-        All without names.
-    on, workers
-        As for :func:`dtwin.fleet.engine`.
-    today : date, optional
-        The day by which a test is overdue.
-    settle_s : float
-        Time for which a file must stand still; what does not within a minute is left to the next night.
+    ``folder``: where new measurements arrive; only those of machines that are known are taken in.
+    ``machines``: all without names.
+    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
+    ``today``: the day by which a test is overdue.
+    ``settle_s``: time for which a file must stand still; what does not within a minute is left to the next night.
     """
     channels = channels_of(home)
     seen = None if folder is None else FolderWatch(folder, home, settle_s=settle_s, note_at_once=False)

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.fleet.jobs import DIAGNOSES
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record
@@ -123,12 +123,8 @@ class Compared:
 def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
     """Compare each machine with its sisters: the prior is made without it, and without those that differ already.
 
-    Parameters
-    ----------
-    values, errors : ndarray, shape (n,)
-        Sizes that the machines' own runs tell, and standard uncertainties.
-    many : int
-        Number of all tests that are made, for Holm.
+    ``values``, ``errors``, shape (n,): sizes that the machines' own runs tell, and standard uncertainties.
+    ``many``: number of all tests that are made, for Holm.
     """
     # Few repeats tell little of their own noise: half of it is what the sisters' runs show.
     own, errors = errors, np.sqrt((errors**2 + np.mean(errors**2)) / 2.0)
@@ -194,17 +190,10 @@ def sisters(
     Figures are those of both directions and those with a tolerance; of tests in one direction all. Effects are those that a
     diagnosis found in any of the machines, each fitted to all that it can act in.
 
-    Parameters
-    ----------
-    machines : sequence of str
-        Which; those of the type without.
-    type_name : str
-        As the records of machines state it.
-
-    Raises
-    ------
-    InputError
-        When there are not enough machines with campaigns of the same sort, or neither figures nor effects to compare.
+    ``machines``: which; those of the type without.
+    ``type_name``: as the records of machines state it.
+    Raises ``InputError`` when there are not enough machines with campaigns of the same sort, or neither figures nor
+    effects to compare.
     """
     wanted = list(machines) or [m for m in _known(home) if _type(home, m) == type_name]
     tests = _tests(home, wanted)

@@ -42,14 +42,10 @@ class Unit:
 class Job:
     """Work for many machines.
 
-    Attributes
-    ----------
-    units : callable
-        Returns what is to do in a home for some machines (all without names), and what is passed over: names and why.
-    work : callable
-        Returns the result of a unit; takes the home's folder, the unit and a seed, all of which can be sent.
-    keep : callable
-        Keeps a result, and returns what is said of it, JSON-ready.
+    ``units``: returns what is to do in a home for some machines (all without names), and what is passed over: names and
+    why.
+    ``work``: returns the result of a unit; takes the home's folder, the unit and a seed, all of which can be sent.
+    ``keep``: keeps a result, and returns what is said of it, JSON-ready.
     """
 
     name: str
@@ -96,8 +92,7 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
     started = min((meta.started or "" for meta in loaded.obs.runs), default="")
     head = {"campaign": unit.name, "machine": unit.machine, "kind": loaded.obs.campaign.kind, "started": started}
     # As it is after being written and read: the same wherever it was computed.
-    as_kept: dict[str, Any] = json.loads(json.dumps(finite(head | diagnosis.as_dict())))
-    return as_kept
+    return json.loads(json.dumps(finite(head | diagnosis.as_dict())))
 
 
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
-from dtwin.fleet._channels import Channel
+from dtwin.fleet.channels import Channel
 from dtwin.local_time import local_day
 from dtwin.locks import locked
 
@@ -112,10 +112,7 @@ def _tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], day:
 def silence(home: Home, key: str, days: float, today: date | None = None) -> str:
     """Tell nobody of something for some days, and return the day it ends on; 0 days tells again.
 
-    Parameters
-    ----------
-    key : str
-        Sort and what it is about, as alerts are listed: ``overdue:mill-1``.
+    ``key``: sort and what it is about, as alerts are listed: ``overdue:mill-1``.
     """
     sort, colon, about = key.partition(":")
     if not colon or not about or sort not in SORTS:

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.fleet._jobs import DIAGNOSES
+from dtwin.fleet.jobs import DIAGNOSES
 from dtwin.pipeline.kept import kept_already
 
 

@@ -18,10 +18,7 @@ _USUAL_PORT = 8765
 def only_one(home: Home) -> Iterator[None]:
     """Hold the home's workbench: two would each think the other's work interrupted.
 
-    Raises
-    ------
-    InputError
-        When one runs already.
+    Raises ``InputError`` when one runs already.
     """
     path = home.made().root / "workbench" / ".lock"
     with locked(path) as mine:
@@ -38,15 +35,8 @@ def only_one(home: Home) -> Iterator[None]:
 def listening(host: str, port: int | None) -> socket.socket:
     """Return a socket that listens.
 
-    Parameters
-    ----------
-    port : int or None
-        Port; without, ``_USUAL_PORT``, or a free one when that is taken.
-
-    Raises
-    ------
-    InputError
-        When the address cannot be listened on.
+    ``port``: port; without, ``_USUAL_PORT``, or a free one when that is taken.
+    Raises ``InputError`` when the address cannot be listened on.
     """
     if port is None:
         try:
