@@ -114,7 +114,7 @@ def sheet_of_campaign(
         home,
         "sheets",
         campaign,
-        f"findings {stamp} {limits} {variation}",
+        f"one way {stamp} {limits} {variation}",
         lambda: campaign_sheet(Lake(home.lake), campaign, limits, variation),
     )
     return made
