@@ -12,6 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.kinds.registry import kind_of, machine_of_type
+from dtwin.machine_record import changed_since
 from dtwin.people import acting, read_people
 from dtwin.serve.barred import allow, bar, barred_why
 from dtwin.serve.bundle import Bundle
@@ -78,19 +79,24 @@ def promote(
     bundle, verdicts = check_version(registry, version)
     if version.tags.get(TRIAL_ONLY):
         verdicts.append(Verdict("the twin is confirmed", False, version.tags[TRIAL_ONLY]))
+    proved = ""
     if evidence is None:
         verdicts.append(Verdict("closed-loop evidence", False, "none: measure it on trial first"))
     else:
         real = not bool(geometry.get("virtual", False))
+        kept = records(registry, version)
+        proved = _proved(evidence, kept)
         verdicts += evidence_gate(evidence, bundle, real=real)
-        verdicts += _against(records(registry, version), despite)
+        verdicts += _against(kept, despite)
+        changed = changed_since(home, version.machine, proved)
+        told = f"{changed or 'no event'} after the evidence of {proved[:10]}"
+        verdicts.append(Verdict("machine unchanged since the evidence", not changed, told))
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
         remember(home, version, "refused", comment, verdicts, despite)
         raise _refusal(version, verdicts)
     _require_second_person(home, version, comment, verdicts)
     kind = evidence.kind if evidence else "none"
-    proved = _proved(evidence)
     with alone(home, version.machine):
         previous = by_pointer(registry, home, version.machine)
         _write_machine(version.machine, home, geometry)
@@ -338,11 +344,12 @@ def _refusal(version: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRef
     )
 
 
-def _proved(evidence: Evidence | None) -> str:
+def _proved(evidence: Evidence, kept: Sequence[Record]) -> str:
     """Return when a correction was last seen to help: when its newest runs were measured.
 
-    A virtual machine keeps no calendar: there it is now.
+    A virtual machine keeps no calendar: there it is when the evidence was computed, the last of what is kept.
     """
-    real = evidence.runs if evidence is not None and evidence.kind == "real" else ()
+    real = evidence.runs if evidence.kind == "real" else ()
     started = [run["started"] for run in real if run["way"] == "with" and run["started"]]
-    return max(started, default=datetime.now(UTC).isoformat(timespec="seconds"))
+    computed = kept[-1].time if kept else datetime.now(UTC).isoformat()
+    return max(started, default=f"{computed[:19]}+00:00")

@@ -12,11 +12,14 @@ from bundles import path_bundle
 
 import dtwin.train.promotion as promoting
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import GateRefusal, InputError
+from dtwin.machine_record import with_event
+from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.delivery import delivery, install
 from dtwin.serve.pointer import machine_folder, resolve
+from dtwin.train.evidence_record import Record
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import promote, rollback, trial, withdraw
 from dtwin.train.promotion_books import history
@@ -154,6 +157,25 @@ def test_what_was_judged_is_withdrawn_and_not_what_became_champion_meanwhile(reg
         rollback(registry, home, "judged")
     assert resolve("latest", "judged", home).version == 2
     assert withdraw(registry, home, second, "worse, too")[1] is None
+
+
+def test_old_evidence_stays_old_and_ends_when_the_machine_is_changed(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = registry.home
+    (version,) = versions(registry, "repaired", 1)
+    kept = Record("f00d", "2026-03-02T08:00:00.123456+00:00", {})
+    monkeypatch.setattr(promoting, "records", lambda *_: [kept])
+    for _ in range(2):
+        champion(registry, version, valid_days=90.0)
+        assert resolve("latest", "repaired", home).proved == "2026-03-02T08:00:00+00:00"
+    with_event(home, "repaired", "other", "2026-03-03", "painted")
+    champion(registry, version)
+    with_event(home, "repaired", "repair", "2026-03-04", "another gear")
+    with pytest.raises(GateRefusal) as refused:
+        champion(registry, version)
+    assert "repair on 2026-03-04 after the evidence of 2026-03-02" in str(refused.value.got)
+    assert "before the repair on 2026-03-04" in champion_of(home, "repaired")
 
 
 def test_a_line_of_the_history_that_was_cut_short_says_nothing(registry: Registry) -> None:
