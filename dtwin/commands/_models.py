@@ -211,13 +211,15 @@ def rollback(
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
     as_json: Json = False,
 ) -> None:
-    """Go back to the previous champion and bar the present one."""
+    """Bar the champion and go back to the one before it; without one nothing is served."""
     from dtwin.train.promotion import rollback as go_back
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
     restored = go_back(registry, home(), machine_named(registry, machine), comment)
-    emit({"champion": restored.version}, lambda: f"champion again: version {restored.version}", as_json=as_json)
+    version = None if restored is None else restored.version
+    told = f"champion again: version {version}" if version else "withdrawn; none is served"
+    emit({"champion": version}, lambda: told, as_json=as_json)
 
 
 @app.command()
