@@ -210,7 +210,16 @@ def _connection(request: ServeRequest, bundle: Bundle, trial: bool, inputs: Axis
 
 
 def _require_control(request: ServeRequest, bundle: Bundle) -> None:
-    """Refuse a model whose inputs only a control sends, where none was named."""
+    """Refuse a model whose inputs only a control sends, where none was named, and a value in place of what is measured."""
+    takes = [i.name for i in bundle.inputs if i.source == "covariate"]
+    if strange := sorted(set(request.covariates) - set(takes)):
+        raise InputError(
+            "the model takes no such covariate",
+            code="serve.covariate",
+            where=f"machine {bundle.machine}",
+            got=", ".join(strange)[:200],
+            allowed=", ".join(takes) or "none: all its inputs are measured",
+        )
     known = {*STANDARD_INPUTS, *request.covariates}
     unknown = [name for name in bundle.tick_inputs if name not in known]
     if unknown and request.axes is None:

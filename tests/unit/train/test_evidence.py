@@ -146,6 +146,9 @@ def test_runs_say_themselves_which_way_they_were_measured(home: Home) -> None:
     with pytest.raises(GateRefusal) as other:
         gathered(home, MACHINE, "0" * 64, {"with": ["both"]}, virtual=True)
     assert other.value.code == "evidence.with"
+    with pytest.raises(GateRefusal) as named_twice:
+        gathered(home, MACHINE, "0" * 64, {"without": ["both"], "with": ["both"]}, virtual=True)
+    assert (named_twice.value.code, named_twice.value.allowed) == ("evidence.with", "runs under 000000000000")
 
 
 def test_a_campaign_that_says_corrected_but_not_by_what_is_no_reference(home: Home) -> None:
