@@ -88,6 +88,8 @@ def train(
     def text() -> str:
         head = f"{campaign}: {result.rms_before_um:z.1f} µm RMS without a model, noise floor {result.noise_floor_text}"
         gates = "\n".join(verdict_lines(registered.verdicts))
+        failed = [v.gate for v in registered.verdicts if not v.passed]
+        advice = f"next: dtwin promote {registered.version.version} --machine {result.machine}"
         return "\n".join(
             [
                 head,
@@ -95,7 +97,7 @@ def train(
                 table(*comparison_table(result.candidates)),
                 f"registered {result.proposed} as version {registered.version.version}",
                 gates,
-                f"next: dtwin promote {registered.version.version} --machine {result.machine}",
+                f"dtwin promote will refuse it: {', '.join(failed)}" if failed else advice,
             ]
         )
 

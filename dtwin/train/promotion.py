@@ -325,7 +325,7 @@ def _refusal(version: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRef
         f"version {version.version} of {version.machine} is not promoted",
         code="promote.refused",
         got="; ".join(failed),
-        hint="the reasons are in the registry too; a better candidate comes from dtwin train",
+        hint="dtwin train makes another candidate; evidence that is known to speak against it is named by --despite",
     )
 
 
