@@ -49,7 +49,7 @@ def was_champion(home: Home, version: RegisteredVersion) -> bool:
 
 def by_pointer(registry: Registry, home: Home, machine: str) -> RegisteredVersion | None:
     """Return the champion. Serving follows the pointer: a promotion that a kill cut off after it is entered in the books."""
-    present = registry.champion(machine)
+    present = registry.champion(machine, by_alias=True)
     try:
         served = resolve("latest", machine, home, harmless=True)
         version = registry.version(machine, str(served.version))
@@ -62,7 +62,7 @@ def by_pointer(registry: Registry, home: Home, machine: str) -> RegisteredVersio
         return present
     enter(registry, present if present and was_champion(home, present) else None, version, kind, served.proved)
     remember(home, version, "champion", "entered later: the promotion was cut off", [])
-    return registry.champion(machine)
+    return registry.champion(machine, by_alias=True)
 
 
 def enter(

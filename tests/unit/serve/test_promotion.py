@@ -176,6 +176,9 @@ def test_nothing_is_rolled_back_to_that_was_never_champion_whatever_aliases_say(
     champion(registry, first)
     trial(registry, home, second, geometry=GEOMETRY)
     registry.client.set_registered_model_alias(model_name("aliases"), "champion", "2")
+    served = registry.champion("aliases")
+    assert served is not None
+    assert served.version == registry.version("aliases", "champion").version == "1"
     registry.client.set_registered_model_alias(model_name("aliases"), "previous", "2")
     assert rollback(registry, home, "aliases") is None
     assert barred_why("aliases", home, 1)
