@@ -118,7 +118,7 @@ def _trainable(home: Home, machines: Collection[str]) -> _Units:
             passed[item.campaign] = item.obstacle
             continue
         seen.add(item.machine)
-        if item.new_runs:
+        if item.is_new:
             units.append(Unit(item.campaign, item.machine, item.digest))
         else:
             passed[item.campaign] = "every run was trained on already"
