@@ -17,6 +17,7 @@ from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.windows import WindowContract
+from dtwin.machine_record import changed_since
 from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve._axis_lockstep import serve_machine_clock
 from dtwin.serve._connection import AxisConnection, Connection, with_trial_clamp
@@ -96,7 +97,12 @@ def _serve_resolved(
         limit_um = compiled.bundle.safety.clamp_um
         announce(f"trial: the correction is limited to {limit_um:z.1f} µm, a quarter of its clamp")
     elif request.mode == "live":
-        announce(require_proof(resolved, compiled.bundle, request.expired))
+        changed = ""
+        if resolved.proved:
+            # A record that cannot be read is no reason to stop a machine.
+            with contextlib.suppress(DtwinError):
+                changed = changed_since(home, resolved.machine, resolved.proved)
+        announce(require_proof(resolved, compiled.bundle, request.expired, changed=changed))
     if request.fade is not None:
         compiled = _with_fading(compiled, request.fade)
     if request.analogue is not None:
