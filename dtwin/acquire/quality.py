@@ -24,7 +24,7 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the runs of one campaign lack as a whole; they may be as ``without_samples`` leaves them."""
     if not runs:
         return []
-    told = of_one_way(runs, lambda run: run.meta.correction)
+    told = of_one_way(runs)
     found = kind_named(runs[0].meta.kind).judge_campaign(told)
     if len(told) < len(runs):
         said = (

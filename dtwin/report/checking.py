@@ -59,7 +59,7 @@ def sheet_of(
     # Something that is no table of limits is refused as a limit that is none.
     table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
     own = limits_from(table_of, f"{under.where}.tolerances")
-    made = kind.sheet(of_one_way(runs, lambda run: run.meta.correction), under)
+    made = kind.sheet(of_one_way(runs), under)
     strange = [symbol for symbol in own if ":" in symbol or (kind.figures and symbol not in kind.figures)]
     if strange:
         raise InputError(
@@ -170,7 +170,7 @@ def _checked(
         machine = campaign.machine
         sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
-        **kind.campaign_figures(of_one_way(light, lambda run: run.meta.correction)),
+        **kind.campaign_figures(of_one_way(light)),
         **sheet,
         "source": source,
         "campaign": campaign.name,

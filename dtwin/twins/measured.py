@@ -123,8 +123,9 @@ def load(home: Home, campaign: str) -> Loaded:
     rows = lake.runs(name, left_out=True)
     left_out = {str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))}
     sound = [row for row in rows if str(row["run_id"]) not in left_out]
-    usable = of_one_way(sound, lambda row: str(row["correction"]))
-    left_out |= {str(row["run_id"]): "measured under a correction" for row in sound if row not in usable}
+    usable = of_one_way(sound)
+    if corrected := [str(row["run_id"]) for row in sound if row not in usable]:
+        left_out[", ".join(corrected)] = "measured with a correction"
     if not usable:
         why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
         raise InputError(

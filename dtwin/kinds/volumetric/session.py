@@ -108,7 +108,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
             "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind, allowed="volumetric"
         )
     every = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
-    runs = of_one_way(every, lambda run: run.meta.correction)
+    runs = of_one_way(every)
     hour_by_run = hours_of(runs)
     runs.sort(key=lambda run: hour_by_run[run.meta.run_id])
     if len(runs) <= REFERENCE_CYCLES:
