@@ -169,15 +169,16 @@ def _is_of_database(error: Exception) -> bool:
 
 
 def _registry_away(error: Exception) -> StoreError:
-    """Say that the registry was lost, or held by another, while a command asked it."""
+    """Say that the registry was lost, held by another, or out of space while a command asked it; a library may put a line before."""
+    lines = str(error).split("\n")
     return StoreError(
         "the model registry was lost, or refused",
         code="registry.away",
         where=home().file.registry or str(home().root / "mlflow"),
-        got=str(error).split("\n")[0][:200],
+        got=next((line for line in lines if "(sqlite3." in line), lines[0])[:200],
         hint="run this again when it is back: what is done already is not done twice"
         if home().file.registry
-        else "run this again: another process may have held it; dtwin home check says whether it is damaged",
+        else "see that there is free space, and run this again: another process may have held it; dtwin home check says whether it is damaged",
     )
 
 

@@ -213,6 +213,12 @@ def events_between(events: Iterable[Event], first: str, last: str) -> list[Event
     return [event for event in events if first[:10] <= event.on.isoformat() <= last[:10]]
 
 
+def changed_since(home: Home, machine: str, day: str) -> str:
+    """Return in words what last changed a machine after a day, ISO 8601; empty when nothing did, and notes say nothing of it."""
+    after = [e for e in events_of(home, machine) if e.what != "other" and e.on.isoformat() > day[:10]]
+    return f"{after[-1].what} on {after[-1].on}" if after else ""
+
+
 def recorded(home: Home) -> list[str]:
     """Return the machines that have a record."""
     return sorted(path.stem for path in home.machines.glob("*.toml"))

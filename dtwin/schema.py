@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Container, Mapping
+from collections import Counter
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 
+_R = TypeVar("_R", "Run", Mapping[str, Any], dict[str, Any])
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Direction = Literal["CCW", "CW"]
@@ -61,6 +63,18 @@ def fresh_name(name: str, taken: Container[str]) -> str:
     while (fresh := name if number == 1 else f"{name}-{number}") in taken:
         number += 1
     return fresh
+
+
+def of_one_way(runs: Sequence[_R]) -> list[_R]:
+    """Return the runs of a campaign, or their rows, that show one state of the machine: without a correction, if some are.
+
+    Runs with and without a correction take turns in evidence; they are no repeats of each other. Where every run had one, it
+    is the correction of most of them.
+    """
+    corrections = [str(run["correction"]) if isinstance(run, Mapping) else run.meta.correction for run in runs]
+    ways = Counter(corrections)
+    taken = "" if "" in ways else max(ways, key=ways.__getitem__, default="")
+    return [run for run, correction in zip(runs, corrections, strict=True) if correction == taken]
 
 
 def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:

@@ -10,7 +10,7 @@ from prefect.states import Completed
 
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.lifecycle.recheck import Rechecked
+from dtwin.lifecycle.recheck import Rechecked, left_out
 from dtwin.train.registry import Registry
 from flows import _artifacts, _tasks
 
@@ -36,6 +36,9 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
     result: dict[str, Any] = {}
     withdrawn = []
     for name in machines:
+        if why := left_out(registry, name):
+            result[name] = {"verdict": "left out", "reason": why}
+            continue
         try:
             done = _tasks.recheck(name, seed, blocks)
         except InputError as error:

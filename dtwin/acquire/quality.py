@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from dtwin.kinds.registry import kind_named
-from dtwin.schema import Finding, Run
+from dtwin.schema import Finding, Run, of_one_way
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
 _MIN_SPREAD_UM = 0.02
@@ -22,7 +22,17 @@ def judge_run(run: Run) -> list[Finding]:
 
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the runs of one campaign lack as a whole; they may be as ``without_samples`` leaves them."""
-    return kind_named(runs[0].meta.kind).judge_campaign(runs) if runs else []
+    if not runs:
+        return []
+    told = of_one_way(runs)
+    found = kind_named(runs[0].meta.kind).judge_campaign(told)
+    if len(told) < len(runs):
+        said = (
+            f"{len(runs) - len(told)} of {len(runs)} runs were measured with a correction that the rest did not have: "
+            "figures, repeats and twins are of the rest; dtwin evidence compares the two"
+        )
+        found.append(Finding("campaign.ways", "info", said, {"runs_1": float(len(runs) - len(told))}))
+    return found
 
 
 def said_together(runs: Sequence[Run]) -> list[Finding]:

@@ -68,18 +68,17 @@ def typed_line() -> str | None:
 
 
 def _text(done: dict[str, Any]) -> str:
-    from dtwin.report.campaign import evidence_table
+    from dtwin.report.campaign import evidence_advice, evidence_table
 
     lines = [
         f"{done['campaign']}: {done['measured']} tests measured, {done['kept']} kept from before, "
         f"{done['set_aside']} put aside; {done['added']} runs added to the lake"
     ]
     if done["evidence"]:
-        machine = done["machine"]
         lines += [
             table(*evidence_table(done["evidence"])),
             *done["evidence"]["told"],
-            f"next: dtwin promote {done['version']} --machine {machine}",
+            evidence_advice(done["evidence"], done["version"], done["machine"]),
         ]
     else:
         lines.append(f"next: dtwin check {done['folder']}")

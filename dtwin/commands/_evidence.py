@@ -32,7 +32,7 @@ def evidence(
     Conditions are paired, the run is the unit, and the two ways must have taken turns.
     """
     from dtwin.lifecycle.evidence import compute
-    from dtwin.report.campaign import evidence_table
+    from dtwin.report.campaign import evidence_advice, evidence_table
     from dtwin.train.evidence_record import newest
     from dtwin.train.registry import Registry
 
@@ -58,7 +58,7 @@ def evidence(
                 f"{registered.machine}: {n['without']} runs without and {n['with']} with, "
                 f"{computed.switches} changes between them",
                 *computed.told,
-                f"next: dtwin promote {registered.version} --machine {registered.machine}",
+                evidence_advice(payload, registered.version, registered.machine),
             ]
         )
 

@@ -70,11 +70,13 @@ def event(
 ) -> None:
     """Note what happened to a machine, so that its history can be read; or take such a note back."""
     from dtwin.machine_record import with_event, without_event
-    from dtwin.pipeline.machine_history import require_machine
+    from dtwin.pipeline.machine_history import champion_of, require_machine
 
     require_machine(home(), name)
     record = (without_event if take_back else with_event)(home(), name, what, on, note)
-    emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
+    champion = champion_of(home(), name)
+    told = f"\nchampion: {champion}" if champion else ""
+    emit({"machine": name, **record.as_dict()}, lambda: _record_text(record) + told, as_json=as_json)
 
 
 @app.command("list")

@@ -88,6 +88,8 @@ def train(
     def text() -> str:
         head = f"{campaign}: {result.rms_before_um:z.1f} µm RMS without a model, noise floor {result.noise_floor_text}"
         gates = "\n".join(verdict_lines(registered.verdicts))
+        failed = [v.gate for v in registered.verdicts if not v.passed]
+        advice = f"next: dtwin promote {registered.version.version} --machine {result.machine}"
         return "\n".join(
             [
                 head,
@@ -95,7 +97,7 @@ def train(
                 table(*comparison_table(result.candidates)),
                 f"registered {result.proposed} as version {registered.version.version}",
                 gates,
-                f"next: dtwin promote {registered.version.version} --machine {result.machine}",
+                f"dtwin promote will refuse it: {', '.join(failed)}" if failed else advice,
             ]
         )
 
@@ -211,13 +213,15 @@ def rollback(
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
     as_json: Json = False,
 ) -> None:
-    """Go back to the previous champion and bar the present one."""
+    """Bar the champion and go back to the one before it; without one nothing is served."""
     from dtwin.train.promotion import rollback as go_back
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
     restored = go_back(registry, home(), machine_named(registry, machine), comment)
-    emit({"champion": restored.version}, lambda: f"champion again: version {restored.version}", as_json=as_json)
+    version = None if restored is None else restored.version
+    told = f"champion again: version {version}" if version else "withdrawn; none is served"
+    emit({"champion": version}, lambda: told, as_json=as_json)
 
 
 @app.command()

@@ -113,7 +113,7 @@ def _trainable(home: Home, machines: Collection[str]) -> _Units:
             passed[item.campaign] = item.obstacle
             continue
         seen.add(item.machine)
-        if item.new_runs:
+        if item.is_new:
             units.append(Unit(item.campaign, item.machine, item.digest))
         else:
             passed[item.campaign] = "every run was trained on already"
@@ -142,7 +142,7 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
 
 def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
     """Return machines whose champion was not checked for some days."""
-    from dtwin.lifecycle.train import geometry_of
+    from dtwin.lifecycle.recheck import left_out
     from dtwin.train.registry import Registry
 
     registry = Registry(home)
@@ -151,12 +151,11 @@ def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
     for machine in registry.machines():
         if machines and machine not in machines:
             continue
-        champion = registry.champion(machine)
-        if champion is None:
-            passed[machine] = "no champion"
-        elif not geometry_of(registry, champion).get("virtual", False):
-            passed[machine] = "a real machine has to be measured: dtwin campaign --with champion, then dtwin recheck"
-        elif (last := champion.tags.get("recheck", "").partition(" ")[0]) > limit:
+        if why := left_out(registry, machine):
+            passed[machine] = why
+            continue
+        champion = registry.version(machine, "champion")
+        if (last := champion.tags.get("recheck", "").partition(" ")[0]) > limit:
             passed[machine] = f"checked {last}"
         else:
             units.append(Unit(machine, machine, champion.version))

@@ -69,8 +69,6 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "run_errors": ("evidence run by run", "an error of each run"),
 }
 """Verbs that a kind may lack: what each is called, and what it needs."""
-
-
 TWINS_OF_PATHS: Mapping[str, str] = {"twins": "dtwin.twins.verbs:Twins", "twin_report": "dtwin.report.twins"}
 """Places of the twins of kinds that have ``rows``: one fit and one report serve all of them."""
 
@@ -173,8 +171,7 @@ class Kind:
     read_with : tuple of str
         What a file is read with, as ``dtwin amend`` names it: stated anew, it would change nothing.
     settings : tuple of str
-        What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside what every kind reads: other
-        names there are notes, and a name that is nearly one of these is refused.
+        What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside every kind; others are notes.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_named, kind_of
 from dtwin.lake.store import TABLES, Lake
 from dtwin.progress import Progress
@@ -77,6 +77,30 @@ def trained_rows(registry: Registry, lake: Lake, version: RegisteredVersion) -> 
     at = {name: int(params.get(f"table_version.{name}", -1)) for name in TABLES}
     rows = lake.runs(str(params.get("campaign", "")), at=at)
     return [row for row in rows if usable(row)]
+
+
+def left_out_since(registry: Registry, lake: Lake, version: RegisteredVersion) -> list[str]:
+    """Return the runs that a version was trained on and that are left out now."""
+    trained = {row["run_id"] for row in trained_rows(registry, lake, version)}
+    now = lake.runs(campaign_of(registry, version), left_out=True)
+    return [row["run_id"] for row in now if row["left_out"] is not None and row["run_id"] in trained]
+
+
+def require_training(home: Home, version: RegisteredVersion) -> None:
+    """Refuse a version that was trained on runs that are left out now.
+
+    Raises ``GateRefusal``.
+    """
+    registry = Registry(home)
+    if out := left_out_since(registry, Lake(home.lake), version):
+        campaign = campaign_of(registry, version)
+        raise GateRefusal(
+            f"version {version.version} was trained on runs that are left out now",
+            code="promote.trained",
+            where=f"campaign {campaign}",
+            got=", ".join(out)[:200],
+            hint=f"dtwin train {campaign} makes a version without them; dtwin restore takes them in again",
+        )
 
 
 def usable(row: Any) -> bool:

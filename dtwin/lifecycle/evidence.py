@@ -11,6 +11,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.machine import FROM_THE_LAKE, EvidenceRequest, VirtualMachine
 from dtwin.kinds.registry import machine_of_type, machines
 from dtwin.lake.store import Lake
+from dtwin.lifecycle.drift import require_training
 from dtwin.lifecycle.train import geometry_of, markdown_table
 from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
@@ -136,6 +137,7 @@ def promote_proven(
 
     The rest is as for :func:`dtwin.train.promotion.promote`; evidence that is not what its runs say is refused, too.
     """
+    require_training(home, version)
     registry = Registry(home)
     return promote(
         registry,

@@ -84,6 +84,16 @@ def recheck(
     return settled(home, champion, looked)
 
 
+def left_out(registry: Registry, machine: str) -> str:
+    """Return why the champion of a machine cannot be checked from here, empty when it can."""
+    champion = registry.champion(machine)
+    if champion is None:
+        return "no champion"
+    if not geometry_of(registry, champion).get("virtual", False):
+        return "a real machine has to be measured: dtwin campaign --with champion, then dtwin recheck"
+    return ""
+
+
 def look_again(
     home: Home,
     champion: RegisteredVersion,

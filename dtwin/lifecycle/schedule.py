@@ -18,7 +18,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.lifecycle._against_champion import Comparison, compare_with_champion
-from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, trained_rows, usable
+from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, left_out_since, trained_rows, usable
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
 from dtwin.progress import StageProgress
@@ -35,6 +35,7 @@ class _CampaignNews:
     """What a campaign holds that no registered version was trained on.
 
     ``rows``: its usable runs, as rows of ``runs``.
+    ``left_out``: how many runs the newest version that it trained has that are left out now.
     ``digest``: identifies the content of the usable runs.
     ``obstacle``: why the campaign cannot train a correction; empty when it can.
     """
@@ -43,8 +44,20 @@ class _CampaignNews:
     machine: str
     rows: list[dict[str, Any]]
     new_runs: int
+    left_out: int
     digest: str
     obstacle: str
+
+    @property
+    def is_new(self) -> bool:
+        """Whether a training would have other runs than the last one."""
+        return bool(self.new_runs or self.left_out)
+
+    @property
+    def told(self) -> str:
+        """Why to train, or why not."""
+        gone = f", {self.left_out} left out since the last training" if self.left_out else ""
+        return self.obstacle or f"{self.new_runs} new runs{gone}"
 
 
 @dataclass(frozen=True)
@@ -132,6 +145,7 @@ def news(home: Home, registry: Registry, machines: Collection[str] = ()) -> list
                 machine=machine,
                 rows=rows,
                 new_runs=len(set(contents) - known[machine]),
+                left_out=_left_out(registry, lake, machine, name),
                 digest=hashlib.sha256("".join(contents).encode()).hexdigest()[:16],
                 obstacle=_obstacle(rows, lake.campaign(name)),
             )
@@ -148,6 +162,12 @@ def compared(home: Home, made: Registered) -> Comparison | None:
 def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
     versions = registry.versions(machine)
     return {row["content_sha256"] for v in versions for row in trained_rows(registry, lake, v)}
+
+
+def _left_out(registry: Registry, lake: Lake, machine: str, campaign: str) -> int:
+    of_it = (v for v in registry.versions(machine) if campaign_of(registry, v) == campaign)
+    newest = next(of_it, None)
+    return 0 if newest is None else len(left_out_since(registry, lake, newest))
 
 
 def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
@@ -204,10 +224,10 @@ class _Turn:
         check = _drift_once(self.home, self.registry, item)
         if check is not None:
             self.drift.append(check)
-        self.told[item.campaign] = item.obstacle or f"{item.new_runs} new runs"
+        self.told[item.campaign] = item.told
         if item.obstacle:
             return
-        if not item.new_runs:
+        if not item.is_new:
             self.settled.add(item.machine)
             return
         try:

@@ -11,6 +11,7 @@ from dtwin.acquire.amending import amendment_findings
 from dtwin.config import Home
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.lifecycle.drift import require_training
 from dtwin.progress import StageProgress
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
@@ -86,6 +87,7 @@ def registered(home: Home, training: Training, progress: StageProgress | None = 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:
     """Put a version on trial; offline gates decide."""
+    require_training(home, version)
     registry = Registry(home)
     return trial(registry, home, version, geometry=geometry_of(registry, version), comment=comment)
 

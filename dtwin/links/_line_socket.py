@@ -82,12 +82,13 @@ class LineSocket:
         if held is not None:
             held.close()
 
-    def fault(self, code: str, text: str) -> DeviceError:
+    def fault(self, code: str, text: str, got: str | None = None) -> DeviceError:
         """Return an error about this connection."""
         return DeviceError(
             text,
             code=code,
             where=f"{self._what} at {self.address}",
+            got=got,
             hint="check the program beside the control, then serve again",
         )
 

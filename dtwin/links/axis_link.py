@@ -165,8 +165,9 @@ class AxisLink(StateLines):
             raise self._line.fault("axes.silent", "what answers does not greet")
         self._waiting = lines[1:]
         told = _object(lines[0])
-        if told is None or told.get("dtwin") != PROTOCOL:
-            raise self._line.fault("axes.protocol", "what answers is no axis link of this version")
+        if told is None or (told.get("dtwin") != PROTOCOL and "refused" not in told):
+            line = lines[0][:80].decode(errors="replace")
+            raise self._line.fault("axes.protocol", "what answers is no axis link of this version", line)
         if told.get("refused"):
             raise DeviceError(
                 "the control refuses", code="axes.refused", where=self._line.address, got=str(told["refused"])[:200]
@@ -186,19 +187,20 @@ class AxisLink(StateLines):
                 hint="another machine's control, or another machine's model?",
             )
 
+    def _unusable(self, got: str) -> DeviceError:
+        return self._line.fault("axes.greeting", "the control's greeting cannot be used", got[:80])
+
     def _greeting(self, told: Mapping[str, object]) -> Greeting:
         period, watchdog, clock = (told.get(n) for n in ("period_s", "watchdog_s", "clock"))
         axes = told.get("axes")
-        if not (
-            isinstance(period, int | float)
-            and 0.0 < period < 60.0
-            and isinstance(watchdog, int | float)
-            and 0.0 < watchdog <= 60.0
-            and clock in ("wall", "machine")
-            and isinstance(axes, list)
-            and all(axis in _AXES for axis in axes)
-        ):
-            raise self._line.fault("axes.greeting", "the control's greeting cannot be used")
+        if not (isinstance(period, int | float) and 0.0 < period < 60.0):
+            raise self._unusable(f"period_s {period}")
+        if not (isinstance(watchdog, int | float) and 0.0 < watchdog <= 60.0):
+            raise self._unusable(f"watchdog_s {watchdog}")
+        if clock not in ("wall", "machine"):
+            raise self._unusable(f"clock {clock}")
+        if not (isinstance(axes, list) and all(axis in _AXES for axis in axes)):
+            raise self._unusable(f"axes {axes}")
         return Greeting(
             str(told.get("control"))[:80],
             float(period),

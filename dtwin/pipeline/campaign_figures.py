@@ -12,7 +12,7 @@ from dtwin.lake.store import Lake
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.progress import Progress
 from dtwin.report.checking import run_result
-from dtwin.schema import Floats, Run
+from dtwin.schema import Floats, Run, of_one_way
 
 
 def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str
     """
     lake = Lake(home.lake)
     curves: dict[str, dict[str, tuple[Floats, Floats]]] = {}
-    for row in lake.runs(campaign):
+    for row in of_one_way(lake.runs(campaign)):
         if not (kind_named(row["kind"]).goes_round and row["radius_mm"]):
             continue
         feed = f" F{row['feed_mm_min']:g}" if row["feed_mm_min"] else ""

@@ -18,6 +18,7 @@ from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.certificate import LANGUAGES, certificate_page
 from dtwin.report.sheet import notes_beside
 from dtwin.report.uncertainty import Variation
+from dtwin.schema import of_one_way
 
 # So many earlier tests are looked at for a figure in common, the newest first.
 _LOOKED_AT = 12
@@ -75,7 +76,7 @@ def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str
         "temperature": temperature,
         "measured": f"{stamps[0]} - {stamps[-1][11 if same_day else 0 :]}" if stamps else "",
         "test": known.name,
-        "runs": str(sum(row["left_out"] is None for row in rows)),
+        "runs": str(len(of_one_way([r for r in rows if r["left_out"] is None]))),
         "evaluated by": f"dtwin {__version__}",
     }
 

@@ -131,13 +131,24 @@ def _served(home: Home) -> Iterator[tuple[str, str]]:
     # A machine that has told nothing of itself, as a virtual one, may have a champion all the same.
     for folder in sorted({path.parent for name in (MACHINE, CHAMPION) for path in home.bundles.glob(f"*/{name}")}):
         try:
-            resolve("latest", folder.name, home)
+            served = resolve("latest", folder.name, home)
         except DtwinError as error:
             # That nothing may be served is no damage.
             damaged = not error.code.startswith("serve.")
             yield f"bundles/{folder.name}", error.message if damaged else ""
         else:
-            yield f"bundles/{folder.name}", ""
+            lost = (
+                f"version {served.version} is served, and the model registry does not know it: nothing can withdraw it"
+            )
+            yield f"bundles/{folder.name}", lost if _said(_registered, home, folder.name, served.version) else ""
+
+
+def _registered(home: Home, machine: str, version: int) -> None:
+    """Read a version in the registry; a host that only serves has none."""
+    if (home.root / "mlflow").is_dir():
+        from dtwin.train.registry import Registry
+
+        Registry(home).version(machine, str(version))
 
 
 def _shared(home: Home) -> Iterator[tuple[str, str]]:

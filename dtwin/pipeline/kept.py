@@ -23,6 +23,9 @@ from dtwin.report.checking import campaign_sheet
 from dtwin.report.uncertainty import Variation
 from dtwin.schema import require_name
 
+_MADE_BY = f"{__version__} of one way"
+"""Changes when the same runs give other figures: what was kept before is made anew."""
+
 
 def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return a hash of rows of the lake's table of runs: what they hold, and what was stated anew."""
@@ -55,12 +58,12 @@ def kept_already(home: Home, what: str, campaign: str, stamp: str | None = None)
         document = read_document(path) if path.exists() else {}
     except StoreError:
         return None
-    return document.get("made") if stamp is None or document.get("stamp") == f"{__version__} {stamp}" else None
+    return document.get("made") if stamp is None or document.get("stamp") == f"{_MADE_BY} {stamp}" else None
 
 
 def keep(home: Home, what: str, campaign: str, stamp: str, made: Any) -> None:
     """Keep what was made of the runs of a campaign. Raises ``StoreError`` when the home cannot be written."""
-    write_document(_file_of(home, what, campaign), {"stamp": f"{__version__} {stamp}", "made": made}, what)
+    write_document(_file_of(home, what, campaign), {"stamp": f"{_MADE_BY} {stamp}", "made": made}, what)
 
 
 def _file_of(home: Home, what: str, campaign: str) -> Path:

@@ -13,7 +13,7 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import by_campaign, campaign_of
 from dtwin.lake.store import Lake
-from dtwin.machine_record import MachineRecord, read_record, recorded
+from dtwin.machine_record import MachineRecord, changed_since, read_record, recorded
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
@@ -82,7 +82,7 @@ def machine_history(
         sha256(repr(made_of).encode()).hexdigest(),
         lambda: _history(home, machine, [twin.name for twin in mine], effects, progress),
     )
-    return made | {"champion": _champion(home, machine)}
+    return made | {"champion": champion_of(home, machine)}
 
 
 def _history(
@@ -305,7 +305,8 @@ def _by_machine(twins: Sequence[TwinLine]) -> dict[str, list[str]]:
     return names
 
 
-def _champion(home: Home, machine: str) -> str:
+def champion_of(home: Home, machine: str) -> str:
+    """Return in words what corrects a machine, and whether it was changed since that was proved; empty for nothing."""
     try:
         served = resolve("latest", machine, home, harmless=True)
     except InputError:
@@ -313,4 +314,6 @@ def _champion(home: Home, machine: str) -> str:
     except GateRefusal as error:
         # Its tests and their history are none the worse for that.
         return f"none can be served: {error.message}"
-    return f"version {served.version} ({served.state})"
+    changed = changed_since(home, machine, served.proved) if served.proved else ""
+    told = f", proved on {served.proved[:10]}, before the {changed}: dtwin recheck" if changed else ""
+    return f"version {served.version} ({served.state}){told}"

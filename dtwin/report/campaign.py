@@ -186,6 +186,13 @@ def _of_the_oracle(evidence: Mapping[str, Any]) -> list[str]:
     return [*told, f"Share of the oracle's reduction: {', '.join(known)}."] if known else told
 
 
+def evidence_advice(evidence: Mapping[str, Any], version: str, machine: str) -> str:
+    """Return what to do after evidence: to promote, or not where it did harm."""
+    if worse := [condition_name(c) for c in evidence["conditions"] if c["worse"]]:
+        return f"evidence against version {version}, which dtwin promote will refuse: worse at {', '.join(worse)}"
+    return f"next: dtwin promote {version} --machine {machine}"
+
+
 def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of before, after, oracle and floor per condition."""
     head = [

@@ -21,7 +21,7 @@ from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import circle_figure, counted, table
 from dtwin.report.uncertainty import Circumstances, Variation
-from dtwin.schema import Campaign, Finding, Run
+from dtwin.schema import Campaign, Finding, Run, of_one_way
 from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
@@ -59,7 +59,7 @@ def sheet_of(
     # Something that is no table of limits is refused as a limit that is none.
     table_of = stated if isinstance(stated, Mapping) else {"FIGURE": str(stated)}
     own = limits_from(table_of, f"{under.where}.tolerances")
-    made = kind.sheet(runs, under)
+    made = kind.sheet(of_one_way(runs), under)
     strange = [symbol for symbol in own if ":" in symbol or (kind.figures and symbol not in kind.figures)]
     if strange:
         raise InputError(
@@ -161,7 +161,7 @@ def _checked(
         machine = campaign.machine
         sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
-        **kind.campaign_figures(light),
+        **kind.campaign_figures(of_one_way(light)),
         **sheet,
         "source": source,
         "campaign": campaign.name,

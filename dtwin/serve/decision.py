@@ -225,7 +225,8 @@ class Decision:
         np.take(self._pool, self._take, out=self._tick, mode="clip")
         self.compiled.tick_inputs[:] = self._tick
         pathed = perf_counter_ns()
-        if self._windowed or not self._uses_window:
+        # What remembers must not remember what a broken sensor reads: no number would stay none, and 850 °C for minutes.
+        if (self._windowed or not self._uses_window) and self.guard.trust(self._inputs) > 0.0:
             self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])

@@ -32,7 +32,9 @@ def proof_of(resolved: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bo
     return f"last proved {when:%Y-%m-%d}, {max(age.days, 0)} days ago{limit}", holds
 
 
-def require_proof(resolved: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None) -> str:
+def require_proof(
+    resolved: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None, changed: str = ""
+) -> str:
     """Return what is to be told of a champion's proof before it moves a machine.
 
     Parameters
@@ -43,6 +45,8 @@ def require_proof(resolved: Resolved, bundle: Bundle, when_expired: WhenExpired,
         What to do when the proof does not hold any more.
     now : datetime, optional
         By default the computer's clock.
+    changed : str
+        What changed the machine since, where its record notes anything.
 
     Raises
     ------
@@ -50,6 +54,7 @@ def require_proof(resolved: Resolved, bundle: Bundle, when_expired: WhenExpired,
         When it does not hold and this was not to be a warning.
     """
     told, holds = proof_of(resolved, bundle, now or datetime.now(UTC))
+    told += f"; WARNING: {changed}, after that: dtwin recheck" if changed else ""
     if holds:
         return told
     if when_expired == "warn":

@@ -265,6 +265,10 @@ class Guard:
         self.counts[:] = 0
         self.reason = DISABLED
 
+    def trust(self, inputs: Floats) -> float:
+        """Return how far the model may be trusted at its inputs, as ``box_factor``."""
+        return float(box_factor(inputs, self._low, self._high, self._span))
+
     def step(
         self,
         wanted_um: Floats,
@@ -292,10 +296,9 @@ class Guard:
         found : int
             As for ``guard_kernel``; a machine that does not run comes first.
         """
-        factor = box_factor(inputs, self._low, self._high, self._span)
         self.reason = guard_kernel(
             wanted_um,
-            factor,
+            self.trust(inputs),
             age_s,
             window_age_s,
             elapsed_s,

@@ -17,6 +17,7 @@ from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.windows import WindowContract
+from dtwin.machine_record import changed_since
 from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve._axis_lockstep import serve_machine_clock
 from dtwin.serve._connection import AxisConnection, Connection, with_trial_clamp
@@ -96,7 +97,12 @@ def _serve_resolved(
         limit_um = compiled.bundle.safety.clamp_um
         announce(f"trial: the correction is limited to {limit_um:z.1f} µm, a quarter of its clamp")
     elif request.mode == "live":
-        announce(require_proof(resolved, compiled.bundle, request.expired))
+        changed = ""
+        if resolved.proved:
+            # A record that cannot be read is no reason to stop a machine.
+            with contextlib.suppress(DtwinError):
+                changed = changed_since(home, resolved.machine, resolved.proved)
+        announce(require_proof(resolved, compiled.bundle, request.expired, changed=changed))
     if request.fade is not None:
         compiled = _with_fading(compiled, request.fade)
     if request.analogue is not None:
@@ -210,7 +216,16 @@ def _connection(request: ServeRequest, bundle: Bundle, trial: bool, inputs: Axis
 
 
 def _require_control(request: ServeRequest, bundle: Bundle) -> None:
-    """Refuse a model whose inputs only a control sends, where none was named."""
+    """Refuse a model whose inputs only a control sends, where none was named, and a value in place of what is measured."""
+    takes = [i.name for i in bundle.inputs if i.source == "covariate"]
+    if strange := sorted(set(request.covariates) - set(takes)):
+        raise InputError(
+            "the model takes no such covariate",
+            code="serve.covariate",
+            where=f"machine {bundle.machine}",
+            got=", ".join(strange)[:200],
+            allowed=", ".join(takes) or "none: all its inputs are measured",
+        )
     known = {*STANDARD_INPUTS, *request.covariates}
     unknown = [name for name in bundle.tick_inputs if name not in known]
     if unknown and request.axes is None:

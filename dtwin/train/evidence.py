@@ -58,6 +58,7 @@ class Evidence:
     ``notes``: what the runs do not tell, for reports: ``clock``, ``delays``, and by the name of a condition
     ``trained``, ``oracle_um`` and ``acted``. No gate reads it.
     ``profiles``: mean error along the path, for plots: condition -> way -> direction -> list.
+    ``reached``: least and largest value of each column of the runs with the correction.
     """
 
     kind: str
@@ -70,6 +71,7 @@ class Evidence:
     told: tuple[str, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
     profiles: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    reached: Mapping[str, tuple[float, float]] = field(default_factory=dict, repr=False)
 
     def share_of_oracle(self, *, trained: bool) -> float:
         """Return the reduction as a share of the oracle's, over feeds that were trained or not."""
@@ -162,6 +164,7 @@ def evidence_of_runs(
         tuple(said),
         dict(notes or {}),
         {condition_name(dict(k)): _profile({w: counted[w][k] for w in counted}) for k in paired},
+        _reached([r.run for r in used if r.way == WITH]),
     )
 
 
@@ -310,6 +313,15 @@ def _groups(errors: Sequence[RunError]) -> list[list[RunError]]:
     for error in errors:
         by_block[error.direction].append(error)
     return list(by_block.values())
+
+
+def _reached(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
+    columns: dict[str, list[Floats]] = defaultdict(list)
+    for run in runs:
+        for name, values in run.samples.items():
+            if values.dtype.kind == "f" and np.isfinite(values).any():
+                columns[name].append(values)
+    return {n: (float(min(map(np.nanmin, v))), float(max(map(np.nanmax, v)))) for n, v in columns.items()}
 
 
 def _profile(ways: Mapping[Way, Sequence[RunError]]) -> dict[str, dict[str, list[float]]]:

@@ -82,10 +82,10 @@ def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) 
             found.append(EvidenceRun(way, name, row["content_sha256"], run))
     for correction, labels in strange.items():
         what = f"under {correction[:12]}" if correction else "without a recorded correction"
-        if len(ways) > 1:
+        if len(ways) > 1 and any(run.way == WITH for run in found):
             told.append(f"not counted: {', '.join(labels)}, measured {what}")
             continue
-        (way,) = ways
+        way = ways[-1]
         raise GateRefusal(
             f"runs were not measured {way} this correction",
             code=f"evidence.{way}",

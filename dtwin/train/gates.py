@@ -25,6 +25,8 @@ _LATENCY_BUDGET_US = 100.0
 _MIN_R2 = 0.2
 # An error of less than so many noise floors need not fall, it must only not grow.
 _ERROR_FLOORS = 3.0
+_LEAST_SHARE = 0.5
+"""Of the range that is served, which evidence must have gone over."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,20 @@ def evidence_gate(evidence: Evidence, bundle: Bundle, *, real: bool) -> list[Ver
             f"{len(better)} of {len(counted)} conditions better beyond their 95 % intervals"
             + (f", {spared} below three noise floors" if spared else ""),
         ),
+        *_covered(evidence, bundle),
     ]
+
+
+def _covered(evidence: Evidence, bundle: Bundle) -> list[Verdict]:
+    """Judge whether runs with the correction went over most of each input that the control commands and they hold."""
+    verdicts = []
+    for one in bundle.inputs:
+        if one.source == "controller" and one.name in evidence.reached:
+            low, high = evidence.reached[one.name]
+            share = (min(high, one.high) - max(low, one.low)) / (one.high - one.low)
+            told = f"{one.name} from {low:g} to {high:g}, served from {one.low:g} to {one.high:g}"
+            verdicts.append(Verdict("evidence covers what is served", share >= _LEAST_SHARE, told))
+    return verdicts
 
 
 def _errs(condition: Mapping[str, Any]) -> bool:

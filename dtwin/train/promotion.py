@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.registry import kind_of, machine_of_type
+from dtwin.machine_record import changed_since
 from dtwin.people import acting, read_people
 from dtwin.serve.barred import allow, bar, barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import replace_bundle, save_bundle
-from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, proven_states, write_machine, write_pointer
+from dtwin.serve.pointer import clear_trial, on_trial, proven_states, write_machine, write_pointer
 from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
-from dtwin.train.promotion_books import alone, by_pointer, enter, history, remember
+from dtwin.train.promotion_books import alone, bundle_path, by_pointer, enter, history, remember, was_champion
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -64,19 +65,24 @@ def promote(
     bundle, verdicts = check_version(registry, version)
     if version.tags.get(TRIAL_ONLY):
         verdicts.append(Verdict("the twin is confirmed", False, version.tags[TRIAL_ONLY]))
+    proved = ""
     if evidence is None:
         verdicts.append(Verdict("closed-loop evidence", False, "none: measure it on trial first"))
     else:
         real = not bool(geometry.get("virtual", False))
+        kept = records(registry, version)
+        proved = _proved(evidence, kept)
         verdicts += evidence_gate(evidence, bundle, real=real)
-        verdicts += _against(records(registry, version), despite)
+        verdicts += _against(kept, despite)
+        changed = changed_since(home, version.machine, proved)
+        told = f"{changed or 'no event'} after the evidence of {proved[:10]}"
+        verdicts.append(Verdict("machine unchanged since the evidence", not changed, told))
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
         remember(home, version, "refused", comment, verdicts, despite)
         raise _refusal(version, verdicts)
     _require_second_person(home, version, comment, verdicts)
     kind = evidence.kind if evidence else "none"
-    proved = _proved(evidence)
     with alone(home, version.machine):
         previous = by_pointer(registry, home, version.machine)
         _write_machine(version.machine, home, geometry)
@@ -105,7 +111,7 @@ def trial(
     if not all(v.passed for v in verdicts):
         remember(home, version, "refused", comment, verdicts)
         raise _refusal(version, verdicts)
-    path = _bundle_path(home, version)
+    path = bundle_path(home, version)
     with alone(home, version.machine):
         by_pointer(registry, home, version.machine)
         version = registry.version(version.machine, version.version)
@@ -120,21 +126,19 @@ def trial(
     return path
 
 
-def rollback(registry: Registry, home: Home, machine: str, comment: str = "") -> RegisteredVersion:
-    """Restore the previous champion and bar the present one.
+def rollback(registry: Registry, home: Home, machine: str, comment: str = "") -> RegisteredVersion | None:
+    """Bar the champion and restore the one before it; without one None, and nothing is served any more.
 
-    Raises ``InputError`` when there is no previous champion.
+    Raises ``InputError`` when the machine has neither.
     """
     with alone(home, machine):
-        return _roll_back(registry, home, machine, comment)
+        return _roll_back(registry, home, machine, by_pointer(registry, home, machine), comment)
 
 
 def withdraw(
     registry: Registry, home: Home, judged: RegisteredVersion, reason: str
 ) -> tuple[RegisteredVersion, RegisteredVersion | None]:
-    """Take a champion away: sessions that serve it release, and the one before it comes back.
-
-    Without a version to go back to, nothing is served any more. When another one became champion meanwhile, that stays.
+    """Take a champion away as ``rollback`` does. When another one became champion meanwhile, that stays.
 
     ``reason``: why; kept in the history, in the registry and beside the bundles.
     Returns ``withdrawn``, ``restored``: the version that was barred, and the champion from now on, None when there is
@@ -145,58 +149,49 @@ def withdraw(
         # First what moves the machine, then the books.
         bar(machine, home, int(judged.version), reason)
         champion = by_pointer(registry, home, machine)
-        if champion is not None and champion.version != judged.version:
-            registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
-            remember(home, judged, "rollback", reason, [])
-            return judged, champion
-        try:
-            restored = _roll_back(registry, home, machine, reason)
-        except (InputError, StoreError):
-            restored = judged
-        if restored.version != judged.version:
-            return judged, restored
-        path = _bundle_path(home, judged)
-        write_pointer(machine, home, path, int(judged.version), "barred")
+        if champion is None or champion.version == judged.version:
+            return judged, _roll_back(registry, home, machine, judged, reason)
         registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
-        registry.client.delete_registered_model_alias(model_name(machine), "champion")
         remember(home, judged, "rollback", reason, [])
-        return judged, None
+        return judged, champion
 
 
-def _roll_back(registry: Registry, home: Home, machine: str, comment: str) -> RegisteredVersion:
-    present = by_pointer(registry, home, machine)
-    try:
-        previous = registry.version(machine, "previous")
-    except InputError as error:
+def _roll_back(
+    registry: Registry, home: Home, machine: str, present: RegisteredVersion | None, comment: str
+) -> RegisteredVersion | None:
+    previous = _previous(registry, home, machine)
+    if previous is not None:
+        proved = previous.tags.get("proved", "")
+        write_pointer(machine, home, bundle_path(home, previous), int(previous.version), "champion", proved)
+    elif present is not None:
+        write_pointer(machine, home, bundle_path(home, present), int(present.version), "barred")
+    else:
         raise InputError(
-            "there is no previous champion to go back to",
+            "there is no champion, and none before it to go back to",
             code="rollback.none",
             where=f"machine {machine}",
             hint="dtwin models shows the history",
-        ) from error
-    path = _bundle_path(home, previous)
-    if not path.is_file():
-        raise StoreError(
-            "the previous bundle is gone", code="rollback.bundle", where=str(path), hint="promote that version again"
         )
-    replaced = present is not None and present.version != previous.version
-    if replaced and (why := barred_why(machine, home, int(previous.version))):
-        raise InputError(
-            "the previous champion was withdrawn, too",
-            code="rollback.barred",
-            where=f"machine {machine} version {previous.version}",
-            got=why,
-            hint="dtwin models shows the history; promote another version",
-        )
-    proved = previous.tags.get("proved", "")
-    write_pointer(machine, home, path, int(previous.version), "champion", proved)
+    replaced = present is not None and (previous is None or present.version != previous.version)
     if present is not None and replaced:
         bar(machine, home, int(present.version), comment or "rolled back")
-    registry.mark(previous, {"state": "champion"}, alias="champion")
+    if previous is not None:
+        registry.mark(previous, {"state": "champion"}, alias="champion")
     if present is not None and replaced:
         registry.mark(present, {"state": "barred", "barred_why": comment[:500]})
         remember(home, present, "rollback", comment, [])
-    return registry.version(machine, previous.version)
+    # Last: a rollback that a kill cut off before is done again, one that was done goes back no further.
+    registry.client.delete_registered_model_alias(model_name(machine), "champion" if previous is None else "previous")
+    return None if previous is None else registry.version(machine, previous.version)
+
+
+def _previous(registry: Registry, home: Home, machine: str) -> RegisteredVersion | None:
+    """Return the champion before the present one, if it may be served again."""
+    try:
+        previous = registry.version(machine, "previous")
+    except InputError:
+        return None
+    return previous if was_champion(home, previous) and not barred_why(machine, home, int(previous.version)) else None
 
 
 def _require_second_person(home: Home, version: RegisteredVersion, comment: str, verdicts: Sequence[Verdict]) -> None:
@@ -270,10 +265,6 @@ def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Non
         write_machine(machine, home, dict(geometry))
 
 
-def _bundle_path(home: Home, version: RegisteredVersion) -> Path:
-    return machine_folder(version.machine, home) / f"v{int(version.version):04d}.json"
-
-
 def _freeze(
     home: Home,
     version: RegisteredVersion,
@@ -290,7 +281,7 @@ def _freeze(
         valid_days=valid_days,
     )
     frozen = dataclasses.replace(bundle, model_version=int(version.version), provenance=provenance)
-    path = _bundle_path(home, version)
+    path = bundle_path(home, version)
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_bundle(path, partial(save_bundle, frozen, path))
     return path
@@ -308,15 +299,16 @@ def _refusal(version: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRef
         f"version {version.version} of {version.machine} is not promoted",
         code="promote.refused",
         got="; ".join(failed),
-        hint="the reasons are in the registry too; a better candidate comes from dtwin train",
+        hint="dtwin train makes another candidate; evidence that is known to speak against it is named by --despite",
     )
 
 
-def _proved(evidence: Evidence | None) -> str:
+def _proved(evidence: Evidence, kept: Sequence[Record]) -> str:
     """Return when a correction was last seen to help: when its newest runs were measured.
 
-    A virtual machine keeps no calendar: there it is now.
+    A virtual machine keeps no calendar: there it is when the evidence was computed, the last of what is kept.
     """
-    real = evidence.runs if evidence is not None and evidence.kind == "real" else ()
+    real = evidence.runs if evidence.kind == "real" else ()
     started = [run["started"] for run in real if run["way"] == "with" and run["started"]]
-    return max(started, default=datetime.now(UTC).isoformat(timespec="seconds"))
+    computed = kept[-1].time if kept else datetime.now(UTC).isoformat()
+    return max(started, default=f"{computed[:19]}+00:00")

@@ -9,6 +9,7 @@ import contextlib
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, Literal
 
 from dtwin.atomic import append_line
@@ -33,9 +34,22 @@ def alone(home: Home, machine: str) -> contextlib.AbstractContextManager[bool]:
     return locked(home.root / "locks" / f"promote-{require_name(machine, 'the machine')}.lock", wait=True)
 
 
+def bundle_path(home: Home, version: RegisteredVersion) -> Path:
+    """Return where the bundle of a version that may be served lies."""
+    return machine_folder(version.machine, home) / f"v{int(version.version):04d}.json"
+
+
+def was_champion(home: Home, version: RegisteredVersion) -> bool:
+    """Return whether a version was promoted: its bundle states the evidence. Aliases and tags can be set by anybody."""
+    try:
+        return Bundle.from_dict(read_json(bundle_path(home, version), MAX_BYTES)).provenance.evidence != "none"
+    except (InputError, GateRefusal, StoreError):
+        return False
+
+
 def by_pointer(registry: Registry, home: Home, machine: str) -> RegisteredVersion | None:
     """Return the champion. Serving follows the pointer: a promotion that a kill cut off after it is entered in the books."""
-    present = registry.champion(machine)
+    present = registry.champion(machine, by_alias=True)
     try:
         served = resolve("latest", machine, home, harmless=True)
         version = registry.version(machine, str(served.version))
@@ -46,9 +60,9 @@ def by_pointer(registry: Registry, home: Home, machine: str) -> RegisteredVersio
     # Of a rollback that was cut off the books say the same as before it: it is done again.
     if served.state != "champion" or same or "previous" in version.aliases:
         return present
-    enter(registry, present, version, kind, served.proved)
+    enter(registry, present if present and was_champion(home, present) else None, version, kind, served.proved)
     remember(home, version, "champion", "entered later: the promotion was cut off", [])
-    return registry.champion(machine)
+    return registry.champion(machine, by_alias=True)
 
 
 def enter(

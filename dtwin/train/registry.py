@@ -20,6 +20,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
 from dtwin.schema import require_name
+from dtwin.serve.pointer import served_version
 from dtwin.train._registry_client import client_of
 from dtwin.train.logged import candidate_metrics, report_metrics, report_params
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
@@ -129,9 +130,14 @@ class Registry:
     def version(self, machine: str, wanted: str) -> RegisteredVersion:
         """Return a version by number or alias.
 
-        ``wanted``: a version number, or ``candidate``, ``champion``, ``previous``.
+        ``wanted``: a version number, or ``candidate``, ``champion``, ``previous``; the champion is what is served, whatever
+        its alias says.
         Raises ``InputError`` when there is no such version.
         """
+        served = served_version(machine, self.home) if wanted == "champion" else None
+        return self._version(machine, wanted if served is None else str(served))
+
+    def _version(self, machine: str, wanted: str) -> RegisteredVersion:
         name = model_name(machine)
         try:
             registered = (
@@ -152,10 +158,10 @@ class Registry:
         # A search for versions, and an alias query, leave the aliases out.
         return _registered(machine, registered, self.client.get_registered_model(name).aliases)
 
-    def champion(self, machine: str) -> RegisteredVersion | None:
-        """Return the machine's champion, None when nothing was promoted."""
+    def champion(self, machine: str, *, by_alias: bool = False) -> RegisteredVersion | None:
+        """Return the machine's champion, None when nothing was promoted; ``by_alias``: what the books say, and not what is served."""
         try:
-            return self.version(machine, "champion")
+            return (self._version if by_alias else self.version)(machine, "champion")
         except InputError:
             return None
 

@@ -19,7 +19,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
-from dtwin.schema import Campaign, Floats
+from dtwin.schema import Campaign, Floats, of_one_way
 from dtwin.twins._reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 
@@ -102,7 +102,10 @@ def load(home: Home, campaign: str) -> Loaded:
     found = lake.campaign(name)
     rows = lake.runs(name, left_out=True)
     left_out = {str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))}
-    usable = [row for row in rows if str(row["run_id"]) not in left_out]
+    sound = [row for row in rows if str(row["run_id"]) not in left_out]
+    usable = of_one_way(sound)
+    if corrected := [str(row["run_id"]) for row in sound if row not in usable]:
+        left_out[", ".join(corrected)] = "measured with a correction"
     if not usable:
         why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
         raise InputError(

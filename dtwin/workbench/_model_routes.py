@@ -110,7 +110,7 @@ def promote(request: Request, machine: str, version: str, why: _Comment) -> JSON
 
 @router.post("/api/models/{machine}/rollback")
 def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
-    """Go back to the previous champion and bar the present one."""
+    """Bar the champion and go back to the one before it."""
     bench = bench_of(request)
     registry = models.require_registry(bench.home, machine)
 
@@ -119,7 +119,7 @@ def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
 
         tell("restore the previous bundle")
         restored = rollback(registry, bench.home, machine, why.comment)
-        return f"/models/{machine}/{restored.version}"
+        return f"/models/{machine}/{restored.version}" if restored else "/models"
 
     return accepted(bench.jobs.start(f"Roll {machine} back", work))
 

@@ -276,7 +276,9 @@ def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
         (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no axis link of this version"),
         (b'{"dtwin": 2}\n', "no axis link of this version"),
         (b'{"dtwin": 1, "period_s": -1}\n', "greeting cannot be used"),
+        (b'{"dtwin": 1, "period_s": 0.01, "watchdog_s": 1, "clock": "sun"}\n', "greeting cannot be used"),
         (b'{"dtwin": 1, "refused": "busy"}\n', "the control refuses"),
+        (b'{"refused": "busy"}\n', "the control refuses"),
     ],
 )
 def test_what_does_not_greet_is_no_control(said: bytes, told: str) -> None:
@@ -291,8 +293,11 @@ def test_what_does_not_greet_is_no_control(said: bytes, told: str) -> None:
 
     threading.Thread(target=answers, daemon=True).start()
     link = AxisLink(f"127.0.0.1:{listener.getsockname()[1]}", LiveValues({}), ("z",))
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=told) as refused:
         link.open()
+    # The bridge's author reads which word of it is wrong.
+    assert refused.value.got
+    assert refused.value.got.split()[-1] in said.decode()
     listener.close()
 
 

@@ -186,7 +186,7 @@ def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) 
     if MACHINE not in registry.machines():
         run(train_flow, campaign="quick")
     left_out = run(recheck_flow, machine=MACHINE)[MACHINE]
-    assert (left_out["verdict"], left_out["reason"]) == ("left out", "no such model version")
+    assert (left_out["verdict"], left_out["reason"]) == ("left out", "no champion")
     candidate = registry.version(MACHINE, "candidate")
     put_on_trial(up.home, candidate)
     plan = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))

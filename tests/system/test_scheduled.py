@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from running_servers import MACHINE, few_candidates, measured
 
+from dtwin.acquire.amending import leave_out
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
@@ -65,6 +66,21 @@ def test_what_was_trained_on_is_not_new(home: Home) -> None:
     done = scheduled_training(home)
     assert (done.outcome, done.campaigns) == ("skipped", {"quick": "0 new runs", f"evidence-{MACHINE}-v1": _CORRECTED})
     assert done.reason.endswith("since version 1 of virtual-cobot (quick)")
+
+
+def test_a_run_that_is_left_out_after_the_training_is_a_reason_to_train_again(home: Home) -> None:
+    registry, lake = Registry(home), Lake(home.lake)
+    run = lake.runs("quick")[0]["run_id"]
+    leave_out(lake, "quick", [run], "the magnet slipped")
+    (item,) = (item for item in news(home, registry) if item.campaign == "quick")
+    assert (item.new_runs, item.is_new, item.told) == (0, True, "0 new runs, 1 left out since the last training")
+    with pytest.raises(GateRefusal, match="left out now"):
+        put_on_trial(home, registry.version(MACHINE, "1"))
+    path, reason = make_champion(home, registry.version(MACHINE, "1"))
+    assert path is None
+    assert run in reason
+    leave_out(lake, "quick", [run], "it had not", out=False)
+    assert not any(item.is_new for item in news(home, registry) if item.campaign == "quick")
 
 
 def test_two_schedules_do_not_train_at_once(home: Home) -> None:

@@ -354,6 +354,8 @@ def test_unknown_machine_and_unknown_tool(robot: VirtualRobot, home: Home) -> No
     code, answer = refused(f"--host={robot.host}")
     assert (code, answer["error"]["code"]) == (1, "serve.machine")
     promote(home)
+    code, answer = refused(f"--host={robot.host}", "--duration=1", "--covariate=programmed_feed_mm_min=1")
+    assert (code, answer["error"]["code"]) == (1, "serve.covariate")
     (machine_folder(MACHINE, home) / "machine.json").unlink()
     code, answer = refused(f"--host={robot.host}", "--duration=1")
     assert (code, answer["error"]["code"]) == (1, "serve.geometry")

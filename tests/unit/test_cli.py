@@ -243,10 +243,16 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     def held() -> None:
         raise OperationalError("SELECT 1", {}, sqlite3.OperationalError("database is locked"))
 
-    monkeypatch.setattr("dtwin.cli.app", held)
-    with pytest.raises(SystemExit):
-        cli.main()
-    assert "database is locked" in capsys.readouterr().err
+    def full() -> None:
+        error = OperationalError("INSERT", {}, sqlite3.OperationalError("database or disk is full"))
+        error.args = (f"(raised as a result of autoflush)\n{error.args[0]}",)
+        raise error
+
+    for broken, told in ((held, "database is locked"), (full, "database or disk is full")):
+        monkeypatch.setattr("dtwin.cli.app", broken)
+        with pytest.raises(SystemExit):
+            cli.main()
+        assert told in capsys.readouterr().err
     monkeypatch.setattr("dtwin.cli.app", lost)
     with pytest.raises(OperationalError):
         cli.main()

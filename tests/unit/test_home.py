@@ -21,9 +21,11 @@ from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.store import Lake
+from dtwin.lifecycle.train import put_on_trial
 from dtwin.machine_record import keep_record, read_record
 from dtwin.pipeline.home_archive import MANIFEST, backup, restore
 from dtwin.pipeline.home_check import check_home, home_parts
+from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
 
@@ -221,6 +223,16 @@ def test_a_check_finds_what_was_changed(lived_in: Home) -> None:
     assert "machines/mill-0" in wrong
     assert any(name.startswith(("c00/", "c01/")) for name in wrong)
     assert CliRunner().invoke(app, ["home", "check"]).exit_code == 1
+
+
+def test_a_champion_that_the_registry_lost_is_found(lived_in: Home) -> None:
+    (version,) = registered(lived_in, small_bundle(), virtual=True)
+    put_on_trial(lived_in, version)
+    path = machine_folder(MACHINE, lived_in) / "v0001.json"
+    write_pointer(MACHINE, lived_in, path, 1, "champion")
+    assert not check_home(lived_in).wrong
+    (lived_in.root / "mlflow" / "mlflow.db").write_bytes(b"")
+    assert "nothing can withdraw it" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
 
 
 def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

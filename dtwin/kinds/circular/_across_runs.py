@@ -193,9 +193,7 @@ def _differing_finding(runs: Sequence[Run]) -> Finding | None:
     within = []
     for run in runs:
         m = run.meta
-        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min, m.direction, m.correction), []).append(
-            _binned(run)
-        )
+        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min, m.direction), []).append(_binned(run))
         within.append(_scatter_um(run.arc[1]))
     off = list(_off_their_mean(of_condition))
     if not off:

@@ -26,7 +26,7 @@ from dtwin.kinds.circular._dynamics_ways import (
 from dtwin.kinds.circular._filter_tuning import Tuning, log_tuning, tune
 from dtwin.lake.store import Lake
 from dtwin.physics.observations import observe
-from dtwin.schema import Campaign, Floats, Run, SignalGroup
+from dtwin.schema import Campaign, Floats, Run, SignalGroup, of_one_way
 from dtwin.train.registry import Registry
 
 
@@ -71,7 +71,7 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
             got=known.kind,
             allowed="circular",
         )
-    runs = list(lake.iterate(campaign))
+    runs = of_one_way(list(lake.iterate(campaign)))
     usable = [run for run in runs if not any(f.severity == "error" for f in run.findings)]
     if not usable:
         raise InputError(

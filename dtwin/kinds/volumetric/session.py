@@ -18,7 +18,7 @@ from dtwin.kinds.volumetric._spoilt import spoilt_in
 from dtwin.kinds.volumetric._strokes import stroke_mm
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
-from dtwin.schema import Floats, Run
+from dtwin.schema import Floats, Run, of_one_way
 
 _SENSORS = "thermocouples"
 PLAUSIBLE_C = (-20.0, 90.0)
@@ -90,7 +90,8 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
         raise InputError(
             "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind, allowed="volumetric"
         )
-    runs = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
+    every = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
+    runs = of_one_way(every)
     hour_by_run = hours_of(runs)
     runs.sort(key=lambda run: hour_by_run[run.meta.run_id])
     if len(runs) <= REFERENCE_CYCLES:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dtwin.acquire.quality import judge_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.circular._sheet import circular_sheet
 from dtwin.kinds.registry import kind_named
@@ -51,6 +52,24 @@ def circle(
         repeat=repeat,
     )
     return Run(meta=meta, samples=samples)
+
+
+def test_runs_with_a_correction_are_no_repeats_of_runs_without() -> None:
+    rng = np.random.default_rng(1)
+    plain = [circle(way, n, 0.1 * rng.standard_normal(ANGLE.size)) for n in (1, 2) for way in ("CCW", "CW")]
+    better = [circle(way, n, np.zeros(ANGLE.size), oval_um=0.2) for n in (1, 2) for way in ("CCW", "CW")]
+    corrected = [
+        replace(run, meta=replace(run.meta, run_id=f"{run.meta.run_id}-with", correction="f00d")) for run in better
+    ]
+    kind, stated = kind_named("circular"), Campaign("turns", "mill", "circular", "")
+    alone, turns = (sheet_of(kind, stated, runs, {}) for runs in (plain, [*plain, *corrected]))
+    assert turns["parts"] == alone["parts"]
+    (told,) = (f for f in judge_campaign([*plain, *corrected]) if f.code == "campaign.ways")
+    assert told.message.startswith("4 of 8 runs")
+    # A campaign that was measured with one correction throughout shows what that leaves.
+    (part,) = sheet_of(kind, stated, corrected, {})["parts"]
+    assert set(part["runs"]) == {run.meta.run_id for run in corrected}
+    assert not any(f.code == "campaign.ways" for f in judge_campaign(corrected))
 
 
 def test_the_figures_of_a_circle_are_those_of_its_shape() -> None:

@@ -12,13 +12,16 @@ from bundles import path_bundle
 
 import dtwin.train.promotion as promoting
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import GateRefusal, InputError
+from dtwin.machine_record import with_event
+from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.delivery import delivery, install
 from dtwin.serve.pointer import machine_folder, resolve
+from dtwin.train.evidence_record import Record
 from dtwin.train.gates import Verdict
-from dtwin.train.promotion import promote, rollback, trial, withdraw
+from dtwin.train.promotion import promote, rollback, state_of, trial, withdraw
 from dtwin.train.promotion_books import history
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
@@ -150,10 +153,55 @@ def test_what_was_judged_is_withdrawn_and_not_what_became_champion_meanwhile(reg
     assert (withdrawn.version, left.version) == ("1", "2")
     assert barred_why("judged", home, 1)
     assert resolve("latest", "judged", home).version == 2
-    with pytest.raises(InputError, match="withdrawn, too"):
-        rollback(registry, home, "judged")
-    assert resolve("latest", "judged", home).version == 2
     assert withdraw(registry, home, second, "worse, too")[1] is None
+    assert barred_why("judged", home, 2) == "worse, too"
+
+
+def test_the_first_champion_can_be_taken_back(registry: Registry) -> None:
+    home = registry.home
+    (version,) = versions(registry, "first", 1)
+    with pytest.raises(InputError, match="no champion"):
+        rollback(registry, home, "first")
+    champion(registry, version)
+    assert rollback(registry, home, "first", "it hummed") is None
+    assert barred_why("first", home, 1) == "it hummed"
+    assert state_of(registry.version("first", "1"), home) == "barred"
+    with pytest.raises(InputError, match="no champion"):
+        rollback(registry, home, "first")
+
+
+def test_nothing_is_rolled_back_to_that_was_never_champion_whatever_aliases_say(registry: Registry) -> None:
+    home = registry.home
+    first, second = versions(registry, "aliases", 2)
+    champion(registry, first)
+    trial(registry, home, second, geometry=GEOMETRY)
+    registry.client.set_registered_model_alias(model_name("aliases"), "champion", "2")
+    served = registry.champion("aliases")
+    assert served is not None
+    assert served.version == registry.version("aliases", "champion").version == "1"
+    registry.client.set_registered_model_alias(model_name("aliases"), "previous", "2")
+    assert rollback(registry, home, "aliases") is None
+    assert barred_why("aliases", home, 1)
+    assert not barred_why("aliases", home, 2)
+
+
+def test_old_evidence_stays_old_and_ends_when_the_machine_is_changed(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = registry.home
+    (version,) = versions(registry, "repaired", 1)
+    kept = Record("f00d", "2026-03-02T08:00:00.123456+00:00", {})
+    monkeypatch.setattr(promoting, "records", lambda *_: [kept])
+    for _ in range(2):
+        champion(registry, version, valid_days=90.0)
+        assert resolve("latest", "repaired", home).proved == "2026-03-02T08:00:00+00:00"
+    with_event(home, "repaired", "other", "2026-03-03", "painted")
+    champion(registry, version)
+    with_event(home, "repaired", "repair", "2026-03-04", "another gear")
+    with pytest.raises(GateRefusal) as refused:
+        champion(registry, version)
+    assert "repair on 2026-03-04 after the evidence of 2026-03-02" in str(refused.value.got)
+    assert "before the repair on 2026-03-04" in champion_of(home, "repaired")
 
 
 def test_a_line_of_the_history_that_was_cut_short_says_nothing(registry: Registry) -> None:

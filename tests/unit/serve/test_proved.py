@@ -56,6 +56,9 @@ def test_a_proof_holds_for_as_long_as_the_bundle_says(
         require_proof(found, bundle, "refuse", NOW)
     assert (refused.value.code, refused.value.exit_code) == ("serve.expired", 3)
     assert "WARNING" in require_proof(found, bundle, "warn", NOW)
+    assert "repair on 2026-11-21, after that: dtwin recheck" in require_proof(
+        found, bundle, "warn", NOW, "repair on 2026-11-21"
+    )
 
 
 def test_a_new_proof_renews_it_for_that_version_only(tmp_path: Path) -> None:

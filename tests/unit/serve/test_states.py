@@ -7,12 +7,16 @@ import pytest
 
 from dtwin.kinematics import UR10E
 from dtwin.links import state as layout
+from dtwin.links.live_values import LiveValues
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
 from dtwin.serve import _state_limits as state_limits
 from dtwin.serve._journal import Sparing
 from dtwin.serve._stamps import SETTLE_S, StampWatch
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.decision import Decision
+from dtwin.serve.interface import Input, Output, SafetyLimits, State
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import IMPOSSIBLE
 
@@ -82,6 +86,37 @@ def test_an_impossible_state_leads_to_zero_and_leaves_no_trace() -> None:
         again = tick(state)
     assert np.isfinite(again)
     assert again > 1.0
+
+
+@pytest.mark.parametrize("read_c", [np.nan, 850.0, -127.0])
+def test_what_a_broken_sensor_reads_is_not_remembered(read_c: float) -> None:
+    g = GraphBuilder()
+    skin, core = g.input("skin_c"), g.state("core_c")
+    after = core + 0.01 * (skin - core)
+    bundle = create_bundle(
+        name="late",
+        machine="column",
+        model_version=1,
+        inputs=[Input("skin_c", "degC", "none", 100.0, "covariate", 15.0, 35.0)],
+        outputs=[Output("error_z_um", "base_z")],
+        states=[State("core_c", "degC", 20.0)],
+        tick_graph=g.graph({"error_z_um": 5.0 * (after - 20.0)}, {"core_c": after}),
+        safety=SafetyLimits(clamp_um=40.0, slew_um_s=5000.0),
+    )
+    live = LiveValues({"skin_c": 100.0})
+    decision = Decision(CompiledBundle(bundle), TCP_MM, live=live, largest=LARGEST)
+    stages, running = np.zeros(6, dtype=np.int64), real_states()[100]
+
+    def ticks_at(skin_c: float, n: int) -> float:
+        for _ in range(n):
+            live.values[:] = skin_c
+            out = decision.decide(running, age_s=0.0, elapsed_s=0.01, enabled=True, stages=stages)
+        return float(out[2])
+
+    before = ticks_at(22.0, 1000)
+    assert before == pytest.approx(-10.0, abs=0.1)
+    assert ticks_at(read_c, 20) == 0.0
+    assert ticks_at(22.0, 20) == pytest.approx(before, abs=0.1)
 
 
 def steady(watch: StampWatch, stamps: list[float], received: list[float], fresh: bool) -> list[bool]:

@@ -12,6 +12,7 @@ from closed_loop import BEGIN, MACHINE, WITHOUT, circles, copied, in_lake, serve
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
 from dtwin.lake.store import Lake
+from dtwin.report.campaign import evidence_advice
 from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.train.evidence import Evidence, EvidenceRun, evidence_of_runs
 from dtwin.train.evidence_runs import Gathered, gathered
@@ -62,8 +63,10 @@ def test_intervals_come_from_runs_not_from_samples() -> None:
 
 
 def test_harm_is_worse() -> None:
-    (condition,) = said(circles(turns(BUNDLE), before_um=4.0, after_um=12.0)).conditions
-    assert condition["worse"]
+    harm = said(circles(turns(BUNDLE), before_um=4.0, after_um=12.0))
+    assert harm.conditions[0]["worse"]
+    assert "will refuse: worse at XY" in evidence_advice(harm.as_dict(), "2", MACHINE)
+    assert evidence_advice(said(circles(turns(BUNDLE))).as_dict(), "2", MACHINE).startswith("next: dtwin promote 2")
 
 
 def test_no_effect_is_neither_and_false_alarms_are_rare() -> None:
@@ -146,6 +149,9 @@ def test_runs_say_themselves_which_way_they_were_measured(home: Home) -> None:
     with pytest.raises(GateRefusal) as other:
         gathered(home, MACHINE, "0" * 64, {"with": ["both"]}, virtual=True)
     assert other.value.code == "evidence.with"
+    with pytest.raises(GateRefusal) as named_twice:
+        gathered(home, MACHINE, "0" * 64, {"without": ["both"], "with": ["both"]}, virtual=True)
+    assert (named_twice.value.code, named_twice.value.allowed) == ("evidence.with", "runs under 000000000000")
 
 
 def test_a_campaign_that_says_corrected_but_not_by_what_is_no_reference(home: Home) -> None:

@@ -117,3 +117,14 @@ def test_what_lies_near_the_noise_floor_need_not_fall() -> None:
     quiet = evidence(better=False, floor_um=20.0)
     both = dataclasses.replace(quiet, conditions=(*quiet.conditions, *evidence().conditions))
     assert failed(evidence_gate(both, SOUND, real=False)) == set()
+
+
+def test_a_fifth_of_the_travel_does_not_speak_for_the_rest() -> None:
+    name = SOUND.inputs[0].name
+    inputs = tuple(dataclasses.replace(i, source="controller", low=-25.0, high=325.0) for i in SOUND.inputs)
+    axis = dataclasses.replace(SOUND, inputs=inputs)
+    given = dataclasses.replace(evidence(), model_sha256=axis.model_sha256)
+    part = dataclasses.replace(given, reached={name: (0.0, 60.0)})
+    assert failed(evidence_gate(part, axis, real=False)) == {"evidence covers what is served"}
+    most = dataclasses.replace(given, reached={name: (0.0, 300.0), "t_s": (0.0, 9.0)})
+    assert failed(evidence_gate(most, axis, real=False)) == set()
