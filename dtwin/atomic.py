@@ -7,6 +7,7 @@ import errno
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
 import tomli_w
@@ -23,7 +24,7 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     """
     if not path.name:
         raise StoreError(f"{what} has no name to be written under", code="store.write", where=repr(str(path)))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}-{get_ident()}.partial")
     try:
         make_folder(path.parent)
         yield partial

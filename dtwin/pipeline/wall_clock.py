@@ -20,6 +20,7 @@ from dtwin.processes import end_child
 
 Circle = tuple[str, float, float]
 """Plane, radius in mm, feed in mm/min."""
+_START_S = 60.0
 
 
 def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
@@ -72,9 +73,6 @@ def serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:
             rows.append([name, f"{value:.4g}"])
     rows += [[f"real time: {k}", v] for k, v in serving["realtime"].items()]
     return rows
-
-
-_START_S = 60.0
 
 
 def _free_address() -> str:

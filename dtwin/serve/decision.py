@@ -27,6 +27,8 @@ STANDARD_INPUTS: tuple[str, ...] = (*PATH_INPUTS, *layout.NAMES)
 """Inputs that follow from every controller's state."""
 
 _TROUBLE = {VALID: "", CONSTANT: "stuck", NOT_FINITE: "not finite"}
+SOUND, SATURATED = 0, 1
+_FEWEST, _SHARE = 8, 0.05
 
 
 class SensorSource(Protocol):
@@ -290,10 +292,6 @@ class Decision:
                 self.sensor_trouble = f"{self._names[channel]}: {wrong}"
         self.compiled.window(self._features)
         self._windowed = True
-
-
-SOUND, SATURATED = 0, 1
-_FEWEST, _SHARE = 8, 0.05
 
 
 @compiled

@@ -44,6 +44,7 @@ from dtwin.workbench._pages import refused
 _WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
+_PATIENCE_S = 30.0
 
 
 def application(bench: Bench) -> Guarded:
@@ -178,9 +179,6 @@ def _unknown(request: Request, error: Exception) -> Response:
         )
         return refused(request, said)
     return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")
-
-
-_PATIENCE_S = 30.0
 
 
 class Connection(H11Protocol):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from dtwin.atomic import append_line
+from dtwin.atomic import append_line, whole_file, write_text
 
 
 def test_a_line_that_was_cut_short_spoils_no_other(tmp_path: Path) -> None:
@@ -24,3 +25,13 @@ def test_a_line_for_which_there_is_no_room_is_an_error() -> None:
         pytest.skip("no device that is always full")
     with pytest.raises(OSError, match="No space"):
         append_line(Path("/dev/full"), b"first")
+
+
+def test_threads_that_write_one_file_at_once_take_nothing_from_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "bundle.json"
+    with ThreadPoolExecutor(1) as other, whole_file(path, "the file") as partial:
+        partial.write_text("first")
+        other.submit(write_text, path, "second", "the file").result()
+        assert path.read_text() == "second"
+    assert path.read_text() == "first"
+    assert [p.name for p in tmp_path.iterdir()] == ["bundle.json"]

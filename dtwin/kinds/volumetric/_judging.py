@@ -21,6 +21,7 @@ from dtwin.statistics import rms
 _UNEXPLAINED_PCT = 40.0
 _HALVED = 0.5
 _SEEN = 4.0
+_SLOTS = 16
 
 
 def models_of(
@@ -216,9 +217,6 @@ def _spread(curve: _IntervalCurve) -> list[float]:
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
-
-
-_SLOTS = 16
 
 
 def slot_places_mm(strokes_mm: dict[str, tuple[float, float]]) -> Floats:
