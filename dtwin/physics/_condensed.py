@@ -5,18 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem, Term, beside, least_visible, orthonormal
 from dtwin.physics.whitening import condition_sums
 from dtwin.schema import Floats
-
-if TYPE_CHECKING:
-    from dtwin.physics.candidates import Candidates
 
 # As share of a column's sum of squares; less differs between repeats by rounding only.
 _ROUNDING = 1e-18

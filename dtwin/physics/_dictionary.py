@@ -6,10 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from dtwin.physics._condensed import condensed
 from dtwin.physics.candidates import Candidates, likely_pitches
+from dtwin.physics.effect import Instance
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.schema import Floats
 
@@ -50,7 +52,7 @@ class Dictionary:
     """
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
-        self._problem, self._candidates = problem, candidates
+        self.problem, self.candidates = problem, candidates
         self.campaign = condensed(problem, candidates)
         self._residual = self.campaign.residual
         self.total = float(self._residual @ self._residual)
@@ -78,7 +80,7 @@ class Dictionary:
         seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term, _ in every])[number])
         many = np.bincount(number[seen], minlength=len(every))
         ends = len(self._right) + np.cumsum(many)
-        several = self._problem.obs.several_speeds
+        several = self.problem.obs.several_speeds
         new = [
             Entry(term, slice(int(end - k), int(end)), int(k) + len(term.instance.effect.refined_shapes(several)))
             for (term, _), k, end in zip(every, many, ends, strict=True)
@@ -91,6 +93,13 @@ class Dictionary:
             self.entries += new
             self._sizes = None
         return new
+
+    def shapes_of(self, instance: Instance, residual: Floats) -> list[Entry]:
+        """Return an effect in the shapes of its grid; in the pitches at which what is left, (rows, n), repeats most."""
+        if is_periodic(instance):
+            pitches = likely_pitches(self.problem.obs, residual, instance)
+            return self._entries(Term(instance, instance.effect.start_shape | {PITCH: pitch}) for pitch in pitches)
+        return [self.entries[number] for number in self.numbers_of([instance.label])]
 
     def numbers_of(self, labels: Iterable[str]) -> list[int]:
         """Return the numbers of the entries with these labels, in whatever shape."""
@@ -115,13 +124,9 @@ class Dictionary:
 
     def add_pitches(self, chosen: Sequence[Entry]) -> None:
         """Take in the pitches at which what a set leaves repeats most, and those of the axis's screw in it."""
-        rows = self._problem.residual - self.fitted(chosen).reshape(self._problem.obs.n_rows, -1)
+        rows = self.problem.residual - self.fitted(chosen).reshape(self.problem.obs.n_rows, -1)
         have = {e.label: e.term for e in chosen}
-        periodic = [
-            instance
-            for instance in self._candidates.instances
-            if instance.effect.shapes and instance.effect.shapes[0].name == PITCH
-        ]
+        periodic = [instance for instance in self.candidates.instances if is_periodic(instance)]
         new: list[Term] = []
         for instance in periodic:
             # An axis has one screw.
@@ -131,16 +136,23 @@ class Dictionary:
                 if term.instance.axis == instance.axis and PITCH in term.shape and label != instance.label
             ]
             if instance.label not in have:
-                pitches += likely_pitches(self._problem.obs, rows, instance, 1)
+                pitches += likely_pitches(self.problem.obs, rows, instance, 1)
             new += [Term(instance, instance.effect.start_shape | {PITCH: pitch}) for pitch in pitches]
-        there = [self.entries[number].term for number in self.numbers_of(i.label for i in periodic)]
-        self.add(term for term in new if term not in there)
+        self._entries(new)
+
+    def _entries(self, terms: Iterable[Term]) -> list[Entry]:
+        """Return the entries of terms, taken in where they are not there yet."""
+        terms = list(terms)
+        numbers = self.numbers_of({term.label for term in terms})
+        there = [e for e in (self.entries[number] for number in numbers) if e.term in terms]
+        have = [entry.term for entry in there]
+        return [*there, *self.add(term for term in terms if term not in have)]
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""
         index = _indices(chosen)
         if not len(index):
-            return np.zeros_like(self._problem.y)
+            return np.zeros_like(self.problem.y)
         root = self._root_of(index)
         along = (root @ (root.T @ self._right[index])) @ self._room[index]
         return self.campaign.expanded(along[:, None])[:, 0]
@@ -175,6 +187,26 @@ class Dictionary:
             out[index] = np.where(seen, turned**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
         return out
 
+    def family(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> tuple[Floats, Floats, _Index]:
+        """Return what each of some entries would explain beside a set, shape (entries,), and how they overlap there.
+
+        That is the products of their columns, made orthonormal within each entry, and how many columns each has.
+        """
+        index, before = _indices(entries), _indices(chosen)
+        own, right = self._gram[np.ix_(index, index)], self._right[index]
+        if len(before):
+            root = self._root_of(before)
+            along = root.T @ self._gram[np.ix_(before, index)]
+            own, right = own - along.T @ along, right - along.T @ (root.T @ self._right[before])
+        ends = np.cumsum([entry.width for entry in entries])
+        parts = [slice(int(end) - entry.width, int(end)) for end, entry in zip(ends, entries, strict=True)]
+        roots = [_root(own[p, p], least_visible(e.term)) for p, e in zip(parts, entries, strict=True)]
+        sizes = np.array([root.shape[1] for root in roots])
+        turn = scipy.linalg.block_diag(*roots)
+        owner = np.repeat(np.eye(len(sizes)), sizes, axis=1)
+        gains = owner @ (turn.T @ right) ** 2
+        return gains, turn.T @ own @ turn, sizes
+
     def _root_of(self, index: _Index) -> Floats:
         """Return the root of the inverse of the products of some columns; the same sets are asked for again and again."""
         key = index.tobytes()
@@ -197,6 +229,12 @@ class Dictionary:
         return self._sizes
 
 
+def is_periodic(instance: Instance) -> bool:
+    """Tell whether an effect repeats along an axis in a pitch that nothing but the runs tells."""
+    shapes = instance.effect.shapes
+    return bool(shapes) and shapes[0].name == PITCH and not shapes[0].grid
+
+
 def dictionary_for(problem: Problem, terms: Iterable[Term]) -> Dictionary:
     """Return a dictionary that takes these terms in: those that differ between repeats must be known from the start."""
     differ = {t.label: t.instance for t in terms if not problem.obs.is_alike_in_repeats(t.instance)}
@@ -212,8 +250,8 @@ def _indices(chosen: Sequence[Entry]) -> _Index:
     return np.concatenate([np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)])
 
 
-def _root(gram: Floats) -> Floats:
-    """Return a root of the inverse, without the directions that are not determined."""
+def _root(gram: Floats, least: float = 0.0) -> Floats:
+    """Return a root of the inverse, without the directions that are not determined or of which less is left."""
     values, vectors = np.linalg.eigh(gram)
-    keep = values > 1e-9 * max(float(values[-1]), 1e-300)
+    keep = values > max(least, 1e-9 * max(float(values[-1]), 1e-300))
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]))

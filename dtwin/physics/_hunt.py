@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics._dictionary import PITCH, Dictionary, Entry, dictionary_for
-from dtwin.physics._shapes import refined_together
+from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.learned import LEARNED
 from dtwin.physics.localise import condition_means
@@ -43,24 +43,25 @@ _CARRIED = 2.0 / 3.0
 class Best:
     """The effects that explain a campaign best.
 
-    ``obs``: what told them: the campaign; without the neighbourhood of reversals when the library's laws do not hold to
-    within the noise, there or everywhere.
+    ``library``: the candidates for what told them: the campaign; without the neighbourhood of reversals when the library's
+    laws do not hold to within the noise, there or everywhere.
     ``everywhere``: the effects that explain the whole campaign best.
     ``exact``: whether those leave no more than noise.
     """
 
     terms: list[Term]
-    obs: Observations
+    library: Candidates
     everywhere: list[Term]
     exact: bool
 
 
 def best_set(
-    problem: Problem, candidates: Candidates, known: Sequence[Term], beside: Callable[[Problem], Problem]
+    problem: Problem, dictionary: Dictionary, known: Sequence[Term], beside: Callable[[Problem], Problem]
 ) -> Best:
     """Return the effects that explain a campaign best, and the observations that told.
 
     ``problem``: whitened campaign with what the twin knows.
+    ``dictionary``: the library beside it.
     ``beside``: takes out of a problem what is neither the twin's nor the library's.
 
     Notes
@@ -72,8 +73,8 @@ def best_set(
     noise = problem.noise
     assert noise is not None
     level = repeat_variance(problem)
-    obs = problem.obs
-    hunt = Hunt(problem, candidates, level)
+    obs, library = problem.obs, dictionary.candidates
+    hunt = Hunt(problem, dictionary, level)
     chosen = hunt.run([])
     everywhere = [entry.term for entry in chosen]
     for number in range(_ROUNDS - 1):
@@ -81,18 +82,18 @@ def best_set(
             break
         if number == 0 and obs.grid.kind == "circular":
             obs = _away_from_reversals(obs)
-            candidates = Candidates(obs, candidates.instances)
+            library = Candidates(obs, library.instances)
         terms = [entry.term for entry in chosen]
         before = beside(weighted_like(obs, known, noise))
         weights, level = _misfit_as_noise(before, terms)
         problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
-        hunt = Hunt(problem, candidates, level)
+        hunt = Hunt(problem, Dictionary(problem, library), level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     terms = [entry.term for entry in chosen]
     exact = obs is problem.obs and obs.several_speeds and hunt.left(chosen) < _MISFIT * level * obs.mask.sum()
     if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
-        obs = _away_from_reversals(obs)
-    return Best(terms, obs, everywhere, exact)
+        library = Candidates(_away_from_reversals(obs), library.instances)
+    return Best(terms, library, everywhere, exact)
 
 
 def repeat_variance(problem: Problem) -> float:
@@ -105,17 +106,17 @@ class Hunt:
     """Adds, drops and replaces effects until nothing lowers the cost.
 
     ``problem``: whitened campaign with what is known.
+    ``dictionary``: the library beside it.
     ``level``: variance of a whitened coefficient; by default that of the repeats.
     """
 
-    def __init__(self, problem: Problem, candidates: Candidates, level: float | None = None) -> None:
-        self._problem, self._candidates = problem, candidates
+    def __init__(self, problem: Problem, dictionary: Dictionary, level: float | None = None) -> None:
         level = repeat_variance(problem) if level is None else level
-        self.dictionary = Dictionary(problem, candidates)
+        self.dictionary = dictionary
         runs = int(problem.obs.run_of.max()) + 1
         # Schwarz's criterion over runs for every number, and the choice among all effects.
         self._per_number = level * float(np.log(runs))
-        self._per_effect = 2.0 * level * float(np.log(max(2, len(candidates.instances))))
+        self._per_effect = 2.0 * level * float(np.log(max(2, len(dictionary.candidates.instances))))
         self._noise = level * float(problem.obs.mask.sum())
         self._most = _CARRIED * problem.obs.n_bins if problem.obs.there_and_back else np.inf
         self._prices: list[float] = []
@@ -248,7 +249,7 @@ class Hunt:
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
-        terms = refined_together(self.dictionary.campaign, [e.term for e in chosen], self._per_number, bounded=True)
+        terms = refined(self.dictionary.campaign, [e.term for e in chosen], self._per_number, bounded=True)
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]

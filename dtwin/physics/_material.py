@@ -40,13 +40,7 @@ def floor_um(problem: Problem) -> float:
 
 
 def material(
-    terms: Sequence[Term],
-    obs: Observations,
-    known: Sequence[Term],
-    candidates: Candidates,
-    problem: Problem,
-    *,
-    exact: bool,
+    terms: Sequence[Term], known: Sequence[Term], library: Candidates, problem: Problem, *, exact: bool
 ) -> tuple[list[Term], dict[str, list[Term]]]:
     """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
@@ -54,10 +48,13 @@ def material(
     explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are ``exact`` a tenth
     of what all explain where it acts. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
+
+    ``library``: the candidates for what told the effects; ``problem``: the whole campaign.
     """
+    obs = library.obs
     if not terms:
         return [], {}
-    dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
+    dictionary = Dictionary(unweighted(obs, known), library)
     found = dictionary.add(terms)
     if not found:
         return [], {}
@@ -89,18 +86,13 @@ def material(
 
 
 def hidden_by_mask(
-    everywhere: Sequence[Term],
-    found: Sequence[Term],
-    obs: Observations,
-    known: Sequence[Term],
-    candidates: Candidates,
-    problem: Problem,
+    everywhere: Sequence[Term], found: Sequence[Term], obs: Observations, known: Sequence[Term], problem: Problem
 ) -> list[Term]:
     """Return the effects that explain much beside those found, and most of it where the search did not look.
 
     ``everywhere``: effects that explain the whole campaign best.
     ``found``: effects that were found in a part of it.
-    ``known``, ``candidates``, ``problem``: what the twin knows, the library, and the whole campaign.
+    ``known``, ``problem``: what the twin knows, and the whole campaign.
     """
     whole = dictionary_for(unweighted(problem.obs, known), [*found, *everywhere])
     chosen = whole.add(found)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dtwin.physics._dictionary import Dictionary
 from dtwin.physics._hunt import Hunt
 from dtwin.physics._law_search import LawKey, law_keys
 from dtwin.physics.candidates import Candidates
@@ -35,7 +36,8 @@ def nameless(problem: Problem, candidates: Candidates, believed: Sequence[Term])
             offered.append(law.instance)
     have = {term.label for term in believed}
     rest = [i for i in candidates.instances if i.label not in have]
-    chosen = Hunt(candidates.given(problem, believed), candidates.only([*rest, *offered])).run([])
+    beside = candidates.given(problem, believed)
+    chosen = Hunt(beside, Dictionary(beside, candidates.only([*rest, *offered]))).run([])
     return [entry.term for entry in chosen if entry.term.instance in offered]
 
 

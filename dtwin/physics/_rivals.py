@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._best_shapes import in_best_shapes
+from dtwin.physics._condensed import Condensed
 from dtwin.physics._dictionary import Dictionary, Entry
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
@@ -75,20 +77,21 @@ def described(
     not be ruled out there either, unless both are what follows a reversal: there laws are least exact.
     """
     out = []
-    beyond = misfit(candidates.given(problem, terms))
+    level = level_beside(candidates.given(problem, terms))
     rough = NoiseLevel(misfit=misfit(everywhere.given(whole, terms)))
     dictionary = Dictionary(problem, candidates)
     chosen = {entry.label: entry for entry in dictionary.add(terms)}
     for term in terms:
         others = [t for t in terms if t is not term]
         given = candidates.given(problem, others)
-        level = replace(noise_level(given, probes(given)), misfit=beyond)
         top = candidates.tested_term(given, term, level)
         if top is None:
             continue
-        rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
+        rest = [entry for label, entry in chosen.items() if label != term.label]
+        few = dictionary.campaign.given(others)
+        rivals, _ = in_best_shapes(dictionary, rest, given, level, but=_far(dictionary, chosen, term))
         bare = everywhere.given(plain, others)
-        group, absorbed = _group(given, candidates, level, top, rivals, whole is not problem)
+        group, absorbed = _group(given, few, candidates, level, top, rivals, whole is not problem)
         if whole is not problem:
             beside = everywhere.given(whole, others)
             group = group[:1] + tuple(
@@ -100,11 +103,11 @@ def described(
             )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
-        tested = [candidates.tested_term(given, t, level) for t in simpler]
-        group += tuple(c for c in tested if c is not None)
+        others_tested = [candidates.tested_term(given, t, level) for t in simpler]
+        group += tuple(c for c in others_tested if c is not None)
         sets = _sets(problem, candidates, terms, term, rivals, group, level)
         group += sets
-        group += _two_instead(given, candidates, top, rivals, group, level)
+        group += _two_instead(given, few, candidates, top, rivals, group, level)
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
@@ -117,6 +120,14 @@ def described(
         together = frozenset(c.term.label for c in sets)
         out.append(Found(top, group, absorbed, together, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
+
+
+def level_beside(problem: Problem) -> NoiseLevel:
+    """Return the noise level, and what repeats agree on besides, of a campaign with all that was found.
+
+    It serves the test of each effect beside the others, too: repeats differ by what none of them does.
+    """
+    return replace(noise_level(problem, probes(problem)), misfit=misfit(problem))
 
 
 def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set[str]:
@@ -137,10 +148,11 @@ def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set
 
 def _group(
     problem: Problem,
+    few: Condensed,
     candidates: Candidates,
     level: NoiseLevel,
     top: Candidate,
-    tested: Sequence[Candidate],
+    rivals: Sequence[Candidate],
     in_part: bool,
 ) -> tuple[tuple[Candidate, ...], frozenset[str]]:
     """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
@@ -151,10 +163,10 @@ def _group(
     """
     group, hidden = [top], set()
     beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
-    for found in sorted(tested, key=lambda c: -c.score.gain):
+    for found in sorted(rivals, key=lambda c: -c.score.gain):
         if found.score.gain < _NEAR * top.score.gain:
             continue
-        other = refined_candidate(problem, candidates, found, level)
+        other = refined_candidate(problem, few, candidates, found, level)
         if other.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         invisible = not candidates.visible(beside, other.term).shape[1]
@@ -219,6 +231,7 @@ def _sets(
 
 def _two_instead(
     problem: Problem,
+    few: Condensed,
     candidates: Candidates,
     top: Candidate,
     rivals: Sequence[Candidate],
@@ -237,15 +250,17 @@ def _two_instead(
         for second in alike:
             if candidates.numbers(first.term) + candidates.numbers(second.term) > numbers:
                 continue
-            beside = refined(given, second.term, bounded=True)
-            if _is_nothing(candidates.given(given, [beside]), candidates, top, level, _SIMPLER_P):
+            beside = refined(few.given([first.term]), [second.term], bounded=True)
+            if _is_nothing(candidates.given(given, beside), candidates, top, level, _SIMPLER_P):
                 return tuple(c for c in (first, second) if c.term.label not in have)
     return ()
 
 
-def refined_candidate(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> Candidate:
-    """Return a candidate in the shape, within its grid, that leaves least."""
-    term = refined(problem, candidate.term, bounded=True)
+def refined_candidate(
+    problem: Problem, few: Condensed, candidates: Candidates, candidate: Candidate, level: NoiseLevel
+) -> Candidate:
+    """Return a candidate in the shape, within its grid, that leaves least; ``few``: the problem, condensed."""
+    (term,) = refined(few, [candidate.term], bounded=True)
     if term is candidate.term:
         return candidate
     return candidates.at(problem, candidate, term, level)

@@ -9,55 +9,18 @@ import numpy as np
 import scipy
 
 from dtwin.physics._condensed import Condensed
-from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import ShapeParameter
-from dtwin.physics.problem import Problem, Term
+from dtwin.physics.problem import Term
 from dtwin.schema import Floats
 
-_MOST_TRIES = 12
-_FEW_TOGETHER, _MOST_TOGETHER = 8, 60
+_FEW, _MOST = 8, 60
 _MARGIN = 1e-3
 _ABSENT = 1e-6
 _STEP = 1e-4
 _NEAR_ABSENT = 1e-2
 
 
-def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
-    """Return a term with the shape near its own that leaves least.
-
-    ``problem``: campaign with everything else that is known.
-    ``term``: effect and the shape to start from.
-    ``bounded``: stay within the grid of the effect, as diagnosis does. Beyond it many effects turn into others:
-    friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
-    The same when no other shape is better, or when the effect has none.
-    """
-    free = term.instance.effect.refined_shapes(problem.obs.several_speeds)
-    if not free:
-        return term
-    # Its own cache, dropped afterwards: hardly any shape is asked for twice.
-    candidates = Candidates(problem.obs, [term.instance])
-    residual = problem.residual.ravel()
-
-    def left(logs: Floats) -> Floats:
-        visible = candidates.visible(problem, _at(term, free, logs))
-        return np.asarray(residual - visible @ (visible.T @ residual))
-
-    begun = _logs(term, free)
-    found = scipy.optimize.least_squares(
-        left,
-        begun,
-        bounds=_bounds(free, begun, bounded),
-        method="trf",
-        x_scale="jac",
-        max_nfev=_MOST_TRIES,
-        diff_step=[1e-4] * len(begun),
-    )
-    if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
-        return term
-    return _at(term, free, found.x)
-
-
-def refined_together(
+def refined(
     campaign: Condensed, terms: Sequence[Term], enough: float = 0.0, *, bounded: bool = False
 ) -> tuple[Term, ...]:
     """Return terms with the shapes that leave least when all are fitted.
@@ -65,7 +28,9 @@ def refined_together(
     ``campaign``: with what is known besides.
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
-    ``bounded``: stay within the grids, as in :func:`refined`, and take few steps.
+    ``bounded``: stay within the grids, as diagnosis does, and take few steps. Beyond them many effects turn into others:
+    friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
+    The same terms when no other shapes are better, or when none has any.
     """
     several = campaign.problem.obs.several_speeds
     shaped = [term for term in terms if term.instance.effect.refined_shapes(several)]
@@ -86,7 +51,7 @@ def refined_together(
         projected.slopes,
         bounds=(low, high),
         x_scale="jac",
-        max_nfev=_FEW_TOGETHER if bounded else _MOST_TOGETHER,
+        max_nfev=_FEW if bounded else _MOST,
         ftol=max(1e-6, min(0.1, enough / max(before, 1e-300))),
     )
     if 2.0 * found.cost >= before:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from dtwin.physics._condensed import Condensed, condensed
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import CIRCLE, Indices, bin_angle_rad
 from dtwin.physics.library import campaign_instances
@@ -23,7 +22,6 @@ from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
-_PITCH_SHAPE = "pitch_mm"
 # Runs of fewer numbers; how often noise is simulated for them, and the share of it that is called something.
 _FEW_BINS, _DRAWS, _AT = 100, 2000, 0.05
 _Complexes = NDArray[np.complex128]
@@ -45,6 +43,10 @@ class Candidate:
     share: float
     score: Score
 
+    def with_p_value(self, p_value: float) -> Candidate:
+        """Return the same with another p-value."""
+        return replace(self, score=replace(self.score, p_value=p_value))
+
 
 @dataclass
 class Candidates:
@@ -65,58 +67,12 @@ class Candidates:
         """Keep the columns of a term, as ``harmonics`` returns them."""
         self._columns[_key(term)] = rows, of
 
-    def tested(
-        self, problem: Problem, level: NoiseLevel, but: Collection[str] = ()
-    ) -> tuple[list[Candidate], list[str]]:
-        """Test every effect against what the known ones leave.
-
-        ``problem``: whitened campaign with its known effects.
-        ``but``: labels that are not tested.
-        Returns ``invisible``: labels of the effects that the set-up or the known effects absorb.
-        """
-        found, invisible = [], []
-        few = condensed(problem, self)
-        for instance in (i for i in self.instances if i.label not in but):
-            candidate = self.tested_instance(few, instance, level)
-            if candidate is None:
-                invisible.append(instance.label)
-            else:
-                found.append(candidate)
-        return found, invisible
-
-    def tested_instance(self, few: Condensed, instance: Instance, level: NoiseLevel) -> Candidate | None:
-        """Test an effect in the shape that suits best; None when it cannot be seen.
-
-        ``few``: whitened campaign with its known effects, condensed.
-        """
-        problem, left = few.problem, few.residual
-        residual = problem.residual
-        shapes = list(self._shapes(instance, residual))
-        tried = [few.visible(Term(instance, shape)) for shape in shapes]
-        gains = [float(((visible.T @ left) ** 2).sum()) if visible.size else -1.0 for visible, _ in tried]
-        best = int(np.argmax(gains))
-        if gains[best] < 0.0:
-            return None
-        visible, share = few.expanded(tried[best][0]), float(tried[best][1].max())
-        within = instance.effect.within_condition
-        score = score_test(problem, visible, residual, level, within=within)
-        n_tried = independent([v for v, _ in tried if v.size], self.obs)
-        if any(shape.name == _PITCH_SHAPE for shape in instance.effect.shapes):
-            n_tried = max(n_tried, _independent_pitches(self.obs))
-        p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
-        score = Score(p_value, score.gain, score.expected, score.dof)
-        return Candidate(Term(instance, shapes[best]), visible, share, score)
-
     def tested_term(self, problem: Problem, term: Term, level: NoiseLevel) -> Candidate | None:
         """Test an effect in one shape; None when it cannot be seen beside what is known."""
-        visible, share = self._visible(problem, term)
-        if not visible.shape[1]:
-            return None
-        within = term.instance.effect.within_condition
-        score = score_test(problem, visible, problem.residual, level, within=within)
-        if within and visible.shape[1] > 1:
-            score = replace(score, p_value=min(score.p_value, self._one_by_one(problem, term, level)))
-        return Candidate(term, visible, share, score)
+        found = self.together(problem, term, level)
+        if found is None or not term.instance.effect.within_condition or found.visible.shape[1] == 1:
+            return found
+        return found.with_p_value(min(found.score.p_value, self._one_by_one(problem, term, level)))
 
     def _one_by_one(self, problem: Problem, term: Term, level: NoiseLevel) -> float:
         """Return the p-value of the most significant column of what moves between runs, by Bonferroni.
@@ -131,22 +87,24 @@ class Candidates:
 
     def at(self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel) -> Candidate:
         """Return a candidate at another shape; its p-value stays that of all shapes tried."""
+        found = self.together(problem, term, level)
+        return candidate if found is None else found.with_p_value(candidate.score.p_value)
+
+    def together(self, problem: Problem, term: Term, level: NoiseLevel) -> Candidate | None:
+        """Test all columns of an effect in one shape together; None when none can be seen beside what is known."""
         visible, share = self._visible(problem, term)
+        if not visible.shape[1]:
+            return None
         within = term.instance.effect.within_condition
-        score = score_test(problem, visible, problem.residual, level, within=within)
-        return Candidate(term, visible, share, replace(score, p_value=candidate.score.p_value))
+        return Candidate(term, visible, share, score_test(problem, visible, problem.residual, level, within=within))
 
     def given(self, problem: Problem, terms: Iterable[Term]) -> Problem:
-        """Return a problem with further effects known."""
-        made = []
-        new = np.empty((problem.y.size, 0))
-        for term in terms:
-            whitened = self.whitened(problem, term)
-            made.append(whitened)
-            new = np.concatenate([new, problem.visible(whitened, new, least_visible(term))[0]], axis=1)
-        if not made:
+        """Return a problem with further effects known, without what nothing can be seen of beside those before."""
+        terms = list(terms)
+        if not terms:
             return problem
-        return replace(problem, basis=np.concatenate([problem.basis, new], axis=1), parts=(*problem.parts, *made))
+        made = [self.whitened(problem, term) for term in terms]
+        return problem.with_known(made, [least_visible(term) for term in terms])
 
     def size_um(self, plain: Problem, term: Term) -> float:
         """Return the RMS of what an effect would explain in a problem without weights."""
@@ -181,16 +139,6 @@ class Candidates:
             return np.empty((len(whitened), 0)), 0.0
         visible, share = problem.visible(whitened, least=least_visible(term))
         return visible, float(share.max())
-
-    def _shapes(self, instance: Instance, residual: Floats) -> Iterable[Mapping[str, float]]:
-        shapes = instance.effect.shapes
-        if not shapes:
-            return [{}]
-        if shapes[0].name == _PITCH_SHAPE and not shapes[0].grid:
-            return [
-                instance.effect.start_shape | {_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)
-            ]
-        return self.grid(instance)
 
     def grid(self, instance: Instance) -> list[Mapping[str, float]]:
         """Return every combination of the shape parameters' grids."""
@@ -304,7 +252,8 @@ def _pitch_rates(obs: Observations) -> Floats:
     return np.arange(1.0 / _PITCH_MM[1], 1.0 / _PITCH_MM[0], 1.0 / (16.0 * largest))
 
 
-def _independent_pitches(obs: Observations) -> float:
+def independent_pitches(obs: Observations) -> float:
+    """Return how many pitches the runs tell apart."""
     largest = max(c.radius_mm for c in obs.conditions)
     return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
 
@@ -320,8 +269,11 @@ def independent(visible: Sequence[Floats], obs: Observations) -> float:
     if len(visible) < 2:
         return 1.0
     columns = np.concatenate(visible, axis=1)
-    gram = columns.T @ columns
-    sizes = np.array([v.shape[1] for v in visible])
+    return independent_by_products(columns.T @ columns, np.array([v.shape[1] for v in visible]), obs)
+
+
+def independent_by_products(gram: Floats, sizes: Indices, obs: Observations) -> float:
+    """Return what :func:`independent` does, by the products of the columns, shape (sum k_i, sum k_i), and each k_i."""
     first = np.cumsum(sizes) - sizes
     if obs.n_bins < _FEW_BINS:
         values, vectors = np.linalg.eigh(gram)
@@ -332,7 +284,7 @@ def independent(visible: Sequence[Floats], obs: Observations) -> float:
         return float(max(1.0, np.log1p(-_AT) / np.log1p(-np.quantile(np.min(p_values, axis=0), _AT))))
     overlap = np.add.reduceat(np.add.reduceat(gram**2, first, axis=0), first, axis=1)
     overlap /= np.minimum(sizes[:, None], sizes[None, :])
-    return float(max(1.0, len(visible) ** 2 / (overlap**2).sum()))
+    return float(max(1.0, len(sizes) ** 2 / (overlap**2).sum()))
 
 
 def probes(problem: Problem) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics._condensed import Condensed, condensed
-from dtwin.physics._shapes import refined_together
+from dtwin.physics._shapes import refined
 from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
@@ -311,8 +311,8 @@ def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
         guessed.discard(index)
         beside = campaign.given(t for i, t in enumerate(out) if i != index and i not in guessed)
         enough = _ROUGHLY * float(beside.residual @ beside.residual)
-        (out[index],) = refined_together(beside, [_start(beside, candidates, out[index])], enough)
-    return list(refined_together(campaign, out))
+        (out[index],) = refined(beside, [_start(beside, candidates, out[index])], enough)
+    return list(refined(campaign, out))
 
 
 def _start(campaign: Condensed, candidates: Candidates, term: Term) -> Term:

@@ -12,13 +12,22 @@ from numpy.typing import NDArray
 from dtwin.physics.effect import Instance
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.whitening import PureError, condition_sums, pure_error, to_harmonics, zero_weighted
+from dtwin.physics.whitening import (
+    PureError,
+    condition_sums,
+    from_harmonics,
+    pure_error,
+    to_harmonics,
+    within_condition,
+    zero_weighted,
+)
 from dtwin.schema import Floats
 
 INVISIBLE = 0.01
 _LEAST_OF_A_JOINT = 1e-7
 _LEAST_OF_A_TONE = 1e-6
 _RANK = 1e-9
+_NEIGHBOURS = 6
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,29 @@ class Problem:
         left = self.y - self.basis @ (self.basis.T @ self.y)
         return left.reshape(self.obs.n_rows, self.obs.n_bins)
 
+    @cached_property
+    def local_variance(self) -> Floats:
+        """Variance of whitened noise at every angle of every row, shape (rows, n).
+
+        The level of the condition times a profile round the circle that all conditions share:
+        noise is often larger at reversals.
+        """
+        noise, obs = self.noise, self.obs
+        if noise is None:
+            return np.ones((obs.n_rows, obs.n_bins))
+        typical = float(np.nanmean(noise.variance))
+        level = np.nan_to_num(noise.variance, nan=typical)[obs.condition_of]
+        deviation, count = within_condition(from_harmonics(self.residual), obs.condition_of)
+        # Repeats that never differ do not tell where others do.
+        rows = (count > 1) & (level > 0.0)
+        raw = (deviation[rows] ** 2 / level[rows][:, None]).sum(axis=0) / max(int(rows.sum()), 1)
+        if not raw.any():
+            return np.repeat(level[:, None], obs.n_bins, axis=1)
+        kernel = np.hanning(2 * _NEIGHBOURS + 3)[1:-1]
+        padded = raw.take(np.arange(-_NEIGHBOURS, len(raw) + _NEIGHBOURS), mode="wrap")
+        profile = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+        return np.asarray(level[:, None] * profile[None, :] / profile.mean())
+
     def whitened(self, columns: Floats) -> Floats:
         """Return columns of shape (rows, n, k) as shape (rows * n, k)."""
         return self.weighted(to_harmonics(columns), np.arange(len(columns))).reshape(-1, columns.shape[2])
@@ -116,6 +148,27 @@ class Problem:
             Its whitened columns.
         """
         return replace(self, basis=np.concatenate([self.basis, visible], axis=1), parts=(*self.parts, whitened))
+
+    def with_known(self, parts: Sequence[Floats], least: Sequence[float]) -> Problem:
+        """Return the problem with more known effects, of which columns that those before can imitate are left out.
+
+        ``parts``, each (rows * n, k): their whitened columns.
+        ``least``: share of a column that must be left, for each effect.
+        """
+        whole = np.concatenate(parts, axis=1)
+        size = np.sqrt(squares(whole))
+        left = (whole - self.basis @ (self.basis.T @ whole)) / np.where(size > 0.0, size, 1.0)
+        gram = left.T @ left
+        seen = np.empty(0, dtype=int)
+        ends = np.cumsum([part.shape[1] for part in parts])
+        for end, part, share in zip(ends, parts, least, strict=True):
+            own = np.arange(end - part.shape[1], end)
+            across = gram[np.ix_(own, seen)]
+            inverse = np.linalg.pinv(gram[np.ix_(seen, seen)], rcond=_RANK, hermitian=True)
+            rest = gram[own, own] - np.einsum("ij,jk,ik->i", across, inverse, across)
+            seen = np.concatenate([seen, own[rest > share]])
+        basis = np.concatenate([self.basis, orthonormal(left[:, seen])], axis=1)
+        return replace(self, basis=basis, parts=(*self.parts, *parts))
 
 
 def beside(basis: Floats, whitened: Floats, least: float, given: Floats | None = None) -> tuple[Floats, Floats]:

@@ -23,7 +23,6 @@ _CIRCLE = 360
 _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
-_NEIGHBOURS = 6
 # Less than this share of the noise is no misfit.
 _MISFIT = 0.05
 _SURE = 3.0
@@ -156,7 +155,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     scores = np.einsum("nqk,nq->nk", z, deviation)
     summed = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
     np.add.at(summed, obs.run_of, scores)
-    local = _local_variance(problem)
+    local = problem.local_variance
     angle = from_harmonics(z)
     foretold = np.einsum("nq,nqk,nqk->k", local, angle, angle)
     found = (summed**2).sum(axis=0)
@@ -258,32 +257,9 @@ def _pairs(condition_of: Indices, run_of: Indices) -> Floats:
     return np.asarray((same & other) * weight[condition_of][:, None])
 
 
-def _local_variance(problem: Problem) -> Floats:
-    """Return the variance of whitened noise at every angle of every row, shape (rows, n).
-
-    The level of the condition times a profile round the circle that all conditions share:
-    noise is often larger at reversals.
-    """
-    noise, obs = problem.noise, problem.obs
-    if noise is None:
-        return np.ones((obs.n_rows, obs.n_bins))
-    typical = float(np.nanmean(noise.variance))
-    level = np.nan_to_num(noise.variance, nan=typical)[obs.condition_of]
-    deviation, count = within_condition(from_harmonics(problem.residual), obs.condition_of)
-    # Repeats that never differ do not tell where others do.
-    rows = (count > 1) & (level > 0.0)
-    raw = (deviation[rows] ** 2 / level[rows][:, None]).sum(axis=0) / max(int(rows.sum()), 1)
-    if not raw.any():
-        return np.repeat(level[:, None], obs.n_bins, axis=1)
-    kernel = np.hanning(2 * _NEIGHBOURS + 3)[1:-1]
-    padded = raw.take(np.arange(-_NEIGHBOURS, len(raw) + _NEIGHBOURS), mode="wrap")
-    profile = np.convolve(padded, kernel / kernel.sum(), mode="valid")
-    return np.asarray(level[:, None] * profile[None, :] / profile.mean())
-
-
 def _foretold(problem: Problem, z: Floats) -> Floats:
     angle = from_harmonics(z)
-    return np.asarray(np.einsum("nq,nqj,nqk->jk", _local_variance(problem), angle, angle))
+    return np.asarray(np.einsum("nq,nqj,nqk->jk", problem.local_variance, angle, angle))
 
 
 def _moderated(variance: Floats, dof: float, foretold: Floats, level: NoiseLevel) -> tuple[Floats, float]:

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dtwin.physics._condensed import condensed
+from dtwin.physics._best_shapes import in_best_shape, in_best_shapes
+from dtwin.physics._dictionary import Dictionary
 from dtwin.physics._hunt import Best, best_set
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
-from dtwin.physics._rivals import Found, described, refined_candidate
+from dtwin.physics._rivals import Found, described, level_beside, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
+from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level
 from dtwin.statistics import holm
 
 _ALPHA = 0.03
@@ -30,15 +31,21 @@ _BEYOND_DOUBT = 1e-6
 class Test:
     """Every effect of the library against what a set of effects leaves.
 
+    ``dictionary``: the library beside what is known.
     ``p_values``: after Holm, by label.
     ``invisible``: labels of the effects that nothing here can show.
     """
 
-    problem: Problem
+    dictionary: Dictionary
     level: NoiseLevel
     candidates: tuple[Candidate, ...]
     p_values: Mapping[str, float]
     invisible: tuple[str, ...]
+
+    @property
+    def problem(self) -> Problem:
+        """The campaign with what is known."""
+        return self.dictionary.problem
 
 
 @dataclass(frozen=True)
@@ -104,19 +111,19 @@ def search(
         best = (
             replace(before.best, exact=False)
             if before and before.best
-            else best_set(problem, candidates, known, beside)
+            else best_set(problem, first.dictionary, known, beside)
         )
-        obs = best.obs
-        terms, stand_ins = material(best.terms, obs, known, candidates, problem, exact=best.exact)
+        library, obs = best.library, best.library.obs
+        terms, stand_ins = material(best.terms, known, library, problem, exact=best.exact)
         if obs is not problem.obs and problem.noise is not None:
-            told, library = (beside(weighted_like(obs, known, problem.noise)), Candidates(obs, candidates.instances))
+            told = beside(weighted_like(obs, known, problem.noise))
         terms, untold = _told(terms or ([top.term] if top else []), told, library, first)
         told, problem, plain = (candidates.given(each, untold) for each in (told, problem, plain))
         if not terms and top is not None:
             terms = [top.term]
         if told is not problem:
             beside_them = candidates.given(problem, terms)
-            sharp = hidden_by_mask(best.everywhere, terms, obs, known, candidates, problem)
+            sharp = hidden_by_mask(best.everywhere, terms, obs, known, problem)
             sharp = _significant(sharp, beside_them, candidates, first)
     found = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
     terms = [*terms, *sharp]
@@ -172,12 +179,13 @@ def adjusted(tested: Sequence[Candidate], obs: Observations) -> dict[str, float]
 
 def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> Test:
     level = noise_level(problem, probes(problem))
-    tested, invisible = candidates.tested(problem, level)
-    p_values = adjusted(tested, problem.obs)
+    dictionary = Dictionary(problem, candidates)
+    found, invisible = in_best_shapes(dictionary, [], problem, level)
+    p_values = adjusted(found, problem.obs)
     if shown_by_channel:
-        within = [c for c in tested if c.term.instance.effect.within_condition]
+        within = [c for c in found if c.term.instance.effect.within_condition]
         p_values |= adjusted(within, problem.obs)
-    return Test(problem, level, tuple(tested), p_values, tuple(invisible))
+    return Test(dictionary, level, tuple(found), p_values, tuple(invisible))
 
 
 def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | None:
@@ -192,7 +200,7 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
     for found in sorted(significant, key=lambda c: -_worth(c, runs, problem.obs.several_speeds))[:_LEADING]:
         gain = left_out_gain(problem, candidates.whitened(problem, found.term))
         # Between the shapes of the grid, what rings comes out of step at the other feeds.
-        best = refined_candidate(problem, candidates, found, test.level)
+        best = refined_candidate(problem, test.dictionary.campaign, candidates, found, test.level)
         if gain <= 0.0 and best is not found:
             gain = left_out_gain(problem, candidates.whitened(problem, best.term))
         if gain > 0.0:
@@ -232,14 +240,14 @@ def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates
     many = independent([c.visible for c in first.candidates], problem.obs)
     while terms:
         p_values = []
-        beyond = misfit(candidates.given(problem, terms))
+        level = level_beside(candidates.given(problem, terms))
         for term in terms:
             given = candidates.given(problem, [t for t in terms if t is not term])
-            level = replace(noise_level(given, probes(given)), misfit=beyond)
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
             if _BEYOND_DOUBT < p_value < _ALPHA:
-                shapes = candidates.tested_instance(condensed(given, candidates), term.instance, level)
+                alone = Dictionary(given, candidates.only([term.instance]))
+                shapes = in_best_shape(alone, [], given, term.instance, level)
                 p_value = min(1.0, many * (1.0 if shapes is None else shapes.score.p_value))
             p_values.append(p_value)
         worst = int(np.argmax(p_values))

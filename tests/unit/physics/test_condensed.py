@@ -78,4 +78,4 @@ def test_of_effects_that_what_is_known_explains_none_is_material() -> None:
     instances, _ = applicable(LIBRARY, obs, [])
     known = next(Term(i, i.effect.start_shape) for i in instances if i.effect.name == "backlash")
     problem = set_up(obs, [known], [])
-    assert material([known], obs, [known], Candidates(obs, instances), problem, exact=False) == ([], {})
+    assert material([known], [known], Candidates(obs, instances), problem, exact=False) == ([], {})
