@@ -26,8 +26,8 @@ from dtwin.physics.twin import chosen_terms
 # A difference counts from this many of its standard uncertainties on; sizes are stated with k = 2.
 _APART = 3.0
 _COVERAGE_FACTOR = 2.0
-# Of a size that another test bounds below half of it, fewer are enough.
-_APART_OF_BOUNDED = 2.0
+# An effect is no cause when what another test sees is so many times likelier without it.
+_ODDS = 20.0
 
 Said = Literal["agrees", "is a part", "refuted"]
 Cause = tuple[str, str]
@@ -279,9 +279,9 @@ def _difference(first: Size, second: Size) -> Size:
     )
 
 
-def _differs(first: Size, second: Size, apart: float = _APART) -> bool:
+def _differs(first: Size, second: Size) -> bool:
     standard = np.hypot(first.uncertainty, second.uncertainty) / _COVERAGE_FACTOR
-    return bool(abs(first.value - second.value) > apart * standard)
+    return bool(abs(first.value - second.value) > _APART * standard)
 
 
 def _is_there(size: Size) -> bool:
@@ -326,10 +326,17 @@ def _said(here: Size, there: Size) -> Said | None:
     if not _differs(here, there):
         if _is_there(there):
             return "agrees"
-        bounded = abs(there.value) + there.uncertainty < abs(here.value) / 2.0
-        return "refuted" if bounded and _differs(here, there, _APART_OF_BOUNDED) else None
+        return "refuted" if _odds_of_absent(here, there) > _ODDS else None
     part = _is_there(there) and 0.0 < there.value / here.value < 1.0
     return "is a part" if part else "refuted"
+
+
+def _odds_of_absent(here: Size, there: Size) -> float:
+    """Return how many times likelier what another test sees is without an effect than with the size that it must have."""
+    absent = (there.uncertainty / _COVERAGE_FACTOR) ** 2
+    present = absent + (here.uncertainty / _COVERAGE_FACTOR) ** 2
+    logs = (there.value - here.value) ** 2 / present - there.value**2 / absent + np.log(present / absent)
+    return float(np.exp(min(logs / 2.0, 700.0)))
 
 
 def _shared(measured: Sequence[_Measured]) -> list[Shared]:

@@ -34,6 +34,13 @@ _MARGIN = 1e-6
 _FARTHEST_RAD = 1e4
 _CLAMP_SHARE = 1.25
 _LOWEST_SLEW_UM_S = 2000.0
+_N_JOINTS = 6
+# Wider than any robot moves: plane, radius and feed are what bounds the correction.
+_JOINT_RANGES: dict[str, tuple[float, float]] = {
+    **{f"q{j}_rad": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"qd{j}_rad_s": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"lever_{j}_mm_rad": (-3000.0, 3000.0) for j in range(1, _N_JOINTS + 1)},
+}
 
 
 def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> TwinBundle:
@@ -247,15 +254,6 @@ def _safety(twin: Twin, obs: Observations) -> SafetyLimits:
     radii = np.array([m.radius_mm or 1.0 for m in obs.runs])
     steepest = float((per_rad * obs.feed_mm_s / radii).max())
     return SafetyLimits(clamp_um=max(_CLAMP_SHARE * largest, 1.0), slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest))
-
-
-_N_JOINTS = 6
-# Wider than any robot moves: plane, radius and feed are what bounds the correction.
-_JOINT_RANGES: dict[str, tuple[float, float]] = {
-    **{f"q{j}_rad": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
-    **{f"qd{j}_rad_s": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
-    **{f"lever_{j}_mm_rad": (-3000.0, 3000.0) for j in range(1, _N_JOINTS + 1)},
-}
 
 
 @dataclass(frozen=True)

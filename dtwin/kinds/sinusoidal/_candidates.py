@@ -25,6 +25,11 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import OUTPUT_RMS, Candidate, Scores
 from dtwin.train.symbolic import Engine
 
+# A net keeps a tenth apart to know when to stop.
+_FEWEST_FOR_NET = 24
+_EVERY = 4
+_RIDGE = 1e-9
+_EXPLODED_UM = 1e4
 # Amplitude error in um and lag in degrees of groups, from a fit to others.
 Predicted = tuple[Floats, Floats]
 Predict = Callable[[ToneGroups, ToneGroups], Predicted]
@@ -45,10 +50,6 @@ class Judged:
 
     scores: dict[str, Scores]
     numbers: dict[str, float]
-
-
-# A net keeps a tenth apart to know when to stop.
-_FEWEST_FOR_NET = 24
 
 
 def judged(groups: ToneGroups, predict: Predict) -> Judged:
@@ -252,11 +253,6 @@ def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
     laws = [c for c in candidates if c.promotable]
     sound = [c for c in laws if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius]
     return min(sound or laws, key=lambda c: c.held_out.rms_um).name
-
-
-_EVERY = 4
-_RIDGE = 1e-9
-_EXPLODED_UM = 1e4
 
 
 @dataclass(frozen=True)
