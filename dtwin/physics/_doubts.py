@@ -24,6 +24,8 @@ SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
 _DWARFED = 0.4
+# So much of what is left of conditions left out an effect foretells that is no part of something larger.
+_FORETOLD = 0.4
 # What has less of its size left without what is withdrawn makes up for that.
 _ALONE = 0.5
 # A curve of so many numbers that is less than so many times what is left may follow that.
@@ -76,6 +78,22 @@ def follows_unknown(effect: Found, tests: Sequence[LawTest], found: Search) -> b
     many = effect.candidates.numbers(term) - len(term.instance.effect.shapes) >= _MANY
     moves = any(t.variable == "feed" and t.p_value < _MOVES for t in tests)
     return (many or moves) and effect.size_um < _MUCH_LARGER * left_um
+
+
+def without_dwarfed(kept: Sequence[Found], bare: Problem, candidates: Candidates) -> list[Found]:
+    """Return the effects without those of the place that are small beside what is not resolved, and foretell little of it.
+
+    A cable that pulls by the place is a curve of which a small straightness, pitch error or play takes its part.
+
+    ``bare``: the campaign without weights, with what is known.
+    """
+    left = localise.in_angle(candidates.given(bare, [f.top.term for f in kept]))
+    least_um = _DWARFED * localise.systematic_rms_um(bare.obs, left)
+    return [
+        f
+        for f in kept
+        if f.size_um >= least_um or f.gain >= _FORETOLD or f.top.term.instance.effect.law.feed != 0.0
+    ]
 
 
 def hidden_by(doubts: Sequence[Found], found: Search, tests: Tests) -> list[Found]:

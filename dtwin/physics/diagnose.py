@@ -25,6 +25,7 @@ from dtwin.physics._doubts import (
     hidden_by,
     is_dwarfed,
     standing_alone,
+    without_dwarfed,
 )
 from dtwin.physics._grading import laws_of
 from dtwin.physics._law_search import search_laws
@@ -236,6 +237,8 @@ def _concluded(
         and not follows_unknown(f, tests[f.label][f.label], found)
     ]
     kept = standing_alone(kept, found, unweighted(obs, [*known, *unknown]), candidates)
+    if obs.grid.in_plane and (len(kept) < len(found.found) or found.lack_of_fit[1] <= LACK_OF_FIT):
+        kept = without_dwarfed(kept, bare, candidates)
     others = [f for f in found.found if f not in kept]
     told = unknown or much or others or _worth_telling(found, blank.noise_floor_um)
     terms = [f.top.term for f in kept]
