@@ -18,6 +18,7 @@ import typer.testing
 from hypothesis import settings
 
 from dtwin.config import quiet_environment, sample_recording
+from dtwin.serve import realtime
 
 quiet_environment()
 # Days and times of tests are those of the clock here, wherever that is.
@@ -31,6 +32,8 @@ if "TMPDIR" not in os.environ and _MEMORY.is_dir() and shutil.disk_usage(_MEMORY
     os.environ["TMPDIR"] = tempfile.tempdir = str(_MEMORY)
 # Building the tree of commands takes longer than most commands do.
 typer.testing._get_command = cache(typer.testing._get_command)
+# A loop in a test's own process would fault in all that a worker reserves, 1.5 GB: 4 (MCL_ONFAULT) locks what is used.
+realtime._LOCK_CURRENT_AND_FUTURE |= 4
 # How long an example takes depends on what else the computer does.
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
@@ -86,6 +89,8 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        # The end of a loop would set it free again, and the next one look through it: a second each.
+        gc.unfreeze = lambda: None
         gc.set_threshold(20_000, 20, 20)
         gc.enable()
 
