@@ -40,6 +40,8 @@ settings.load_profile("any computer")
 
 # These look at servers that take half a minute to start: one worker, one start.
 _SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow", "test_up")
+# These look for a twin's versions in MLflow: to tell it takes a third of a second a version, and more in a new home.
+_LOOK_AT_MLFLOW = ("test_twins", "test_ui_kinds", "test_home_moving")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
 _SLOWEST_FIRST = (
     "test_flows",
@@ -114,11 +116,16 @@ def _turn(file: Path) -> tuple[int, bool]:
     return turn, file.parent.name != "system"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _mlflow_is_told_of_no_twin(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.stem not in _LOOK_AT_MLFLOW:
+            patch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+        yield
+
+
 @pytest.fixture(autouse=True)
-def _own_home(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # MLflow's tables take a second a home: test_twin_registration and the system's tests make them.
-    if "unit" in request.path.parts:
-        monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+def _own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("PREFECT_API_URL", raising=False)
