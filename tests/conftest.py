@@ -41,7 +41,7 @@ settings.load_profile("any computer")
 # These look at servers that take half a minute to start: one worker, one start.
 _SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow", "test_up")
 # These look for a twin's versions in MLflow: to tell it takes a third of a second a version, and more in a new home.
-_LOOK_AT_MLFLOW = ("test_twins", "test_ui_kinds", "test_home_moving")
+_LOOK_AT_MLFLOW = ("test_twins", "test_heat_twins", "test_ui_kinds", "test_home_moving")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
 _SLOWEST_FIRST = (
     "test_flows",
