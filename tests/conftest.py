@@ -18,6 +18,7 @@ import typer.testing
 from hypothesis import settings
 
 from dtwin.config import quiet_environment, sample_recording
+from dtwin.serve import realtime
 
 quiet_environment()
 # Days and times of tests are those of the clock here, wherever that is.
@@ -31,12 +32,16 @@ if "TMPDIR" not in os.environ and _MEMORY.is_dir() and shutil.disk_usage(_MEMORY
     os.environ["TMPDIR"] = tempfile.tempdir = str(_MEMORY)
 # Building the tree of commands takes longer than most commands do.
 typer.testing._get_command = cache(typer.testing._get_command)
+# A loop in a test's own process would fault in all that a worker reserves, 1.5 GB: 4 (MCL_ONFAULT) locks what is used.
+realtime._LOCK_CURRENT_AND_FUTURE |= 4
 # How long an example takes depends on what else the computer does.
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
 
 # These look at servers that take half a minute to start: one worker, one start.
 _SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow", "test_up")
+# These look for a twin's versions in MLflow: to tell it takes a third of a second a version, and more in a new home.
+_LOOK_AT_MLFLOW = ("test_twins", "test_heat_twins", "test_ui_kinds", "test_home_moving")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
 _SLOWEST_FIRST = (
     "test_flows",
@@ -86,6 +91,8 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        # The end of a loop would set it free again, and the next one look through it: a second each.
+        gc.unfreeze = lambda: None
         gc.set_threshold(20_000, 20, 20)
         gc.enable()
 
@@ -109,11 +116,16 @@ def _turn(file: Path) -> tuple[int, bool]:
     return turn, file.parent.name != "system"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _mlflow_is_told_of_no_twin(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.stem not in _LOOK_AT_MLFLOW:
+            patch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+        yield
+
+
 @pytest.fixture(autouse=True)
-def _own_home(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # MLflow's tables take a second a home: test_twin_registration and the system's tests make them.
-    if "unit" in request.path.parts:
-        monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+def _own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("PREFECT_API_URL", raising=False)

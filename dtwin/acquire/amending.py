@@ -14,10 +14,10 @@ from dtwin.acquire.axis_titles import AXIS_CHOSEN
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
-from dtwin.lake.rows import findings_fields
+from dtwin.lake.rows import findings_fields, meta_of
 from dtwin.lake.store import Lake
 from dtwin.people import acting
-from dtwin.schema import Finding, Run, require_name, standard_plane
+from dtwin.schema import Campaign, Finding, Run, require_name, standard_plane
 
 # Tables of a row, by the name that a setting begins with; the first two are of the campaign.
 _TABLES = {
@@ -69,17 +69,18 @@ def amend(
             hint="leave --run away",
         )
     changes: dict[str, dict[str, Any]] = {}
-    for row in _rows(lake, campaign, runs):
+    rows, of = _rows(lake, campaign, runs), lake.campaign(campaign)
+    for row in rows:
         where = f"campaign {campaign}, run {row['run_id']}"
         now = dict(row)
         for name, value in told:
             _require_not_read_with(name, row, where)
             now |= _changed(now, name, value, where)
         if now["geometry_json"] != row["geometry_json"]:
-            now["condition_json"] = _taken_over(lake, row, now)
+            now["condition_json"] = _taken_over(lake, of, row, now)
         different = {name: value for name, value in now.items() if not _alike(row[name], value)}
         if different:
-            changes[row["run_id"]] = different | _judged_again(lake, row, now)
+            changes[row["run_id"]] = different | _judged_again(lake, of, row, now)
     if not changes:
         raise InputError(
             "nothing would change",
@@ -163,12 +164,12 @@ def _setting(text: str) -> tuple[str, Any]:
     return name.strip(), value
 
 
-def _taken_over(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+def _taken_over(lake: Lake, of: Campaign, row: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """Return the conditions of a run with what its kind takes over from the machine's geometry, as that is stated now."""
     was, geometry = (json.loads(told["geometry_json"]) for told in (row, now))
     run = lake.load(now, signals=False)
     own = {name: value for name, value in run.meta.condition.items() if name not in was or was[name] != value}
-    campaign = replace(lake.campaign(row["campaign"]), machine_geometry=geometry)
+    campaign = replace(of, machine_geometry=geometry)
     done = kind_named(row["kind"]).completed(replace(run, meta=replace(run.meta, condition=own)), campaign)
     return json.dumps(dict(done.meta.condition))
 
@@ -229,18 +230,19 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
     )
 
 
-def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+def _judged_again(lake: Lake, of: Campaign, row: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
     """Return the findings of a run under what is stated now; those of its reader stay."""
-    was, run = lake.load(row), lake.load(now)
-    before = [*judge_run(replace(was, findings=())), *_completing(lake, row, was)]
+    was = lake.load(row)
+    run = replace(was, meta=meta_of(now))
+    before = [*judge_run(replace(was, findings=())), *_completing(of, row, was)]
     kept = [finding for finding in was.findings if finding not in before]
-    fields = findings_fields([*kept, *_completing(lake, now, run), *judge_run(replace(run, findings=()))])
+    fields = findings_fields([*kept, *_completing(of, now, run), *judge_run(replace(run, findings=()))])
     return {name: value for name, value in fields.items() if row[name] != value}
 
 
-def _completing(lake: Lake, row: Mapping[str, Any], run: Run) -> tuple[Finding, ...]:
+def _completing(of: Campaign, row: Mapping[str, Any], run: Run) -> tuple[Finding, ...]:
     """Return what its kind finds in a run beside the geometry that a row states; nothing where that is none."""
-    campaign = replace(lake.campaign(row["campaign"]), machine_geometry=json.loads(row["geometry_json"]))
+    campaign = replace(of, machine_geometry=json.loads(row["geometry_json"]))
     try:
         return tuple(kind_named(row["kind"]).completed(replace(run, findings=()), campaign).findings)
     except InputError:

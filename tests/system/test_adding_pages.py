@@ -72,8 +72,7 @@ def test_a_control_takes_a_correction_and_lets_it_go(tmp_path: Path) -> None:
     follow(blocks(page("docs/how-to/add-a-control.md")), tmp_path, here)
 
 
-def test_an_effect_in_a_file_is_fitted_and_found_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
+def test_an_effect_in_a_file_is_fitted_and_found_absent(tmp_path: Path) -> None:
     follow([b for b in blocks(page("docs/how-to/add-an-effect.md")) if "pytest" not in b.lines[0]], tmp_path, here)
     shown = json.loads(here("dtwin twin show mine --effects-path belt_stretch.py --json", tmp_path))
     belt = [p for p in shown["parameters"] if p["effect"] == "belt_stretch"]

@@ -22,11 +22,6 @@ PAGE = page("docs/reference/python.md")
 NOTEBOOK = json.loads(run_notebook.NOTEBOOK.read_text(encoding="utf-8"))
 
 
-@pytest.fixture(autouse=True)
-def _without_mlflow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
-
-
 def test_the_notebook_shows_what_it_showed(tmp_path: Path) -> None:
     for shown, kept in zip(run_notebook.shown(NOTEBOOK["cells"], tmp_path), run_notebook.kept(NOTEBOOK), strict=True):
         lines, before = shown.splitlines(), kept.splitlines()

@@ -20,6 +20,7 @@ from served_robot import (
     events,
     noted,
     promote,
+    refused,
     wait_for,
     wait_until_corrected,
     wait_until_released,
@@ -274,8 +275,8 @@ def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(robot: VirtualRobo
     assert (code, status["ended"], status["released"]) == (3, "withdrawn", True)
     assert status["fault"]["got"].startswith("the error is larger")
     wait_until_released(robot)
-    code, out, _ = Server("--json", f"--host={robot.host}").end()
-    assert (code, json.loads(out)["error"]["code"]) == (3, "serve.not_passed")
+    code, answer = refused(f"--host={robot.host}")
+    assert (code, answer["error"]["code"]) == (3, "serve.not_passed")
 
 
 class SpoiledWindows:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_here import command_here
 from served_robot import (
     MACHINE,
     Server,
@@ -95,7 +96,7 @@ def test_serves_for_the_time_that_was_asked_for(robot: VirtualRobot, home: Home)
 
 def test_text_for_people_names_what_matters(robot: VirtualRobot, home: Home) -> None:
     promote(home)
-    code, out, err = Server(f"--host={robot.host}", "--duration=1").end()
+    code, out, err = command_here("serve", "--priority=0", f"--host={robot.host}", "--duration=1")
     assert code == 0, err
     for words in (
         "virtual controller",
@@ -275,9 +276,9 @@ def test_a_small_correction_fades_unless_told_otherwise(robot: VirtualRobot, hom
     assert "nothing fades out" in said
     assert whole["largest_um"] == pytest.approx(24.0, rel=0.01)
     promote(home)
-    code, _, err = Server(f"--host={robot.host}", "--duration=1", "--fade").end()
+    code, answer = refused(f"--host={robot.host}", "--duration=1", "--fade")
     assert code == 3
-    assert "does not say how uncertain its correction is" in err
+    assert "does not say how uncertain its correction is" in answer["error"]["message"]
 
 
 def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:

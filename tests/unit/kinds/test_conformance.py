@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -139,12 +139,10 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture(scope="module")
-def twin(measured: Measured) -> Iterator[str]:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
-        if measured.kind.offers("twins"):
-            measured.said("twin", "fit", measured.campaign, "--effects", EFFECTS[measured.kind.name], "--name", "t")
-        yield "t"
+def twin(measured: Measured) -> str:
+    if measured.kind.offers("twins"):
+        measured.said("twin", "fit", measured.campaign, "--effects", EFFECTS[measured.kind.name], "--name", "t")
+    return "t"
 
 
 def test_every_kind_is_measured_here_or_says_that_it_cannot_be_simulated() -> None:

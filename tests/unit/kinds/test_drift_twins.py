@@ -73,11 +73,6 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> DriftTwins:
     return DriftTwins(Home(root / "home"))
 
 
-@pytest.fixture(autouse=True)
-def quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
-
-
 def test_the_verbs_of_a_twin(twins: DriftTwins) -> None:
     folder = str(twins.root.parent.parent / "column")
     first = twins.fit(folder, ["follows"], "c")

@@ -72,7 +72,7 @@ def test_what_is_stated_is_read_or_refused(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", HEADS)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     content=st.one_of(st.binary(max_size=400), st.text('0123456789.,;-+eE \n\t"nai#µ', max_size=400).map(str.encode))
 )

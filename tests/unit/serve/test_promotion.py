@@ -107,10 +107,10 @@ def test_a_champion_that_is_promoted_again_stands_wherever_a_kill_comes(
         champion(registry, version, valid_days=8.0)
         assert load_bundle(resolve("latest", machine, home).path).bundle.provenance.valid_days == 8.0
         assert [p.name for p in machine_folder(machine, home).glob("v*")] == ["v0001.json"]
-        # The same content once more leaves nothing beside it, either.
-        champion(registry, version, valid_days=8.0)
-        assert [p.name for p in machine_folder(machine, home).glob("v*")] == ["v0001.json"]
         if ended:
+            # The same content once more leaves nothing beside it, either.
+            champion(registry, version, valid_days=8.0)
+            assert [p.name for p in machine_folder(machine, home).glob("v*")] == ["v0001.json"]
             return
     pytest.fail("it never came to its end")
 
