@@ -317,6 +317,9 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     lines = table(("run", *(figures[name] for name in known), "findings"), shown).splitlines() if shown else []
     if len(shown) < len(rows):
         lines.append(f"{len(rows) - len(shown)} of {len(rows)} runs: no error and no warning")
+    rejected = [run["rejected_rows"] for run in runs if "rejected_rows" in run]
+    if rejected:
+        lines.append(f"rows that are not used: {sum(rejected)} in {counted(len(rejected), 'run')}; --json tells which")
     told: dict[str, list[str]] = {}
     for severity in ("error", "warning"):
         for run in runs:
