@@ -215,5 +215,7 @@ def _temperatures(runs: Sequence[Run]) -> tuple[dict[str, tuple[str, Floats]], t
                     sound = values[(values >= PLAUSIBLE_C[0]) & (values <= PLAUSIBLE_C[1])]
                     enough = 2 * len(sound) >= len(values) > 0
                     means.setdefault(name, []).append(float(np.mean(sound)) if enough else float("nan"))
-    sound = {n: values for n, values in means.items() if len(values) == len(runs) and np.isfinite(values).all()}
-    return {n: (groups[n], np.array(values)) for n, values in sound.items()}, tuple(n for n in means if n not in sound)
+    everywhere = {n: values for n, values in means.items() if len(values) == len(runs) and np.isfinite(values).all()}
+    return {n: (groups[n], np.array(values)) for n, values in everywhere.items()}, tuple(
+        n for n in means if n not in everywhere
+    )
