@@ -86,7 +86,7 @@ def list_machines(as_json: Json = False) -> None:
     from dtwin.pipeline.machine_history import alarms_of, machine_overviews
 
     twins = twin_lines(home())
-    told = [m | {"alarms": alarms_of(home(), m["machine"], twins)} for m in machine_overviews(home(), twins=twins)]
+    told = [m | {"alarms": alarms_of(home(), m["machine"], twins)} for m in machine_overviews(home(), None, twins)]
     rows = [
         [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"]), m["alarms"]]
         for m in told
