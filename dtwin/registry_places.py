@@ -44,5 +44,7 @@ def brought_here(database: Path, artifacts: Path) -> None:
         named = [str(row[0]) for row in file.execute("SELECT DISTINCT artifact_location FROM experiments")]
     own = f"/{artifacts.parent.name}/{artifacts.name}"
     for before in {place.removeprefix(_HEADS[1]) for place in named}:
-        if before.endswith(own) and before != str(artifacts):
+        # By a link the same folder has two names, and both are right.
+        same = Path(before).is_dir() and Path(before).samefile(artifacts)
+        if before.endswith(own) and not same:
             moved(database, before.removesuffix(own) + f"/{artifacts.parent.name}", str(artifacts.parent))

@@ -69,3 +69,13 @@ def test_a_home_that_was_copied_or_renamed_writes_beside_itself(tmp_path: Path, 
         again.log_files(later, {"b.txt": "second"})
     assert {path.name for path in now.root.rglob("*.txt")} == {"a.txt", "b.txt"}
     assert {path.name for path in before.root.rglob("*.txt")} == ({"a.txt"} if kept else set())
+
+
+def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: Path) -> None:
+    home = Home(tmp_path / "home")
+    with Registry(home).open_run("one", {}) as run_id:
+        pass
+    Registry(home).log_files(run_id, {"a.txt": "first"})
+    (tmp_path / "link").symlink_to(home.root)
+    found = Registry(Home(tmp_path / "link")).client.get_run(run_id)
+    assert found.info.artifact_uri == f"{home.mlflow_artifacts}/{run_id}/artifacts"
