@@ -42,11 +42,13 @@ class Archived:
 
     ``path``: the file, or the home that was made.
     ``files``, ``bytes``: what it holds.
+    ``left``: folders that killed restores of this home left beside it; nothing else removes them.
     """
 
     path: Path
     files: int
     bytes: int
+    left: tuple[str, ...] = ()
 
 
 def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
@@ -120,7 +122,8 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
         ) from error
     finally:
         shutil.rmtree(made, ignore_errors=True)
-    return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()))
+    left = tuple(map(str, sorted(home.root.parent.glob(f".{home.root.name}.*.restoring"))))
+    return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()), left)
 
 
 def _require_local(home: Home) -> None:
