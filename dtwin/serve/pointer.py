@@ -305,17 +305,15 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
     """Return what a machine's pointer names, after comparing checksums."""
     folder = machine_folder(machine, home)
     pointer = folder / _POINTERS[model]
-    if folder.is_dir() and not pointer.exists():
+    if not pointer.exists() or (sealed := read_sealed(folder, pointer.name)) is None:
+        known = sorted(path.parent.name for path in home.bundles.glob(f"*/{pointer.name}"))
         raise InputError(
             f"{machine} has no {'promoted model' if model == 'latest' else 'model on trial'}",
             code="serve.no_pointer",
             where=str(pointer),
+            got=machine,
+            allowed=", ".join(known)[:200] or None,
             hint=_absent_hint(model, machine, home),
-        )
-    sealed = read_sealed(folder, pointer.name)
-    if sealed is None:
-        raise InputError(
-            "the file cannot be read", code="bundle.missing", where=str(pointer), hint="dtwin promote writes it"
         )
     fields = only_fields(sealed, _FIELDS, str(pointer))
     path = named_file(folder, text(fields["bundle"], "bundle"), text(fields["sha256"], "sha256"))

@@ -148,6 +148,9 @@ def test_missing_bundle_and_unknown_model(home: Home) -> None:
         resolve("latest", "cobot-a", home)
     with pytest.raises(InputError, match="unknown model"):
         resolve("previous", "cobot-a", home)
+    with pytest.raises(InputError, match="cobot-b has no promoted model") as refused:
+        resolve("champion", "cobot-b", home)
+    assert refused.value.allowed == "cobot-a"
     with pytest.raises(InputError, match="cannot be read"):
         resolve(str(machine_folder("cobot-a", home) / "v9.json"), None, home)
 
