@@ -96,6 +96,11 @@ class DtwinError(Exception):
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
         return printable("\n".join(lines))
 
+    @property
+    def __notes__(self) -> list[str]:  # type: ignore[override]
+        """What Python shows below a traceback: a notebook shows no more of an error than its message."""
+        return self.render().split("\n")[1:]
+
 
 class InputError(DtwinError):
     """A file, plan or option that cannot be used as given."""

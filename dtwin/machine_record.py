@@ -14,7 +14,7 @@ from dtwin.atomic import make_folder, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
-from dtwin.local_time import local_day
+from dtwin.local_time import local_day, local_time
 from dtwin.locks import locked
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
@@ -213,10 +213,17 @@ def events_between(events: Iterable[Event], first: str, last: str) -> list[Event
     return [event for event in events if first[:10] <= event.on.isoformat() <= last[:10]]
 
 
-def changed_since(home: Home, machine: str, day: str) -> str:
-    """Return in words what last changed a machine after a day, ISO 8601; empty when nothing did, and notes say nothing of it."""
-    after = [e for e in events_of(home, machine) if e.what != "other" and e.on.isoformat() > day[:10]]
-    return f"{after[-1].what} on {after[-1].on}" if after else ""
+def changed_since(home: Home, machine: str, moment: str, *, doubtful: bool = False) -> str:
+    """Return in words what last changed a machine after a day or time, ISO 8601; empty when nothing did, and notes say nothing of it.
+
+    ``doubtful``: what happened on the very day, too: an event tells no hour, so nobody knows which came first.
+    """
+    day = local_time(moment)[:10]
+    after = [e for e in events_of(home, machine) if e.what != "other" and e.on.isoformat() >= day]
+    if not after or (after[-1].on.isoformat() == day and not doubtful):
+        return ""
+    same = ", the same day" if after[-1].on.isoformat() == day else ""
+    return f"{after[-1].what} on {after[-1].on}{same}"
 
 
 def recorded(home: Home) -> list[str]:

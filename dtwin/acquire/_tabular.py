@@ -57,6 +57,7 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
             where=str(path),
             got=", ".join(columns)[:200],
             allowed=", ".join(required),
+            hint="rename the columns, and convert their values to the units at the ends of these names",
         )
     floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
     require_units(floats, str(path))

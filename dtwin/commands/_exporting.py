@@ -18,7 +18,9 @@ Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
 
 @app.command()
 def export(
-    source: Annotated[str, typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name.")],
+    source: Annotated[
+        str, typer.Argument(help="latest or champion, trial, a bundle's .json, a version number, or a twin's name.")
+    ],
     form: Annotated[
         str,
         typer.Option(
@@ -156,7 +158,7 @@ def robot_targets(
     joints: Annotated[str, typer.Option(help="J1,...,J6 in degrees near the targets: branch and tool's attitude.")],
     out: Annotated[Path, typer.Option(help="CSV file to write.")] = Path("corrected.csv"),
     plane: Annotated[str, typer.Option(help="XY, YZ or ZX.")] = "XY",
-    model: Annotated[str, typer.Option(help="latest, trial, or a bundle's .json file.")] = "latest",
+    model: Annotated[str, typer.Option(help="latest or champion, trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
     force: Force = False,
     as_json: Json = False,

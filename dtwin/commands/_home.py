@@ -74,7 +74,12 @@ def restore(
     from dtwin.pipeline.home_archive import restore as read
 
     made = read(archive, home(), ProgressLine("files", quiet=as_json))
-    emit(vars(made), lambda: f"{made.files} files, {made.bytes / 1e6:z.1f} MB are back in {made.path}", as_json=as_json)
+
+    def text() -> str:
+        back = f"{made.files} files, {made.bytes / 1e6:z.1f} MB are back in {made.path}"
+        return "\n".join([back, *(f"left by a restore that was killed, remove it: {folder}" for folder in made.left)])
+
+    emit(vars(made), text, as_json=as_json)
 
 
 @app.command()

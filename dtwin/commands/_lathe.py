@@ -62,7 +62,7 @@ def fit(
 
 @app.command("compensate")
 def compensate(
-    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
+    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest, which is champion, or trial.")],
     truth: Annotated[str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")] = "published",
     seed: Annotated[int, typer.Option(min=0, help="Of the day: drift and noise.")] = 1,
     plan: Annotated[Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")] = None,

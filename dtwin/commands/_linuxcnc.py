@@ -53,7 +53,9 @@ def measure(
     repeats: Annotated[int, typer.Option(min=1, max=20, help="Of every condition.")] = 2,
     comp: Annotated[list[str] | None, typer.Option(help="Compensation file of an axis, like X=x.comp.")] = None,
     faults: Annotated[Path | None, typer.Option(help="What is wrong with the machine, like a truth.toml.")] = None,
-    model: Annotated[str | None, typer.Option(help="Correction to serve live: latest, trial, or a file.")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Correction to serve live: latest or champion, trial, or a file.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the order, and of the bar's noise.")] = 0,
     as_json: Json = False,
 ) -> None:

@@ -82,14 +82,21 @@ def event(
 @app.command("list")
 def list_machines(as_json: Json = False) -> None:
     """List machines that have a record or a campaign."""
-    from dtwin.pipeline.machine_history import machine_overviews
+    from dtwin.pipeline.catalogue import twin_lines
+    from dtwin.pipeline.machine_history import alarms_of, machine_overviews
 
-    overviews = machine_overviews(home())
+    twins = twin_lines(home())
+    told = [m | {"alarms": alarms_of(home(), m["machine"], twins)} for m in machine_overviews(home(), None, twins)]
     rows = [
-        [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"])] for m in overviews
+        [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"]), m["alarms"]]
+        for m in told
     ]
-    head = ("machine", "type", "campaigns", "last test", "twins")
-    emit({"machines": overviews}, lambda: table(head, rows) if rows else "no machine yet", as_json=as_json)
+    head = ("machine", "type", "campaigns", "last test", "twins", "alarms")
+    fresh = ["not judged: dtwin machine show NAME, or dtwin fleet nightly"]
+    more = fresh if any(m["alarms"] == "not judged" for m in told) else []
+    emit(
+        {"machines": told}, lambda: "\n".join([table(head, rows), *more]) if rows else "no machine yet", as_json=as_json
+    )
 
 
 @app.command()

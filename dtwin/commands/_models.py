@@ -109,7 +109,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
     from dtwin.train.promotion import listed
     from dtwin.train.promotion_books import history
-    from dtwin.train.registry import Registry
+    from dtwin.train.registry import MODEL, Registry
     from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
@@ -137,10 +137,12 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 v.tags.get("evidence", "none"),
                 v.tags.get("proved", "-")[:10],
                 v.created,
+                v.tags.get(MODEL, "-")[:12],
             ]
             for v, state in listing
         ]
-        lines = [table(("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created"), rows)]
+        head = ("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created", "model")
+        lines = [table(head, rows)]
         for name, entries in past.items():
             lines += [
                 f"{name}  {e['time']}  version {e['version']}  {e['action']}  {e['comment']}"

@@ -29,7 +29,7 @@ app = typer.Typer()
 
 @app.command()
 def serve(
-    model: Annotated[str, typer.Option(help="latest (the champion), trial, or a bundle's .json file.")] = "latest",
+    model: Annotated[str, typer.Option(help="latest or champion, trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     host: Annotated[str, typer.Option(help="Address of the robot controller.")] = "127.0.0.1",
     duration: Annotated[float | None, typer.Option(help="Seconds to serve; without it until Ctrl-C.")] = None,

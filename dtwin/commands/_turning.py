@@ -70,7 +70,7 @@ def fit(
 
 @app.command("compensate")
 def compensate(
-    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
+    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest, which is champion, or trial.")],
     truth: Truth = "linear",
     frequency: Annotated[list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")] = None,
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,

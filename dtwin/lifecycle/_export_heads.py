@@ -25,7 +25,7 @@ def whose(bundle: Bundle, version: str, state: str) -> list[str]:
     """Return which correction a file holds, without characters that end a comment."""
     lines = [
         f"dtwin: {bundle.name} for machine {bundle.machine}, version {version}, state {state}",
-        f"bundle sha256 {bundle.sha256}",
+        f"model {bundle.model_sha256}",
     ]
     return _safe(lines)
 

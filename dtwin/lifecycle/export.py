@@ -25,7 +25,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.export import identifier, to_c, to_latex, to_python
 from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
-from dtwin.serve.pointer import resolve
+from dtwin.serve.pointer import NAMES, resolve
 from dtwin.train.promotion import state_of
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_terms import choose
@@ -100,13 +100,13 @@ def _require_machine(name: str, its_machine: str, machine: str | None) -> None:
 def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None) -> Source:
     """Return what a name stands for.
 
-    ``name``: ``latest``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a twin whose
+    ``name``: ``latest``, ``champion``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a twin whose
     correction is registered.
     ``machine``: machine; needed when there are several, and for a version number.
     Raises ``InputError`` when there is no such thing.
     """
     registry = Registry(home)
-    if name in ("latest", "trial") or name.endswith(".json"):
+    if name in NAMES or name.endswith(".json"):
         resolved = resolve(name, machine, home, harmless=True)
         bundle = Bundle.from_dict(read_json(resolved.path, MAX_BYTES))
         _require_machine(name, bundle.machine, machine)

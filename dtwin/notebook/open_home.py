@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -129,6 +130,10 @@ class OpenHome:
                 got=", ".join(unknown)[:120],
                 allowed=", ".join(_TOLD),
             )
+        if not _is_path(path):
+            raise InputError(
+                "what is ingested is a path", code="ingest.path", got=repr(path)[:60], allowed="a folder or a file"
+            )
         ingested = ingest_path(Path(path), self._lake, told=told)
         rows = [{"run_id": run, **finding.as_dict()} for run, finding in ingested.findings]
         columns = ["run_id", "severity", "code", "message"]
@@ -156,6 +161,8 @@ class OpenHome:
         InputError
             When there is no such campaign.
         """
+        if campaign is not None:
+            _require_text(campaign, "a campaign")
         rows = self._lake.runs(campaign, left_out=True)
         if campaign is not None and not rows:
             self._lake.campaign(campaign)
@@ -303,6 +310,8 @@ class OpenHome:
         return twins_with(self.home, self._library, name)
 
     def _run(self, campaign: str, run: str, *, signals: bool = False) -> Run:
+        _require_text(campaign, "a campaign")
+        _require_text(run, "a run")
         rows = {row["run_id"]: row for row in self._lake.runs(campaign, left_out=True)}
         if not rows:
             self._lake.campaign(campaign)
@@ -336,13 +345,34 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
     """
     quiet_environment()
     root = home() if folder is None else Home(Path(folder).expanduser().absolute())
+    if root.root.is_file():
+        raise InputError(
+            "a home is a folder, and this is a file",
+            code="home.file",
+            got=str(root.root),
+            allowed="a folder, or a new name",
+        )
     follow_shared(root)
     return OpenHome(root.tightened(), effects)
 
 
-def _require_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError("not a seed", code="notebook.seed", got=str(seed), allowed="a whole number from 0")
+def _require_seed(seed: object) -> None:
+    if not isinstance(seed, Integral) or int(seed) < 0:
+        raise InputError("not a seed", code="notebook.seed", got=str(seed)[:40], allowed="a whole number from 0")
+
+
+def _is_path(value: object) -> bool:
+    return isinstance(value, str | Path)
+
+
+def _require_text(value: object, what: str) -> None:
+    if not isinstance(value, str):
+        raise InputError(
+            f"{what} is named by its text",
+            code="notebook.name",
+            got=repr(value)[:60],
+            hint="home.runs() lists the names",
+        )
 
 
 def _silent(done: int, total: int, what: str) -> None:

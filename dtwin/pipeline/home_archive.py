@@ -25,13 +25,13 @@ from dtwin.home_file import HOME_FILE
 from dtwin.lake.store import Lake
 from dtwin.pipeline.home_check import database_fault
 from dtwin.progress import Progress
+from dtwin.registry_places import moved
 
 MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.
 _LEFT_OUT = (HOME_FILE, "logs", "reduced", "locks", "servers.json", "prefect-auth", "shared.json")
 _SQLITE = b"SQLite format 3\x00"
 _OF_SQLITE = ("-wal", "-shm", "-journal")
-_PLACES = ("artifact_location", "artifact_uri", "source", "storage_location")
 _MOST_MANIFEST = 500_000_000
 _BLOCK = 1 << 20
 
@@ -42,11 +42,13 @@ class Archived:
 
     ``path``: the file, or the home that was made.
     ``files``, ``bytes``: what it holds.
+    ``left``: folders that killed restores of this home left beside it; nothing else removes them.
     """
 
     path: Path
     files: int
     bytes: int
+    left: tuple[str, ...] = ()
 
 
 def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
@@ -102,7 +104,7 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
         about = _extracted(archive, made, progress)
         for name in about["files"]:
             if _is_sqlite(made / name):
-                _moved(made / name, str(about["root"]), str(home.root))
+                moved(made / name, str(about["root"]), str(home.root))
         make_folder(home.root.parent)
         if home.root.exists():
             home.root.rmdir()
@@ -120,7 +122,8 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
         ) from error
     finally:
         shutil.rmtree(made, ignore_errors=True)
-    return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()))
+    left = tuple(map(str, sorted(home.root.parent.glob(f".{home.root.name}.*.restoring"))))
+    return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()), left)
 
 
 def _require_local(home: Home) -> None:
@@ -274,24 +277,6 @@ def _manifest(archive: Path, text: bytes) -> Mapping[str, Any]:
     if not good:
         raise _damaged(archive, MANIFEST, "a manifest")
     return dict(about)
-
-
-def _moved(database: Path, before: str, now: str) -> None:
-    """Let a database name the folder where it is now: MLflow keeps the whole path of each artifact."""
-    if before == now:
-        return
-    with closing(sqlite3.connect(database)) as file, file:
-        tables = [row[0] for row in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
-        for table in tables:
-            columns = [row[1] for row in file.execute(f'PRAGMA table_info("{table}")')]
-            for column in (c for c in columns if c in _PLACES):
-                for head in ("", "file://"):
-                    old, new = f"{head}{before}/", f"{head}{now}/"
-                    file.execute(
-                        f'UPDATE "{table}" SET "{column}" = ? || substr("{column}", ?) '
-                        f'WHERE substr("{column}", 1, ?) = ?',
-                        (new, len(old) + 1, len(old), old),
-                    )
 
 
 def _damaged(archive: Path, got: str, allowed: str) -> StoreError:

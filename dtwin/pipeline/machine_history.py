@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,8 +21,8 @@ from dtwin.physics.library import Library
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines
-from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of, variation_of
-from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
+from dtwin.pipeline.kept import kept, kept_already, sheet_of_campaign, stamp_of, variation_of
+from dtwin.pipeline.machine_series import ALARMS, Point, Series, judged_series, next_test
 from dtwin.progress import Progress
 from dtwin.report.faults import sizes_of
 from dtwin.report.sheet import number_of
@@ -68,21 +69,47 @@ def machine_history(
     """
     effects = Library() if library is None else library
     mine = [twin for twin in (twin_lines(home) if twins is None else twins) if twin.machine == machine]
-    record = read_record(home, machine)
-    made_of = [
-        Lake(home.lake).files_by_campaign(machine) if files is None else files,
-        None if record is None else record.as_dict(),
-        [(twin.name, twin.changed) for twin in mine],
-        sorted(effects),
-    ]
+    stamp = _stamp(home, machine, mine, effects, files)
     made: dict[str, Any] = kept(
         home,
         "histories",
         machine,
-        sha256(repr(made_of).encode()).hexdigest(),
+        stamp,
         lambda: _history(home, machine, [twin.name for twin in mine], effects, progress),
     )
     return made | {"champion": champion_of(home, machine)}
+
+
+def alarms_of(home: Home, machine: str, twins: Sequence[TwinLine]) -> str:
+    """Return in words what the charts of a machine said when they were last drawn; they are not drawn here.
+
+    ``twins``: the catalogue.
+    """
+    mine = [twin for twin in twins if twin.machine == machine]
+    made = kept_already(home, "histories", machine, _stamp(home, machine, mine, Library()))
+    if made is None:
+        return "not judged"
+    states = Counter(series["state"] for series in made["series"])
+    told = [f"{states[state]} {state}" for state in ALARMS if states[state]]
+    return ", ".join(told) or ("steady" if states["steady"] else "-")
+
+
+def _stamp(
+    home: Home,
+    machine: str,
+    twins: Sequence[TwinLine],
+    effects: Mapping[str, Effect],
+    files: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """Return a hash of what the history of a machine is made of."""
+    record = read_record(home, machine)
+    made_of = [
+        Lake(home.lake).files_by_campaign(machine) if files is None else files,
+        None if record is None else record.as_dict(),
+        [(twin.name, twin.changed) for twin in twins],
+        sorted(effects),
+    ]
+    return sha256(repr(made_of).encode()).hexdigest()
 
 
 def _history(
@@ -314,6 +341,6 @@ def champion_of(home: Home, machine: str) -> str:
     except GateRefusal as error:
         # Its tests and their history are none the worse for that.
         return f"none can be served: {error.message}"
-    changed = changed_since(home, machine, served.proved) if served.proved else ""
-    told = f", proved on {served.proved[:10]}, before the {changed}: dtwin recheck" if changed else ""
+    changed = changed_since(home, machine, served.proved, doubtful=True) if served.proved else ""
+    told = f", proved on {served.proved[:10]}; {changed}: dtwin recheck" if changed else ""
     return f"version {served.version} ({served.state}){told}"

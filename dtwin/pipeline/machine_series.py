@@ -21,6 +21,8 @@ TESTS_PER_FALSE_ALARM = 200.0
 """Tests of a machine where nothing changes, all its series together, in which one false alarm is expected at most."""
 RESTARTS = ("repair", "compensated", "moved")
 """Events after which another value is expected."""
+ALARMS = ("changed", "trend", "slow trend")
+"""States of a series that are no rest, the most urgent first."""
 _MONTH = 30.44
 _LONGEST_FORECAST_DAYS = 3653.0
 

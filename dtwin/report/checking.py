@@ -26,6 +26,7 @@ from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
 """A file of both directions is told run by run; more runs as a table."""
+_LISTED_ROWS = 8
 Tolerances = Callable[[str], Mapping[str, Limits]]
 Surroundings = Callable[[str], Variation | None]
 
@@ -144,7 +145,9 @@ def _checked(
         pairs += _bidirectional(runs)
         light += [without_samples(run, kind.sheet_columns) for run in checked]
         if rejected:
-            results[-1]["rejected_rows"] = sum(len(part.rows) for part in rejected)
+            rows = [row for part in rejected for row in part.rows]
+            results[-1]["rejected_rows"] = len(rows)
+            results[-1]["findings"].append(_rejected(rows).as_dict())
         if progress is not None:
             progress(done, total, runs[0].meta.run_id if runs else "")
     copies = judge_copies(samples)
@@ -171,6 +174,21 @@ def _checked(
         "bidirectional": pairs,
         "findings": [finding.as_dict() for finding in judge_campaign(light)],
     }
+
+
+def _rejected(rows: Sequence[Mapping[str, Any]]) -> Finding:
+    """Return what is said of rows that are no samples: how many of each reason, and which."""
+    numbers: dict[str, list[str]] = {}
+    for row in rows:
+        numbers.setdefault(row["reason"], []).append(str(row["row"] + 1))
+    listed = {
+        why: ", ".join(of[:_LISTED_ROWS]) + f" and {len(of) - _LISTED_ROWS} more" * (len(of) > _LISTED_ROWS)
+        for why, of in numbers.items()
+    }
+    shown = [f"{why}: {of}" for why, of in list(listed.items())[:_LISTED_ROWS]]
+    more = f"; and {len(listed) - _LISTED_ROWS} more reasons" * (len(listed) > _LISTED_ROWS)
+    said = f"rows that are not used: {len(rows)}; {'; '.join(shown)}{more}"
+    return Finding("rows.rejected", "info", said, {"rows_1": float(len(rows))})
 
 
 def run_result(run: Run) -> dict[str, Any]:
@@ -299,6 +317,9 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     lines = table(("run", *(figures[name] for name in known), "findings"), shown).splitlines() if shown else []
     if len(shown) < len(rows):
         lines.append(f"{len(rows) - len(shown)} of {len(rows)} runs: no error and no warning")
+    rejected = [run["rejected_rows"] for run in runs if "rejected_rows" in run]
+    if rejected:
+        lines.append(f"rows that are not used: {sum(rejected)} in {counted(len(rejected), 'run')}; --json tells which")
     told: dict[str, list[str]] = {}
     for severity in ("error", "warning"):
         for run in runs:

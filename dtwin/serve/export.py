@@ -123,7 +123,8 @@ def _table(x, start, spacing, values, periodic):
 def to_python(graph: Graph, name: str = "tick") -> str:
     """Return a Python module with one function ``name(inputs, state) -> (outputs, state)``.
 
-    Inputs, state and outputs are mappings by name; needs only the standard library.
+    Inputs, state and outputs are mappings by name; needs only the standard library. The state stays as it was where an input
+    is no finite number.
     """
     style = Style(
         number=lambda v: repr(float(v)) if v >= 0 else f"({float(v)!r})",
@@ -142,7 +143,8 @@ def to_python(graph: Graph, name: str = "tick") -> str:
     lines = assignments(graph, style, "t{}", lambda n: f"out[{n!r}]", lambda n: f"after[{n!r}]")
     tables = [f"    ({t.start!r}, {t.spacing!r}, {list(t.values)!r}, {t.periodic!r})," for t in graph.tables]
     head = ["TABLES = (", *tables, ")", "", "", f"def {identifier(name)}(inputs, state):"]
-    body = ["    out, after = {}, dict(state)", *lines, "    return out, after"]
+    kept = ["    if not all(map(math.isfinite, [*inputs.values(), *after.values()])):", "        after = dict(state)"]
+    body = ["    out, after = {}, dict(state)", *lines, *(kept if graph.updates else []), "    return out, after"]
     return _PYTHON_PRELUDE + "\n".join(head + body) + "\n"
 
 
@@ -188,7 +190,8 @@ def to_c(
 ) -> str:
     """Return a C99 file with ``void dtwin_<name>(const double *in, double *state, double *out)``.
 
-    Every symbol starts with ``dtwin_``, because C libraries own short names such as ``step``.
+    The state stays as it was where an input is no finite number. Every symbol starts with ``dtwin_``, because C libraries own
+    short names such as ``step``.
     Compile without ``-ffast-math``, which would remove the guards against NaN.
 
     ``inputs``, ``states``, ``outputs``: order of the three arrays.
@@ -215,6 +218,9 @@ def to_c(
     )
     lines = assignments(graph, style, "t{}", lambda n: f"out_{outputs.index(n)}", lambda n: f"after_{states.index(n)}")
     lines += [f"  out[{i}] = out_{i};" for i in range(len(outputs))]
+    if graph.updates:
+        finite = [*(f"in[{i}]" for i in range(len(inputs))), *(f"after_{states.index(n)}" for n in graph.updates)]
+        lines += [f"  if (!({' && '.join(f'isfinite({n})' for n in finite)})) return;"]
     lines += [f"  state[{states.index(n)}] = after_{states.index(n)};" for n in graph.updates]
     tables = [line for i, t in enumerate(graph.tables) for line in _c_table(i, t)]
     symbol = f"dtwin_{identifier(name)}"

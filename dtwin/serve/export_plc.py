@@ -18,7 +18,17 @@ from dtwin.serve.graph import Graph, Table
 NOT_RUN = "Checked by dtwin's own evaluator of this grammar; never run on a controller."
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
+_FINITE = "1000000000000000.0"
+"""No number of a machine is as large; no comparison with a NaN is true."""
+
 _ST_HELPERS = {
+    "DTWIN_FINITE": f"""\
+FUNCTION DTWIN_FINITE : LREAL
+VAR_INPUT x : LREAL; END_VAR
+IF ABS(x) < {_FINITE} THEN DTWIN_FINITE := 1.0;
+ELSE DTWIN_FINITE := 0.0; END_IF;
+END_FUNCTION
+""",
     "DTWIN_SIGN": """\
 FUNCTION DTWIN_SIGN : LREAL
 VAR_INPUT x : LREAL; END_VAR
@@ -80,7 +90,7 @@ def to_structured_text(
     """Return a function block with the functions that it needs.
 
     ``inputs``: order of the inputs.
-    ``states``: states with their initial values; the block remembers them.
+    ``states``: states with their initial values; the block remembers them, as they were where an input is no finite number.
     Raises ``InputError`` when a name of the graph is no identifier of the language.
     """
     _require_words([*inputs, *states, *graph.outputs])
@@ -104,6 +114,13 @@ def to_structured_text(
     lines = assignments(graph, style, "tmp{}", update="next_{}".format)
     temporaries = [line.split(" := ")[0] for line in lines if line.startswith("tmp")]
     held = [*temporaries, *(f"next_{s}" for s in graph.updates)]
+    lines += _remembered(
+        [*inputs, *(f"next_{s}" for s in graph.updates)],
+        "DTWIN_FINITE",
+        "IF {0} > 0.5 THEN",
+        [f"  {s} := next_{s};" for s in graph.updates],
+        "END_IF;",
+    )
     text = "\n".join(lines)
     helpers = [code for word, code in _ST_HELPERS.items() if word + "(" in text]
     helpers += [_st_table(i, t) for i, t in enumerate(graph.tables)]
@@ -120,10 +137,15 @@ def to_structured_text(
         *(f"  {t} : LREAL;" for t in held),
         "END_VAR",
         *lines,
-        *(f"{s} := next_{s};" for s in graph.updates),
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join([*helpers, *block]) + "\n"
+
+
+def _remembered(told: Sequence[str], finite: str, condition: str, statements: Sequence[str], end: str) -> list[str]:
+    """Return the lines that do something to the states where all numbers of a call are finite, or where not; nothing without states."""
+    all_finite = " * ".join(f"{finite}({name})" for name in told)
+    return [condition.format(all_finite), *statements, end] if statements else []
 
 
 def _st_table(number: int, table: Table) -> str:
@@ -137,22 +159,25 @@ def _st_table(number: int, table: Table) -> str:
     ]
     between = "v[low] + (u - DINT_TO_LREAL(low)) * (v[{0}] - v[low])"
     if table.periodic:
+        # What is no number must not become an index.
         lines = [
-            f"low := TRUNC(u / {n}.0);",
-            f"IF DINT_TO_LREAL(low) * {n}.0 > u THEN low := low - 1; END_IF;",
-            f"u := u - DINT_TO_LREAL(low) * {n}.0;",
-            "low := TRUNC(u);",
-            f"IF low > {n - 1} THEN low := {n - 1}; END_IF;",
-            f"DTWIN_TABLE_{number} := {between.format(f'(low + 1) MOD {n}')};",
+            "IF ABS(u) < 1000000000.0 THEN",
+            f"  low := TRUNC(u / {n}.0);",
+            f"  IF DINT_TO_LREAL(low) * {n}.0 > u THEN low := low - 1; END_IF;",
+            f"  u := u - DINT_TO_LREAL(low) * {n}.0;",
+            "  low := TRUNC(u);",
+            f"  IF low > {n - 1} THEN low := {n - 1}; END_IF;",
+            f"  DTWIN_TABLE_{number} := {between.format(f'(low + 1) MOD {n}')};",
+            f"ELSE DTWIN_TABLE_{number} := u - u; END_IF;",
         ]
     else:
         lines = [
             f"IF u <= 0.0 THEN DTWIN_TABLE_{number} := v[0];",
             f"ELSIF u >= {n - 1}.0 THEN DTWIN_TABLE_{number} := v[{n - 1}];",
-            "ELSE",
+            "ELSIF u > 0.0 THEN",
             "  low := TRUNC(u);",
             f"  DTWIN_TABLE_{number} := {between.format('low + 1')};",
-            "END_IF;",
+            f"ELSE DTWIN_TABLE_{number} := u; END_IF;",
         ]
     return "\n".join([*head, *lines, "END_FUNCTION", ""])
 
@@ -166,6 +191,16 @@ def _st_number(value: float) -> str:
 
 
 _UR_HELPERS = {
+    "dtwin_finite": f"""\
+def dtwin_finite(x):
+  if x < {_FINITE}:
+    if x > -{_FINITE}:
+      return 1.0
+    end
+  end
+  return 0.0
+end
+""",
     "dtwin_sign": """\
 def dtwin_sign(x):
   if x > 0:
@@ -245,8 +280,8 @@ end
 def to_urscript(graph: Graph, inputs: Sequence[str], states: Sequence[str], name: str = "dtwin_correction") -> str:
     """Return a URScript function with the functions that it needs.
 
-    It takes the inputs and the states, and returns a list: outputs, then next states. It keeps
-    nothing itself.
+    It takes the inputs and the states, and returns a list: outputs, then next states, as they were
+    where an input is no finite number. It keeps nothing itself.
 
     ``inputs``, ``states``: order of the arguments.
     Raises ``InputError`` when a name of the graph is no identifier of the language.
@@ -267,6 +302,13 @@ def to_urscript(graph: Graph, inputs: Sequence[str], states: Sequence[str], name
         assign="  local {0} = {1}",
     )
     lines = assignments(graph, style, "tmp{}", "out_{}".format, "next_{}".format)
+    lines += _remembered(
+        [*inputs, *(f"next_{s}" for s in graph.updates)],
+        "dtwin_finite",
+        "  if {0} < 0.5:",
+        [f"    next_{s} = {s}" for s in states if s in graph.updates],
+        "  end",
+    )
     text = "\n".join(lines)
     helpers = [code for word, code in _UR_HELPERS.items() if word + "(" in text]
     helpers += [_ur_table(i, t) for i, t in enumerate(graph.tables)]

@@ -44,6 +44,8 @@ STATES = ("champion", "trial", "candidate", "barred")
 UNPROMOTED = "unpromoted"
 _SERVED_LIVE = ("champion", "trial")
 _POINTERS = {"latest": CHAMPION, "trial": TRIAL}
+NAMES = ("latest", "champion", "trial")
+"""Models that are no file; ``champion`` is ``latest`` under the name that ``dtwin campaign --with`` has."""
 _FIELDS = ("bundle", "sha256", "version", "state", "proved")
 
 
@@ -57,6 +59,8 @@ class Resolved:
         The bundle's file, below the machine's folder.
     sha256 : str
         Checksum of that file's bytes.
+    model_sha256 : str
+        ``Bundle.model_sha256``: what is shown, and what runs and journal name.
     version : int
         Version in the registry, as the bundle itself says.
     state : str
@@ -68,6 +72,7 @@ class Resolved:
 
     path: Path
     sha256: str
+    model_sha256: str
     version: int
     state: str
     machine: str
@@ -75,7 +80,9 @@ class Resolved:
 
     def describe(self) -> str:
         """Return one line for the terminal."""
-        return f"{self.machine}: version {self.version} ({self.state}), {self.path.name}, sha256 {self.sha256[:12]}"
+        return (
+            f"{self.machine}: version {self.version} ({self.state}), {self.path.name}, model {self.model_sha256[:12]}"
+        )
 
 
 def write_pointer(
@@ -233,7 +240,7 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
     Parameters
     ----------
     model : str
-        ``latest``, ``trial``, or the path of a bundle's file (ending in ``.json``).
+        ``latest`` or ``champion``, which are one, ``trial``, or the path of a bundle's file (ending in ``.json``).
     machine : str or None
         Machine; None when there is only one.
     harmless : bool
@@ -246,6 +253,7 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
     GateRefusal
         When the bundle was changed, or its version may not correct a machine.
     """
+    model = "latest" if model == "champion" else model
     if model.endswith(".json"):
         resolved = _resolve_file(Path(model), machine, home)
     elif model in _POINTERS:
@@ -255,7 +263,7 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
             "unknown model",
             code="serve.model",
             got=model[:80],
-            allowed="latest, trial, or the path of a bundle's .json file",
+            allowed=f"{', '.join(NAMES)}, or the path of a bundle's .json file",
             hint="dtwin promote moves the pointer that latest follows",
         )
     why = barred_why(resolved.machine, home, resolved.version)
@@ -297,17 +305,15 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
     """Return what a machine's pointer names, after comparing checksums."""
     folder = machine_folder(machine, home)
     pointer = folder / _POINTERS[model]
-    if folder.is_dir() and not pointer.exists():
+    if not pointer.exists() or (sealed := read_sealed(folder, pointer.name)) is None:
+        known = sorted(path.parent.name for path in home.bundles.glob(f"*/{pointer.name}"))
         raise InputError(
             f"{machine} has no {'promoted model' if model == 'latest' else 'model on trial'}",
             code="serve.no_pointer",
             where=str(pointer),
+            got=machine,
+            allowed=", ".join(known)[:200] or None,
             hint=_absent_hint(model, machine, home),
-        )
-    sealed = read_sealed(folder, pointer.name)
-    if sealed is None:
-        raise InputError(
-            "the file cannot be read", code="bundle.missing", where=str(pointer), hint="dtwin promote writes it"
         )
     fields = only_fields(sealed, _FIELDS, str(pointer))
     path = named_file(folder, text(fields["bundle"], "bundle"), text(fields["sha256"], "sha256"))
@@ -333,7 +339,7 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
             hint="dtwin promote writes bundle and pointer together",
         )
     proved = text(fields["proved"], "proved")
-    return Resolved(path, sha256, bundle.model_version, state, machine, proved)
+    return Resolved(path, sha256, bundle.model_sha256, bundle.model_version, state, machine, proved)
 
 
 def _resolve_file(path: Path, machine: str | None, home: Home) -> Resolved:
@@ -345,7 +351,7 @@ def _resolve_file(path: Path, machine: str | None, home: Home) -> Resolved:
             named = _follow(model, name, home)
             if named.sha256 == sha256:
                 return named
-    return Resolved(path, sha256, bundle.model_version, UNPROMOTED, name)
+    return Resolved(path, sha256, bundle.model_sha256, bundle.model_version, UNPROMOTED, name)
 
 
 def _absent_hint(model: str, machine: str | None, home: Home) -> str:

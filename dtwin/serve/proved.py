@@ -54,7 +54,7 @@ def require_proof(
         When it does not hold and this was not to be a warning.
     """
     told, holds = proof_of(resolved, bundle, now or datetime.now(UTC))
-    told += f"; WARNING: {changed}, after that: dtwin recheck" if changed else ""
+    told += f"; WARNING: {changed}; unless it came before the proof: dtwin recheck" if changed else ""
     if holds:
         return told
     if when_expired == "warn":

@@ -165,6 +165,7 @@ class Served:
                 "state": found.state,
                 "bundle": str(found.path),
                 "sha256": found.sha256,
+                "model_sha256": found.model_sha256,
                 "proved": found.proved,
             },
             "host": self.request.place,

@@ -101,7 +101,7 @@ def _serve_resolved(
         if resolved.proved:
             # A record that cannot be read is no reason to stop a machine.
             with contextlib.suppress(DtwinError):
-                changed = changed_since(home, resolved.machine, resolved.proved)
+                changed = changed_since(home, resolved.machine, resolved.proved, doubtful=True)
         announce(require_proof(resolved, compiled.bundle, request.expired, changed=changed))
     if request.fade is not None:
         compiled = _with_fading(compiled, request.fade)

@@ -15,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.locks import locked
+from dtwin.registry_places import brought_here
 
 _CONNECT_S = 10
 
@@ -49,6 +50,8 @@ def client_of(home: Home) -> MlflowClient:
     # The first client of an empty database makes its tables; two at once would both make them.
     alone = uri.startswith(("sqlite", "postgresql"))
     with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
+        if uri == f"sqlite:///{home.root}/mlflow/mlflow.db" and isinstance(home.mlflow_artifacts, Path):
+            brought_here(Path(uri.removeprefix("sqlite:///")), home.mlflow_artifacts)
         return MlflowClient(tracking_uri=uri, registry_uri=uri)
 
 

@@ -50,8 +50,8 @@ class Evidence:
     ``machine``, ``model_sha256``: whose correction was in force: ``Bundle.model_sha256``.
     ``conditions``: before and after of every condition: ``before_um``, ``after_um`` (RMS of the error, mean over runs),
     ``before_ci_um``, ``after_ci_um`` (half widths of 95 % intervals over runs, from the spread inside each direction),
-    ``floor_um`` (what repeats without correction disagree by), ``n_without``, ``n_with``, ``reduction``, ``better``,
-    ``worse``.
+    ``floor_um`` (what repeats without correction disagree by), ``n_without``, ``n_with``, ``runs_with`` (numbers of
+    the runs: of one run several conditions may be, such as both approaches of an axis), ``reduction``, ``better``, ``worse``.
     ``runs``: ``way``, ``campaign``, ``run_id``, ``started`` and ``content_sha256`` of what was counted.
     ``switches``: how often the way changed in the course of time.
     ``told``: what was left out, and what to know of it.
@@ -279,6 +279,7 @@ def _condition(key: _Key, without: Sequence[RunError], with_: Sequence[RunError]
         "floor_um": _floor(without),
         "n_without": len(without),
         "n_with": len(with_),
+        "runs_with": sorted({e.run for e in with_}),
         "reduction": 1.0 - after / before,
         "better": change < -half,
         "worse": change > half,

@@ -75,7 +75,9 @@ def promote(
         verdicts += evidence_gate(evidence, bundle, real=real)
         verdicts += _against(kept, despite)
         changed = changed_since(home, version.machine, proved)
-        told = f"{changed or 'no event'} after the evidence of {proved[:10]}"
+        doubt = changed_since(home, version.machine, proved, doubtful=True)
+        which = f"; {doubt}: if that came after the evidence, measure again" if doubt and not changed else ""
+        told = f"{changed or 'no event'} after the evidence of {proved[:10]}{which}"
         verdicts.append(Verdict("machine unchanged since the evidence", not changed, told))
     _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):

@@ -128,8 +128,13 @@ def judge_evidence(evidence: Evidence) -> Recheck:
         for c in evidence.conditions
     ]
     means = [float(np.mean([getattr(r, f) for r in rows])) for f in ("before_um", "after_um")]
-    half = math.sqrt(sum(r.half_width_um**2 for r in rows)) / len(rows)
-    every = _ConditionCheck("all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows))
+    # What is of the same runs is no second sample of them: half widths add, and the pairs are those of one.
+    of_runs: dict[Any, list[_ConditionCheck]] = defaultdict(list)
+    for number, (row, told) in enumerate(zip(rows, evidence.conditions, strict=True)):
+        of_runs[tuple(told["runs_with"]) if "runs_with" in told else number].append(row)
+    halves = [sum(row.half_width_um for row in group) for group in of_runs.values()]
+    half, pairs = math.hypot(*halves) / len(rows), sum(group[0].pairs for group in of_runs.values())
+    every = _ConditionCheck("all", means[0], means[1], means[1] - means[0], half, pairs)
     return _verdict([*rows, every])
 
 

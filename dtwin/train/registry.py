@@ -20,6 +20,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
 from dtwin.schema import require_name
+from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import served_version
 from dtwin.train._registry_client import client_of
 from dtwin.train.logged import candidate_metrics, report_metrics, report_params
@@ -29,6 +30,8 @@ _EXPERIMENT = "dtwin"
 _PREFIX = "dtwin-"
 _OURS = f"name LIKE '{_PREFIX}%'"
 _BUNDLE_FOLDER = "bundle"
+MODEL = "model_sha256"
+"""Tag of a version: checksum of what moves the machine, ``Bundle.model_sha256``."""
 _PROCESS = "dtwin.process"
 _ALIASES = ("candidate", "champion", "previous")
 _Found = TypeVar("_Found")
@@ -115,7 +118,7 @@ class Registry:
             source=f"runs:/{run_id}/{_BUNDLE_FOLDER}",
             run_id=run_id,
             description=description,
-            tags={"candidate": candidate.name, "state": "candidate"},
+            tags={"candidate": candidate.name, "state": "candidate", **_model_tag(candidate)},
         )
         self.client.set_registered_model_alias(name, "candidate", created.version)
         return self.version(report.machine, str(created.version))
@@ -368,3 +371,8 @@ def _every(search: Callable[..., PagedList[_Found]], wanted: str) -> list[_Found
         page = search(filter_string=wanted, page_token=page.token)
         entries += page
     return entries
+
+
+def _model_tag(candidate: Candidate) -> dict[str, str]:
+    """Return the checksum by which export, serve, journal and runs name the same correction."""
+    return {} if candidate.bundle is None else {MODEL: Bundle.from_dict(candidate.bundle).model_sha256}

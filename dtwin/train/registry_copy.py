@@ -20,10 +20,9 @@ from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.home_file import Bucket
 from dtwin.progress import Progress
+from dtwin.registry_places import PLACES
 from dtwin.train.registry import Registry
 
-# Where MLflow keeps whole addresses of artifacts.
-_PLACES = ("artifact_location", "artifact_uri", "source", "storage_location")
 _ROWS = 1000
 _Row = dict[str, Any]
 
@@ -119,7 +118,7 @@ def _rows(reading: Connection, table: Table, before: str, now: str) -> Iterator[
     """Yield rows, with addresses of artifacts as they are at the target."""
     for row in reading.execute(table.select()).mappings():
         out = dict(row)
-        for name in _PLACES:
+        for name in PLACES:
             value = out.get(name)
             if isinstance(value, str) and before:
                 for head in ("file://", ""):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+
 from dtwin.errors import InputError
 
 
@@ -45,3 +47,12 @@ def test_of_a_very_long_name_a_terminal_shows_both_ends() -> None:
 
 def test_a_name_that_is_there_beside_others_is_not_proposed() -> None:
     assert InputError("no", got="position_mm, steps", allowed="linear: t_s, position_mm, direction").meant is None
+
+
+def test_a_traceback_says_what_a_terminal_says() -> None:
+    error = InputError(
+        "no such effect", where="here", got="squarness", allowed="backlash, squareness", hint="look again"
+    )
+    shown = "".join(traceback.format_exception(error)).splitlines()
+    assert shown[-5:] == error.render().splitlines()[1:]
+    assert shown[-1] == "  try: look again"

@@ -244,7 +244,11 @@ def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypa
     out = tmp_path / "one.tar"
     assert shell.invoke(app, ["home", "backup", str(out)]).exit_code == 0
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "again"))
-    assert "are back in" in shell.invoke(app, ["home", "restore", str(out)]).stdout
+    killed = tmp_path / ".again.1.restoring"
+    killed.mkdir()
+    told = shell.invoke(app, ["home", "restore", str(out)]).stdout
+    assert "are back in" in told
+    assert f"remove it: {killed}" in told
     assert shell.invoke(app, ["home", "check"]).exit_code == 0
 
 

@@ -170,7 +170,15 @@ def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) 
     Twins(home).fit("t00", ["backlash:X", "squareness"], "mill-7")
     said("machine", "add", "mill-7", "--test-every", "30")
     said("machine", "event", "mill-7", "crash", "--on", "2025-05-20")
+
+    def listed() -> str:
+        (machine,) = cast(list[dict[str, Any]], said("machine", "list")["machines"])
+        return str(machine["alarms"])
+
+    assert listed() == "not judged"
     shown = said("machine", "show", "mill-7")
+    states = [one["state"] for one in cast(list[dict[str, Any]], shown["series"])]
+    assert listed().startswith(f"{states.count('changed')} changed")
     series = {one["name"]: one for one in cast(list[dict[str, Any]], shown["series"])}
     assert series["Squareness, XY"]["state"] == series["G(b), XY R150 F1000"]["state"] == "changed"
     assert "between 2025-05-06 and 2025-06-05; noted then: crash" in series["Squareness, XY"]["changes"][0]["text"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -124,9 +125,10 @@ def test_a_home_that_is_another_folder_or_a_file_is_left_as_it_is(tmp_path: Path
     (folder / "theirs.txt").write_text("")
     file.write_text("")
     file.chmod(0o644)
-    for path, mode in ((folder, 0o755), (file, 0o644)):
-        assert dtwin.open_home(path).runs().empty
-        assert path.stat().st_mode & 0o777 == mode
+    assert dtwin.open_home(folder).runs().empty
+    with pytest.raises(dtwin.InputError, match="this is a file"):
+        dtwin.open_home(file)
+    assert [path.stat().st_mode & 0o777 for path in (folder, file)] == [0o755, 0o644]
     (folder / "lake").mkdir()
     dtwin.open_home(folder)
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -162,3 +164,21 @@ def test_results_without_rows_or_figures_have_their_columns(tmp_path: Path) -> N
     lake.commit(Campaign("others", "cell-4"), [circle("a")])
     with pytest.raises(dtwin.InputError, match="another machine"):
         opened.fit("others", [], "bare")
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (lambda home: home.runs(3), "a campaign is named"),
+        (lambda home: home.samples("rounds", 0), "a run is named"),
+        (lambda home: home.signals(None, "a"), "a campaign is named"),
+        (lambda home: home.ingest(pd.DataFrame()), "is a path"),
+        (lambda home: home.diagnose("none", seed="a"), "not a seed"),
+        (lambda home: dtwin.open_home(__file__), "a home is a folder"),
+    ],
+)
+def test_what_is_no_name_no_path_and_no_seed_is_refused(
+    home: OpenHome, asked: Callable[[OpenHome], object], said: str
+) -> None:
+    with pytest.raises(dtwin.InputError, match=said):
+        asked(home)

@@ -76,7 +76,7 @@ def deployed_bundle(
     builder = GraphBuilder()
     direction, position = builder.input(_DIRECTION), builder.input(POSITION) / MM_PER_IN
     reverse = builder.apply("step", direction - 0.5)
-    turned = _remainder(builder, position, pair.pitch_in, reach_mm[1] / MM_PER_IN)
+    turned = _remainder(builder, position, pair.pitch_in, max(map(abs, reach_mm)) / MM_PER_IN)
     slow = pair.full.expression(builder, (reverse, position))
     fast = pair.cyclic.expression(builder, (reverse, turned))
     output = _output(axis)

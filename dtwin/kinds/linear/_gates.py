@@ -154,7 +154,9 @@ def _seam(served: _PathAnswers, pitch_mm: float, reach_mm: tuple[float, float]) 
 
 def _outside(served: _PathAnswers, reach_mm: tuple[float, float]) -> Verdict:
     low, high = reach_mm
-    beyond = {low - 8.0: low, -2.54: low, -25.4: low, high + 8.0: high, high + 125.0: high}
+    # Of a travel above zero also below zero, where remainders of the published equation turn their sign.
+    below = min(low, 0.0)
+    beyond = {low - 8.0: low, below - 2.54: low, below - 25.4: low, high + 8.0: high, high + 125.0: high}
     off: dict[float, float] = {}
     for place, end in beyond.items():
         # Both from the same side, so that both rest on the same flank.

@@ -149,7 +149,8 @@ def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floa
     """
     direction, position, error = inches_of(averages)
     rest = error - full.evaluate(np.column_stack([direction, position]))
-    phase = np.mod(np.round(np.mod(position, pitch_in), 6), pitch_in)
+    # As it is served: below zero a place within the turn is, like C's remainder, below zero.
+    phase = np.fmod(np.round(np.fmod(position, pitch_in), 6), pitch_in)
     cells, place = np.unique(np.column_stack([direction, phase]), axis=0, return_inverse=True)
     place = place.ravel()
     return cells, np.bincount(place, weights=rest) / np.bincount(place)

@@ -74,7 +74,7 @@ def read_laser_file(path: Path) -> LaserTest:
                 rows.append(values)
             else:
                 reason = f"not {width} finite numbers"
-                rejects.append({"row": number, "reason": reason, "values": {"line": line[:120]}})
+                rejects.append({"row": number - 1, "reason": reason, "values": {"line": line[:120]}})
         if raw and tuple(header) not in (_COLUMNS, _AVERAGE_COLUMNS):
             raise _wrong("the laser file has other columns", path, " ".join(header)[:120])
     if not raw:

@@ -65,23 +65,33 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     total = len(next(iter(columns.values())))
     columns["row_1"] = np.arange(1.0, total + 1.0)
     out = _left_out(stated.get("condition", {}), total, path)
+    copy_of = _copies(columns)
     columns, findings = with_orientation(columns, path)
     findings += _timed(columns, heads, total)
     needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
     need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
     left_out = np.isin(columns["row_1"], out)
+    # The same reading at the same time was written twice; without times it may be two that agree.
+    copied = np.isin(columns["row_1"], [] if any(f.code == "poses.times" for f in findings) else list(copy_of))
+    if len(copy_of) > copied.sum():
+        said = (
+            f"rows that hold the numbers of an earlier one: {len(copy_of)}, the first is {min(copy_of)}; "
+            "copies are no repeats, and make repeatability, floor and U too small; "
+            "with the times of the rows copies are told from readings that agree"
+        )
+        findings.append(Finding("poses.copies", "warning", said, {"rows_1": float(len(copy_of))}))
     if not (good & ~left_out).any():
         raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
     rejects = [
         {
             "row": int(columns["row_1"][r]) - 1,
-            "reason": "left out in campaign.toml" if left_out[r] else "not finite",
+            "reason": _why_not(int(columns["row_1"][r]), left_out[r], copied[r], copy_of),
             "values": {n: repr(c[r].item()) for n, c in columns.items() if n != "row_1"},
         }
-        for r in np.flatnonzero(~good | left_out)
+        for r in np.flatnonzero(~good | left_out | copied)
     ]
-    good &= ~left_out
+    good &= ~left_out & ~copied
     if (columns["row_1"][good] == np.arange(1, good.sum() + 1)).all():
         # The place of a row is its number.
         del columns["row_1"]
@@ -107,6 +117,21 @@ def _left_out(condition: Mapping[str, Any], n: int, path: Path) -> list[int]:
             allowed=f'numbers from 1, the first row below the heads, to {n}: leave_out = "3, 17"',
         )
     return [int(part) for part in named]
+
+
+def _copies(columns: Mapping[str, Floats]) -> dict[int, int]:
+    """Return the number of each row that holds the same finite numbers as an earlier one, and the number of that one."""
+    first: dict[bytes, int] = {}
+    table = np.stack([values for name, values in columns.items() if name != "row_1"], axis=1)
+    numbers = ((int(number), row) for number, row in zip(columns["row_1"], table, strict=True))
+    seen = ((number, first.setdefault(row.tobytes(), number)) for number, row in numbers if np.isfinite(row).all())
+    return {number: earlier for number, earlier in seen if earlier != number}
+
+
+def _why_not(number: int, left_out: bool, copied: bool, copy_of: Mapping[int, int]) -> str:
+    if left_out:
+        return "left out in campaign.toml"
+    return f"a copy of row {copy_of[number]}" if copied else "not finite"
 
 
 def is_pose_table(path: Path) -> bool:

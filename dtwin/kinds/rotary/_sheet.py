@@ -119,6 +119,10 @@ def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
             lines.append(
                 f"  {often} a turn {size:z.2f}″{more}, largest at {wave['largest_at_deg']:z.0f}°: {wave['may_be']}"
             )
+        if (drift := told.get("drift_arcsec")) is not None:
+            lines.append(f"  goes on by {drift:z.2f}″ over a turn, which is no part of these")
+        elif "waves" in told:
+            lines.append("  no place was read again a turn later: a drift over the turn would look like these")
         if "waves" in told:
             lines.append(f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left")
     return lines

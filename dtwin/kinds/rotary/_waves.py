@@ -26,6 +26,8 @@ def waves(test: LinearTest) -> dict[str, Any]:
     They are fitted by least squares to the mean of both directions, run by run; ``k95_arcsec`` is what covers 95 % of
     the amplitude's scatter by what runs differ by, None of one run. At n even steps a wave of n - 1 times a turn looks like one
     of once: what a worm or a gear does is told by targets within one of its teeth alone.
+    ``drift_arcsec``: how far the error goes on over a turn, where a place is measured again a turn later; it is no part of the
+    waves. Where none is, a drift looks like them.
     """
     angle = np.radians(test.position_mm)
     place = np.unique(np.round(np.mod(test.position_mm, 360.0), 3))
@@ -33,6 +35,9 @@ def waves(test: LinearTest) -> dict[str, Any]:
     if place.size < _FEWEST or gaps.max() > _UNEVEN * 360.0 / place.size:
         return {}
     columns = [np.ones_like(angle), *(of(times * angle) for times, _, _ in _WAVES for of in (np.cos, np.sin))]
+    again = place.size < np.unique(np.round(test.position_mm, 3)).size
+    if again:
+        columns.append(angle / (2.0 * np.pi))
     design = np.stack(columns, axis=1)
     middle = 0.5 * (test.forward_um + test.reverse_um)
     found, *_ = np.linalg.lstsq(design, middle, rcond=None)
@@ -57,4 +62,5 @@ def waves(test: LinearTest) -> dict[str, Any]:
             }
         )
     left = middle.mean(axis=1) - design @ found.mean(axis=1)
-    return {"waves": told, "left_rms_arcsec": rms(left)}
+    drift = {"drift_arcsec": float(found[-1].mean())} if again else {}
+    return {"waves": told, **drift, "left_rms_arcsec": rms(left)}

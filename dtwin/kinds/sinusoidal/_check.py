@@ -13,13 +13,15 @@ from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
 from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import UM_PER_MM, is_number
+from dtwin.units import G_MM_S2, UM_PER_MM, is_number
 
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05
 # Below this share of the tone in the accelerometer's power its features are noise.
 HEARD = 0.5
 _SAME_TONE = 0.9
+# m/s² under a name of g are 9.8 times as many; a sensor beside the tool feels another share of it, not that much.
+_OTHER_UNIT = 5.0
 _AGAINST_DEG = 150.0
 """No slide turns a tone below its bandwidth by as much."""
 
@@ -238,7 +240,24 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
                 {"share_1": tone.share},
             )
         )
+    else:
+        findings += _scale(run, told, tone)
     return findings
+
+
+def _scale(run: Run, told: Commanded, felt: Tone) -> list[Finding]:
+    """Compare what the accelerometer reads with the acceleration of the tool, or of the encoder where no probe is at the tool."""
+    name = next(
+        (name for name in ("tool_z_mm", "act_z_mm") if name in run.samples and np.ptp(run.samples[name]) > 0.0), ""
+    )
+    if not name:
+        return []
+    moved_mm = fit_tone(run.samples["t_s"], run.samples[name], told.frequency_hz).amplitude
+    ratio = felt.amplitude / (moved_mm * (2.0 * np.pi * told.frequency_hz) ** 2 / G_MM_S2)
+    if 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        return []
+    said = f"the accelerometer reads {ratio:z.3g} times the acceleration of {name}: is it in g (1 g is 9.81 m/s²), and is its axis Z?"
+    return [Finding("sensor.scale", "warning", said, {"ratio_1": ratio})]
 
 
 def _clipped(values: Floats, name: str, code: str) -> list[Finding]:

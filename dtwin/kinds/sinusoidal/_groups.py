@@ -157,7 +157,8 @@ def _group(run: Run) -> Mapping[str, Any] | None:
         return None
     t, command = run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM
     tool, encoder = run.samples["tool_z_mm"] * UM_PER_MM, run.samples["act_z_mm"] * UM_PER_MM
-    sent = np.interp(group.t_s, t, command)
+    # Each device has a clock of its own; of a tone the window holds the same wherever it begins.
+    sent = np.interp(group.t_s - group.start_s, t - t[0], command)
     windowed = tone_features(sent, group.columns[channel], contract)
     return {
         "contract": contract,

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.acquire.quality import judge_clock
+from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
 from dtwin.kinds.volumetric._strokes import stroke_mm
-from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of
+from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of, hours_told
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 from dtwin.units import UM_PER_MM
 
@@ -66,6 +67,7 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
         *(finding for finding in judge_clock(run) if finding.code != "clock.dropout"),
         *_places(run),
         *_range(error),
+        *_still(error),
         *_fixed(run.samples["pose_1"], run.samples["ball_1"], error),
         *(finding for group in run.signals for finding in _temperatures(group)),
     ]
@@ -81,7 +83,22 @@ def judge_volumetric_campaign(runs: Sequence[Run]) -> list[Finding]:
     hour_by_run = hours_of(sound)
     sound.sort(key=lambda run: hour_by_run[run.meta.run_id])
     cycles = [balls_of(run) for run in sound]
+    return _hours(sound) + _spoilt(sound, cycles)
+
+
+def _spoilt(sound: Sequence[Run], cycles: Sequence[Balls]) -> list[Finding]:
     return spoilt_findings([run.meta.run_id for run in sound], cycles, spoilt_in(cycles)) if cycles else []
+
+
+def _hours(sound: Sequence[Run]) -> list[Finding]:
+    """Return what is wrong with the hours of cycles: drift, days left out and jobs are judged by them."""
+    said = ""
+    told = hours_of(sound)
+    if len(sound) > 1 and not hours_told(sound):
+        said = "not every cycle states when it began: they are counted as one an hour, in the order of campaign.toml"
+    elif twice := [name for name, hour in told.items() if list(told.values()).count(hour) > 1]:
+        said = f"{', '.join(twice[:4])}{' …' * (len(twice) > 4)} began at the same hour as another cycle"
+    return [Finding("cycle.hours", "warning", f"{said}; state time_h under [run.condition]")] if said else []
 
 
 def _places(run: Run) -> list[Finding]:
@@ -105,6 +122,15 @@ def _range(error: Floats) -> list[Finding]:
         return []
     text = f"a ball was found {largest:z.0f} µm beside its place: wrong ball, wrong unit, or a missed touch"
     return [Finding("balls.out_of_range", "error", text, {"largest_um": largest})]
+
+
+def _still(error: Floats) -> list[Finding]:
+    """Return the directions in which no ball has an error at all, beside others that have one."""
+    still = [f"error_{axis}_um" for axis, there in zip("xyz", np.ptp(error, axis=0) > 0.0, strict=True) if not there]
+    if not 0 < len(still) < error.shape[1]:
+        return []
+    text = f"{' and '.join(still)} {'is' if len(still) == 1 else 'are'} the same at every ball: this direction was not measured, and errors of it are unknown, not 0"
+    return [Finding("balls.axis_still", "error", text)]
 
 
 def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:

@@ -62,6 +62,7 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
         "campaign": measured.campaign,
         "cycles": len(measured.hour),
         "sensors": len(measured.sensors),
+        "dropped": list(measured.dropped),
         "identified_um": _mean([found.left_um for found in measured.found]),
         "held_out_poses_um": _mean([found.held_out_um for found in measured.found]),
         "distances": _distances(measured, expected),

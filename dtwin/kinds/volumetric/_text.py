@@ -20,6 +20,8 @@ def judged_text(verdict: Mapping[str, Any]) -> str:
         f"({-d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} µm "
         f"({-d['p2p_reduction_pct']:z.0f} %)",
     ]
+    if verdict["dropped"]:
+        lines.append(f"left out, for a cycle has no plausible readings of them: {', '.join(verdict['dropped'])}")
     if verdict["slots"]:
         s = verdict["slots"]
         lines.append(

@@ -36,6 +36,7 @@ class Session:
     ``moved``, of (Balls, ndarray): where each cycle measured, and how the tool point moved there.
     ``found``: error motions of each cycle.
     ``sensors``: thermocouples with plausible readings in every cycle.
+    ``dropped``: temperatures that were read in some cycles only.
     ``rise_c``, shape (cycles, sensors): their means over the cycle.
     ``begun_c``, shape (sensors,): what they read in the reference.
     ``offered_c``, shape (cycles,): other temperatures that were logged: means over the cycle, as they were read.
@@ -50,6 +51,7 @@ class Session:
     rise_c: Floats
     begun_c: Floats
     offered_c: Mapping[str, Floats]
+    dropped: tuple[str, ...] = ()
 
     @property
     def values(self) -> Floats:
@@ -113,7 +115,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     for number, (where, by) in enumerate(moved):
         found.append(artefact.identify(where, by))
         progress(number + 1, len(moved), f"identify {runs[number].meta.run_id}")
-    table = _temperatures(runs)
+    table, dropped = _temperatures(runs)
     inside = {n: t for n, (group, t) in table.items() if group == _SENSORS}
     if not inside:
         raise InputError(
@@ -134,6 +136,7 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
         absolute - begun,
         begun,
         {n: t for n, (group, t) in table.items() if group != _SENSORS},
+        dropped,
     )
 
 
@@ -175,13 +178,19 @@ def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
 
 def hours_of(runs: Sequence[Run]) -> dict[str, float]:
     """Return the hour of each cycle: as stated, else by when runs began, else their number in the order of the campaign."""
+    told = hours_told(runs)
+    return dict(zip((run.meta.run_id for run in runs), told or [float(n) for n in range(len(runs))], strict=True))
+
+
+def hours_told(runs: Sequence[Run]) -> list[float] | None:
+    """Return the hour of each cycle as stated, else by when runs began; None where one says neither."""
     if all("time_h" in run.meta.condition for run in runs):
-        return {run.meta.run_id: float(run.meta.condition["time_h"]) for run in runs}
+        return [float(run.meta.condition["time_h"]) for run in runs]
     try:
         began = [datetime.fromisoformat(run.meta.started).timestamp() / 3600.0 for run in runs]
     except ValueError:
-        began = [float(n) for n in range(len(runs))]
-    return {run.meta.run_id: hour - min(began) for run, hour in zip(runs, began, strict=True)}
+        return None
+    return [hour - min(began) for hour in began]
 
 
 def balls_of(run: Run) -> Balls:
@@ -194,8 +203,8 @@ def balls_of(run: Run) -> Balls:
     return Balls(place, error, pose, ball)
 
 
-def _temperatures(runs: Sequence[Run]) -> dict[str, tuple[str, Floats]]:
-    """Return group and mean over each cycle of every temperature that has plausible readings in half of each cycle or more."""
+def _temperatures(runs: Sequence[Run]) -> tuple[dict[str, tuple[str, Floats]], tuple[str, ...]]:
+    """Return group and mean over each cycle of every temperature that has plausible readings in half of each cycle or more, and the names of the others."""
     means: dict[str, list[float]] = {}
     groups: dict[str, str] = {}
     for run in runs:
@@ -206,8 +215,7 @@ def _temperatures(runs: Sequence[Run]) -> dict[str, tuple[str, Floats]]:
                     sound = values[(values >= PLAUSIBLE_C[0]) & (values <= PLAUSIBLE_C[1])]
                     enough = 2 * len(sound) >= len(values) > 0
                     means.setdefault(name, []).append(float(np.mean(sound)) if enough else float("nan"))
-    return {
-        name: (groups[name], np.array(values))
-        for name, values in means.items()
-        if len(values) == len(runs) and np.isfinite(values).all()
-    }
+    everywhere = {n: values for n, values in means.items() if len(values) == len(runs) and np.isfinite(values).all()}
+    return {n: (groups[n], np.array(values)) for n, values in everywhere.items()}, tuple(
+        n for n in means if n not in everywhere
+    )

@@ -74,7 +74,7 @@ def test_what_is_written_is_read_again_with_its_averages(tmp_path: Path) -> None
 
 def test_a_spoilt_line_is_kept_aside_and_no_file_is_refused(tmp_path: Path) -> None:
     test = read_laser_file(written(tmp_path, PRINTED_X + "-6.16000\t-0.83\n-6.02 x 0 0 0 0 0\n"))
-    assert [(r["row"], len(test.raw)) for r in test.rejects] == [(8, 6), (9, 6)]
+    assert [(r["row"], len(test.raw)) for r in test.rejects] == [(7, 6), (8, 6)]
     for text in ("1 2 3 4 5 6 7\n", "Position LasRead\n1 2\n", "hello\n"):
         with pytest.raises(InputError, match="laser file"):
             read_laser_file(written(tmp_path, text))

@@ -29,6 +29,7 @@ from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Finding, Floats, Run
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
@@ -234,7 +235,8 @@ def _codes(folder: Path) -> set[str]:
 
 
 def test_mixed_decimals_and_dead_stamps_are_read_and_said(tmp_path: Path) -> None:
-    assert _codes(_campaign(tmp_path / "c")) == {"poses.times", "poses.repeats"}
+    # Its repeats agree in every digit, and nobody says when they were read.
+    assert _codes(_campaign(tmp_path / "c")) == {"poses.times", "poses.repeats", "poses.copies"}
 
 
 def test_metres_under_a_name_of_millimetres_are_an_error(tmp_path: Path) -> None:
@@ -355,7 +357,7 @@ def test_a_pose_table_of_another_encoding_or_mark_is_read(tmp_path: Path, encodi
     (folder / "campaign.toml").write_text(recipe, encoding="utf-8")
     text = table.read_text("utf-8").replace("J1", "Gelenk 1 [°]").replace(";", mark)
     table.write_bytes(text.encode(encoding))
-    assert _codes(folder) == {"poses.times", "poses.repeats"}
+    assert _codes(folder) == {"poses.times", "poses.repeats", "poses.copies"}
 
 
 @pytest.mark.parametrize(("name", "code"), [("joint_1_rad", "poses.twice"), ("joint_9_rad", "columns.missing")])
@@ -746,6 +748,28 @@ def test_spoilt_rows_are_numbered_as_in_the_file_and_can_be_left_out(tmp_path: P
     folder = _written(tmp_path / "wrong", joints, measured, head='condition = { leave_out = "0" }')
     with pytest.raises(InputError, match="by their numbers"):
         next(iter(open_source(folder)[1]))
+
+
+def test_rows_that_were_written_twice_are_no_repeats(tmp_path: Path) -> None:
+    joints, rng = _joints(40, 9), np.random.default_rng(9)
+    measured = _measured(joints) + rng.normal(0.0, 0.02, (len(joints), 3))
+    folder = _written(tmp_path / "c", joints, measured)
+    told = check_source(folder)
+    (once,) = told["runs"]
+    table = folder / "poses.csv"
+    head, *rows = table.read_text("utf-8").splitlines()
+    table.write_text("\n".join([head, *(row for row in rows for _ in range(2))]), "utf-8")
+    again = check_source(folder)
+    (twice,) = again["runs"]
+    assert again["sheet"] == told["sheet"]
+    assert twice["samples"] == once["samples"] == len(joints)
+    assert twice["rejected_rows"] == len(rows)
+    (said,) = [f["message"] for f in twice["findings"] if f["code"] == "rows.rejected"]
+    assert said.startswith(f"rows that are not used: {len(rows)}; a copy of row 1: 2; a copy of row 3: 4")
+    # Without times nobody knows, and it is said.
+    both = np.repeat(np.arange(len(joints)), 2)
+    untimed = _written(tmp_path / "untimed", joints[both], measured[both], timed=False)
+    assert "poses.copies" in _codes(untimed)
 
 
 def test_a_diagnosis_names_the_row_that_holds_most_of_what_is_left(tmp_path: Path) -> None:

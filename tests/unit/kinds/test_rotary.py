@@ -407,6 +407,19 @@ def test_what_comes_once_and_twice_a_turn_is_told_with_its_scatter(last: float) 
     assert "twice a turn no more than what runs differ by" in lines
 
 
+def test_a_turn_that_does_not_close_is_no_wave() -> None:
+    runs = sweeps(np.arange(0.0, 361.0, 30.0))
+    for run in runs:
+        angle = run.samples["angle_deg"]
+        run.samples["error_arcsec"][:] = 2.0 * np.cos(np.radians(angle - 70.0)) + 12.0 * angle / 360.0
+    (told,) = positioning_result(runs)
+    assert [wave["amplitude_arcsec"] for wave in told["waves"]] == pytest.approx([2.0, 0.0], abs=1e-9)
+    assert told["drift_arcsec"] == pytest.approx(12.0)
+    assert "goes on by 12.00″ over a turn" in "\n".join(ROTARY.figure_lines({"positioning": [told]}))
+    (open_turn,) = positioning_result(sweeps(np.arange(0.0, 331.0, 30.0)))
+    assert "a drift over the turn would look like these" in "\n".join(ROTARY.figure_lines({"positioning": [open_turn]}))
+
+
 def test_the_scatter_of_a_wave_covers_it_as_often_as_it_says() -> None:
     rng, runs, held = np.random.default_rng(6), sweeps(TARGETS[:-1]), 0
     for _ in range(300):

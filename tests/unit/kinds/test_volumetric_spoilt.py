@@ -63,6 +63,7 @@ def told(cycles: Sequence[Balls]) -> list[Finding]:
         ("t_s", lambda v: v[::-1], [("clock.backwards", "error")]),
         ("t_s", lambda v: 0.0 * v, [("clock.backwards", "error")]),
         ("x_mm", lambda v: 0.0 * v + 400.0, [("balls.one_place", "warning")]),
+        ("error_y_um", lambda v: 0.0 * v, [("balls.axis_still", "error")]),
     ],
 )
 def test_a_clock_that_runs_back_and_a_place_that_stands_still_are_told(
@@ -71,6 +72,24 @@ def test_a_clock_that_runs_back_and_a_place_that_stands_still_are_told(
     run = runs_of(measured())[0]
     found = KIND.judge_run(replace(run, samples=dict(run.samples) | {column: change(run.samples[column])}))
     assert [(f.code, f.severity) for f in found] == codes
+
+
+@pytest.mark.parametrize(
+    ("hour", "said"),
+    [
+        (lambda n: 3.0 * n, ""),
+        (lambda n: 5.0, "c000, c001, c002, c003 … began at the same hour"),
+        (None, "one an hour"),
+    ],
+)
+def test_cycles_that_do_not_say_when_they_began_are_told(hour: Callable[[int], float] | None, said: str) -> None:
+    runs = [
+        replace(run, meta=replace(run.meta, condition={} if hour is None else {"time_h": hour(n)}))
+        for n, run in enumerate(runs_of(measured()))
+    ]
+    found = [f.message for f in KIND.judge_campaign(runs) if f.code == "cycle.hours"]
+    assert len(found) == bool(said)
+    assert said in "".join(found)
 
 
 def touch(n: int, balls: Balls, rng: np.random.Generator) -> Balls:
@@ -123,8 +142,10 @@ def test_a_broken_wire_is_no_temperature_and_a_short_gap_spoils_none() -> None:
 
     steady = np.full(20, 21.0)
     gap = np.where(np.arange(20) < 3, np.nan, 21.0)
-    found = _temperatures([run(a_c=steady, b_c=gap, d_c=steady), run(a_c=steady, b_c=steady, d_c=steady + 800.0)])
-    assert set(found) == {"a_c", "b_c"}
+    found, dropped = _temperatures(
+        [run(a_c=steady, b_c=gap, d_c=steady), run(a_c=steady, b_c=steady, d_c=steady + 800.0)]
+    )
+    assert (set(found), dropped) == ({"a_c", "b_c"}, ("d_c",))
     assert found["b_c"][1].tolist() == [21.0, 21.0]
 
 

@@ -48,18 +48,50 @@ def expected(graph: Graph) -> np.ndarray:
     return np.array(rows)
 
 
-def test_c_agrees_and_exports_only_its_own_names(tmp_path: Path) -> None:
+def compiled(graph: Graph, library: Path, outputs: tuple[str, ...] = OUTPUTS) -> ctypes.CDLL:
+    """Return the exported C as a library; the test is skipped without a compiler."""
     gcc = shutil.which("gcc")
     if gcc is None:
         if os.environ.get("DTWIN_REQUIRE_ALL"):
             pytest.fail("gcc is not installed (Debian package gcc)")
         pytest.skip("gcc is not installed (Debian package gcc)")
-    graph, source = every_operator(), tmp_path / "tick.c"
-    source.write_text(to_c(graph, INPUTS, STATES, OUTPUTS, "my-model"))
-    library = tmp_path / "tick.so"
+    source = library.with_suffix(".c")
+    source.write_text(to_c(graph, INPUTS, STATES, outputs, "my-model"))
     flags = ["-O2", "-ffp-contract=off", "-std=c99", "-Wall", "-Werror", "-Wno-unused-function"]
     subprocess.run([gcc, *flags, "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
-    tick = ctypes.CDLL(str(library)).dtwin_my_model
+    return ctypes.CDLL(str(library))
+
+
+def lagging() -> Graph:
+    """Return a graph whose states follow both inputs; ``max`` of some languages takes a NaN for a number."""
+    g = GraphBuilder()
+    x, y, s, u = g.input("x"), g.apply("max", g.input("y"), -4.0), g.state("s"), g.state("u")
+    return g.graph({"a": s + u}, {"s": s + 0.1 * (x - s), "u": u + 0.1 * (y - u)})
+
+
+BROKEN = [(math.nan, 1.0), (1.0, math.nan), (math.inf, 1.0), (1.0, -math.inf)]
+"""Inputs of which one is no finite number."""
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+def test_the_states_of_c_and_python_do_not_remember_what_is_no_number(
+    tmp_path: Path, broken: tuple[float, float]
+) -> None:
+    graph, path = lagging(), tmp_path / "exported_tick.py"
+    path.write_text(to_python(graph))
+    _, after = module(path).tick(dict(zip(INPUTS, broken, strict=True)), {"s": 0.5, "u": 0.25})
+    assert after == {"s": 0.5, "u": 0.25}
+    state, out = (ctypes.c_double * 2)(0.5, 0.25), (ctypes.c_double * 1)()
+    tick = compiled(graph, tmp_path / "tick.so", ("a",)).dtwin_my_model
+    tick((ctypes.c_double * 2)(*broken), state, out)
+    assert [*state] == [0.5, 0.25]
+    tick((ctypes.c_double * 2)(1.0, 2.0), state, out)
+    assert [*state] == pytest.approx([0.55, 0.425])
+
+
+def test_c_agrees_and_exports_only_its_own_names(tmp_path: Path) -> None:
+    graph, library = every_operator(), tmp_path / "tick.so"
+    tick = compiled(graph, library).dtwin_my_model
     state, out, rows = (ctypes.c_double * 2)(0.5, 0.0), (ctypes.c_double * 2)(), []
     for row in samples():
         tick((ctypes.c_double * 2)(*row), state, out)

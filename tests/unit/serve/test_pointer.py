@@ -15,6 +15,7 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
+from dtwin.lifecycle._export_heads import whose
 from dtwin.machine_record import keep_record
 from dtwin.pipeline.home_check import check_home
 from dtwin.serve.barred import BarredWatch, bar, barred_why
@@ -49,8 +50,13 @@ def test_latest_is_the_promoted_bundle(home: Home) -> None:
     promoted(home)
     found = resolve("latest", "cobot-a", home)
     assert (found.version, found.state) == (3, "champion")
+    assert resolve("champion", "cobot-a", home) == resolve("champion", None, home) == found
     assert load_bundle(found.path, "cobot-a").bundle.model_version == 3
     assert "version 3 (champion)" in found.describe()
+    # One checksum names a correction, wherever it is shown.
+    bundle = load_bundle(found.path, "cobot-a").bundle
+    assert found.describe().endswith(f"model {bundle.model_sha256[:12]}")
+    assert f"model {bundle.model_sha256}" in whose(bundle, "3", "champion")
 
 
 def test_a_state_that_only_the_registry_tells_is_not_believed(home: Home) -> None:
@@ -142,6 +148,9 @@ def test_missing_bundle_and_unknown_model(home: Home) -> None:
         resolve("latest", "cobot-a", home)
     with pytest.raises(InputError, match="unknown model"):
         resolve("previous", "cobot-a", home)
+    with pytest.raises(InputError, match="cobot-b has no promoted model") as refused:
+        resolve("champion", "cobot-b", home)
+    assert refused.value.allowed == "cobot-a"
     with pytest.raises(InputError, match="cannot be read"):
         resolve(str(machine_folder("cobot-a", home) / "v9.json"), None, home)
 

@@ -13,7 +13,7 @@ from bundles import path_bundle
 import dtwin.train.promotion as promoting
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
-from dtwin.machine_record import with_event
+from dtwin.machine_record import changed_since, with_event
 from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle_file import load_bundle
@@ -201,7 +201,17 @@ def test_old_evidence_stays_old_and_ends_when_the_machine_is_changed(
     with pytest.raises(GateRefusal) as refused:
         champion(registry, version)
     assert "repair on 2026-03-04 after the evidence of 2026-03-02" in str(refused.value.got)
-    assert "before the repair on 2026-03-04" in champion_of(home, "repaired")
+    assert champion_of(home, "repaired").endswith("proved on 2026-03-02; repair on 2026-03-04: dtwin recheck")
+
+
+def test_what_happened_on_the_day_of_the_evidence_refuses_nothing_and_is_said(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    with_event(home, "m", "repair", "2026-03-02", "another gear")
+    for moment in ("2026-03-02", "2026-03-02T08:00:00"):
+        assert changed_since(home, "m", moment) == ""
+        assert changed_since(home, "m", moment, doubtful=True) == "repair on 2026-03-02, the same day"
+    assert changed_since(home, "m", "2026-03-01T23:59:59") == "repair on 2026-03-02"
+    assert changed_since(home, "m", "2026-03-03", doubtful=True) == ""
 
 
 def test_a_line_of_the_history_that_was_cut_short_says_nothing(registry: Registry) -> None:

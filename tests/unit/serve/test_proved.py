@@ -56,7 +56,7 @@ def test_a_proof_holds_for_as_long_as_the_bundle_says(
         require_proof(found, bundle, "refuse", NOW)
     assert (refused.value.code, refused.value.exit_code) == ("serve.expired", 3)
     assert "WARNING" in require_proof(found, bundle, "warn", NOW)
-    assert "repair on 2026-11-21, after that: dtwin recheck" in require_proof(
+    assert "repair on 2026-11-21; unless it came before the proof: dtwin recheck" in require_proof(
         found, bundle, "warn", NOW, "repair on 2026-11-21"
     )
 

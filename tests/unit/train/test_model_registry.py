@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import pytest
 
 from dtwin.config import Home
@@ -50,3 +53,29 @@ def test_an_experiment_that_was_deleted_in_mlflow_is_said_and_can_be_restored(re
     assert f"experiments restore --experiment-id {number}" in (refused.value.hint or "")
     registry.client.restore_experiment(number)
     assert registry.experiment() == number
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_home_that_was_copied_or_renamed_writes_beside_itself(tmp_path: Path, kept: bool) -> None:
+    before, now = Home(tmp_path / "before"), Home(tmp_path / "now")
+    first = Registry(before)
+    with first.open_run("one", {}) as run_id:
+        first.log_files(run_id, {"a.txt": "first"})
+    (shutil.copytree if kept else shutil.move)(before.root, now.root)
+    again = Registry(now)
+    # MLflow keeps in memory where a run of this process writes.
+    assert again.client.get_run(run_id).info.artifact_uri == f"{now.mlflow_artifacts}/{run_id}/artifacts"
+    with again.open_run("two", {}) as later:
+        again.log_files(later, {"b.txt": "second"})
+    assert {path.name for path in now.root.rglob("*.txt")} == {"a.txt", "b.txt"}
+    assert {path.name for path in before.root.rglob("*.txt")} == ({"a.txt"} if kept else set())
+
+
+def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: Path) -> None:
+    home = Home(tmp_path / "home")
+    with Registry(home).open_run("one", {}) as run_id:
+        pass
+    Registry(home).log_files(run_id, {"a.txt": "first"})
+    (tmp_path / "link").symlink_to(home.root)
+    found = Registry(Home(tmp_path / "link")).client.get_run(run_id)
+    assert found.info.artifact_uri == f"{home.mlflow_artifacts}/{run_id}/artifacts"

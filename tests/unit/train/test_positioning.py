@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from dtwin.kinds.linear._bundle import (
     fit_harmonics,
     flanks_bundle,
     flanks_of,
+    held,
     is_positioning_bundle,
     printed_pair,
+    remembering_bundle,
 )
 from dtwin.kinds.linear._gates import along, positioning_gates, screw_logged, screw_metrics
 from dtwin.kinds.linear._models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
@@ -26,7 +29,7 @@ from dtwin.kinds.linear._net_training import ALGORITHMS, train_net
 from dtwin.kinds.linear._simulate import mapping_plan
 from dtwin.kinds.linear._small_net import new_net
 from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, read_network
-from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_python
 from dtwin.serve.interface import Input, Output, SafetyLimits
@@ -75,8 +78,9 @@ def test_the_runtime_gives_what_the_printed_program_gives(tmp_path: Path) -> Non
         assert abs(-module.tick(named, {})[0]["error_z_um"] / UM_PER_IN - value) < 1e-12
 
 
-def test_the_remainder_is_that_of_c_everywhere() -> None:
-    bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe")
+@pytest.mark.parametrize("reach_mm", [MAPPED_MM, (-1200.0, 0.0)])
+def test_the_remainder_is_that_of_c_everywhere(reach_mm: tuple[float, float]) -> None:
+    bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe", reach_mm)
     position = np.concatenate([np.arange(-160, 161) * 0.25, np.linspace(-3.0, 45.0, 997)])
     inputs = np.column_stack([np.zeros(len(position)), position * MM_PER_IN])
     found = CompiledBundle(bundle).run(inputs)[:, 0] / UM_PER_IN
@@ -102,6 +106,19 @@ def test_the_deployed_equation_fails_each_gate_by_name() -> None:
 def test_flanks_with_a_memory_pass_every_gate(flanks: Flanks) -> None:
     bundle = flanks_bundle(flanks, "flanks", "lathe", TRAVEL_MM)
     verdicts = positioning_gates(bundle, PITCH_MM, MAPPED_MM)
+    assert [v.passed for v in verdicts] == [True] * 4, verdicts
+
+
+@pytest.mark.parametrize("reach_mm", [(-160.0, 0.0), (-80.0, 80.0), (50.0, 210.0)])
+def test_where_an_axis_has_its_zero_is_no_fault_of_its_ends(reach_mm: tuple[float, float]) -> None:
+    builder = GraphBuilder()
+
+    def limit(position: Expression, play_um: float = 0.0) -> Expression:
+        return 20.0 * builder.apply("sin", held(builder, position, reach_mm) * (np.pi / 100.0)) + play_um
+
+    room = (reach_mm[0] - 130.0, reach_mm[1] + 130.0)
+    bundle = remembering_bundle(builder, (limit, partial(limit, play_um=6.0)), "wave", "mill", room)
+    verdicts = positioning_gates(bundle, 10.0, reach_mm)
     assert [v.passed for v in verdicts] == [True] * 4, verdicts
 
 

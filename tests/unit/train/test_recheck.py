@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.train.recheck import CheckedRun, judge
+from dtwin.train.evidence import Evidence
+from dtwin.train.recheck import CheckedRun, judge, judge_evidence
 
 CONDITIONS = (("XY", 100.0, 2000.0), ("YZ", 150.0, 5000.0), ("ZX", 100.0, 5000.0))
 
@@ -50,3 +51,16 @@ def test_every_run_needs_its_partner_and_an_interval_needs_pairs() -> None:
         judge(whole[1:])
     with pytest.raises(InputError, match="too few pairs"):
         judge(runs({}, blocks=1))
+
+
+def test_both_approaches_of_a_run_are_one_pair() -> None:
+    told = {"before_um": 10.0, "after_um": 8.0, "before_ci_um": 0.9, "after_ci_um": 1.2, "n_with": 6}
+    numbers = {"one": [0, 1, 2, 3, 4, 5], "other": [6, 7, 8, 9, 10, 11]}
+
+    def every(*of: str) -> tuple[int, float]:
+        rows = tuple({"axis": "X", "approached": str(n), **told, "runs_with": numbers[o]} for n, o in enumerate(of))
+        last = judge_evidence(Evidence("real", "m", "0" * 64, {}, rows, (), 1)).conditions[-1]
+        return last.pairs, last.half_width_um
+
+    assert every("one", "one") == (6, pytest.approx(1.5))
+    assert every("one", "other") == (12, pytest.approx(1.5 / np.sqrt(2.0)))
