@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from difflib import get_close_matches
+from functools import cached_property
 
 EXIT_DONE = 0
 EXIT_USER = 1
@@ -96,7 +97,7 @@ class DtwinError(Exception):
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
         return printable("\n".join(lines))
 
-    @property
+    @cached_property
     def __notes__(self) -> list[str]:  # type: ignore[override]
         """What Python shows below a traceback: a notebook shows no more of an error than its message."""
         return self.render().split("\n")[1:]

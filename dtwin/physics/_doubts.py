@@ -90,9 +90,7 @@ def without_dwarfed(kept: Sequence[Found], bare: Problem, candidates: Candidates
     left = localise.in_angle(candidates.given(bare, [f.top.term for f in kept]))
     least_um = _DWARFED * localise.systematic_rms_um(bare.obs, left)
     return [
-        f
-        for f in kept
-        if f.size_um >= least_um or f.gain >= _FORETOLD or f.top.term.instance.effect.law.feed != 0.0
+        f for f in kept if f.size_um >= least_um or f.gain >= _FORETOLD or f.top.term.instance.effect.law.feed != 0.0
     ]
 
 
