@@ -10,7 +10,7 @@ from dtwin.physics import localise
 from dtwin.physics._grading import survivors, variables
 from dtwin.physics._laws import LawTest
 from dtwin.physics._rivals import Found
-from dtwin.physics._trust import does_um, sum_um
+from dtwin.physics._trust import alike_in_harmonics, does_um, sum_um
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.plausible import at_its_end
@@ -83,14 +83,21 @@ def follows_unknown(effect: Found, tests: Sequence[LawTest], found: Search) -> b
 def without_dwarfed(kept: Sequence[Found], bare: Problem, candidates: Candidates) -> list[Found]:
     """Return the effects without those of the place that are small beside what is not resolved, and foretell little of it.
 
-    A cable that pulls by the place is a curve of which a small straightness, pitch error or play takes its part.
+    A cable that pulls by the place is a curve of which a small straightness, pitch error or play takes its part. What has other
+    harmonics is no part of it.
 
     ``bare``: the campaign without weights, with what is known.
     """
+    obs = bare.obs
     left = localise.in_angle(candidates.given(bare, [f.top.term for f in kept]))
-    least_um = _DWARFED * localise.systematic_rms_um(bare.obs, left)
+    least_um = _DWARFED * localise.systematic_rms_um(obs, left)
+    means = localise.condition_means(obs, left)
     return [
-        f for f in kept if f.size_um >= least_um or f.gain >= _FORETOLD or f.top.term.instance.effect.law.feed != 0.0
+        f
+        for f in kept
+        if f.gain >= _FORETOLD
+        or f.top.term.instance.effect.law.feed != 0.0
+        or f.size_um >= least_um * alike_in_harmonics(f, means, obs)
     ]
 
 

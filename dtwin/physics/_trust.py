@@ -54,7 +54,7 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
             f
             for f in kept
             if f.size_um < _rms_um(means) * _alike(f, means, obs)
-            and (f.size_um < least_um or not (_is_apart(f, means, obs) or _is_other(f, means, obs)))
+            and (f.size_um < least_um or not (alike_in_harmonics(f, means, obs) < _APART or _is_other(f, means, obs)))
         ]
         if not doubtful:
             return kept
@@ -99,14 +99,14 @@ def _alike(effect: Found, means: Floats, obs: Observations) -> float:
     return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
 
 
-def _is_apart(effect: Found, means: Floats, obs: Observations) -> bool:
-    """Tell whether condition means are mostly one harmonic, and an effect has little of theirs.
+def alike_in_harmonics(effect: Found, means: Floats, obs: Observations) -> float:
+    """Return how far condition means have the harmonics of an effect, from 0 to 1; 1 where they have many.
 
     What has many harmonics can leave others than those that an effect takes of it.
     """
     power = _harmonics(means, obs)
     own = _harmonics(localise.condition_means(obs, does_um(effect, obs)), obs)
-    return bool(power.max() > _HALF and _overlap(own, power) < _APART)
+    return _overlap(own, power) if power.max() > _HALF else 1.0
 
 
 def _harmonics(means: Floats, obs: Observations) -> Floats:

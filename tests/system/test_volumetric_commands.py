@@ -99,8 +99,11 @@ def test_a_bad_cycle_is_named() -> None:
         "sensor.stuck": (run_of(np.arange(3), np.full(20, 22.0)), {}),
         "sensor.gap": (run_of(np.arange(3), np.where(np.arange(20) < 5, np.nan, steady)), {}),
         "sensor.implausible": (run_of(np.arange(3), np.full(20, 900.0) + steady), {}),
-        "cycle.drift": (run_of(np.tile(np.arange(3), 2), steady), {"error_x_um": [0, 0, 0, 9.0, 9, 9]}),
-        "balls.out_of_range": (run_of(np.arange(3), steady), {"error_z_um": [0, 0, 5000.0]}),
+        "cycle.drift": (
+            run_of(np.tile(np.arange(3), 2), steady),
+            {f"error_{axis}_um": [0, 0, 0, 9.0, 9, 9] for axis in "xyz"},
+        ),
+        "balls.out_of_range": (run_of(np.arange(3), steady), {f"error_{axis}_um": [0, 0, 5000.0] for axis in "xyz"}),
     }
     for code, (run, changes) in cases.items():
         changed = {**run.samples, **{k: np.array(v) for k, v in changes.items()}}
