@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.physics._dictionary import PITCH, Dictionary, Entry, dictionary_for
+from dtwin.physics._dictionary import Dictionary, Entry, dictionary_for, is_periodic
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.learned import LEARNED
@@ -202,7 +202,11 @@ class Hunt:
             if not self._is_worth(own, left, entry):
                 weakest = min(weakest or (np.inf, rest), (own, rest), key=lambda pair: pair[0])
             found = self._best(rest)
-            if found is None or found[0] is entry or (found[0].label == entry.label and not _is_periodic(entry)):
+            if (
+                found is None
+                or found[0] is entry
+                or (found[0].label == entry.label and not is_periodic(entry.term.instance))
+            ):
                 continue
             other = [*rest, found[0]]
             changed = self._cost(other)
@@ -253,11 +257,6 @@ class Hunt:
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]
-
-
-def _is_periodic(entry: Entry) -> bool:
-    """Tell whether an effect has a pitch, of which another one may be far better."""
-    return PITCH in entry.term.shape
 
 
 def _near_reversal(obs: Observations) -> NDArray[np.bool_]:

@@ -112,9 +112,9 @@ class Candidates:
         total = float(((visible.T @ plain.residual.ravel()) ** 2).sum())
         return float((total / plain.obs.mask.sum()) ** 0.5)
 
-    def visible(self, problem: Problem, term: Term, given: Floats | None = None) -> Floats:
+    def visible(self, problem: Problem, term: Term) -> Floats:
         """Return the columns of a term that nothing known can imitate."""
-        return problem.visible(self.whitened(problem, term), given, least_visible(term))[0]
+        return problem.visible(self.whitened(problem, term), least=least_visible(term))[0]
 
     def numbers(self, term: Term) -> int:
         """Return how many numbers an effect has in these runs: parameters of what moves, and shapes."""
