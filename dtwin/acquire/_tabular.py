@@ -21,6 +21,7 @@ from dtwin.acquire.table_dialect import encoding_of, is_comment
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
+from dtwin.lake.parquet import numbers_of
 from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
@@ -184,11 +185,11 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
         # One string for all cells that say the same.
         coded = column.cast(pa.string()).dictionary_encode(null_encoding="encode").combine_chunks()
         words = np.array(coded.dictionary.to_pylist(), dtype=object)
-        return words[coded.indices.to_numpy()]
+        return words[np.from_dlpack(coded.indices)]
     try:
         if pa.types.is_boolean(column.type):
             raise ValueError("true and false")
-        return column.cast(pa.float64()).to_numpy()
+        return numbers_of(column.cast(pa.float64()))
     except (pa.ArrowException, ValueError) as error:
         raise _not_numeric(f"{path} {name[:60]}", error) from error
 

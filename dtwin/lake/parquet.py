@@ -140,9 +140,18 @@ def columns_of(table: pa.Table) -> dict[str, NDArray[Any]]:
     return {
         name: np.array(table.column(name).to_pylist(), dtype=object)
         if _is_text(table.schema.field(name).type)
-        else table.column(name).to_numpy()
+        else numbers_of(table.column(name))
         for name in table.column_names
     }
+
+
+def numbers_of(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return a column as an array: by ``to_numpy`` only where it must be, for that imports pandas, a third of a second."""
+    plain = pa.types.is_floating(column.type) or pa.types.is_integer(column.type)
+    if column.null_count or not column.num_chunks or not plain:
+        return column.to_numpy()
+    parts = [np.from_dlpack(chunk) for chunk in column.chunks]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _array(values: NDArray[Any] | Sequence[Any]) -> pa.Array:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +99,15 @@ def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_th
     with pytest.raises(InputError) as refused:
         read_columns(path, "rotary")
     assert refused.value.got == "row 2 has 1 cell, the first row 2: messung 1"
+
+
+def test_pandas_is_not_read_for_a_table_of_numbers_and_text(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("angle_deg,deviation_um,direction\n" + "".join(f"{a},0.5,CW\n" for a in range(400)))
+    code = (
+        "import sys; from pathlib import Path; from dtwin.acquire._tabular import read_columns\n"
+        f"columns, _ = read_columns(Path({str(path)!r}), 'circular')\n"
+        "print(len(columns['angle_deg']), 'pandas' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["400", "False"]
