@@ -103,7 +103,7 @@ def test_a_row_that_is_not_as_long_as_the_first_is_named_without_the_words_of_th
 
 def test_pandas_is_not_read_for_a_table_of_numbers_and_text(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    path.write_text("angle_deg,deviation_um,direction\n" + "".join(f"{a},0.5,CW\n" for a in range(400)))
+    path.write_text("t_s,angle_deg,deviation_um,direction\n" + "".join(f"{a},{a},0.5,CW\n" for a in range(400)))
     code = (
         "import sys; from pathlib import Path; from dtwin.acquire._tabular import read_columns\n"
         f"columns, _ = read_columns(Path({str(path)!r}), 'circular')\n"
