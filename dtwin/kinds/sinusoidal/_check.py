@@ -24,6 +24,9 @@ _SAME_TONE = 0.9
 _OTHER_UNIT = 5.0
 _AGAINST_DEG = 150.0
 """No slide turns a tone below its bandwidth by as much."""
+# Between the halves of a run; of a tone that is told to the last digit it moves by what the command is quantised by.
+_STEADY_DEG = 5.0
+_FEWEST_PERIODS = 4.0
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,8 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
                 {"share_1": tone.share, "amplitude_um": tone.amplitude},
             )
         )
+    else:
+        findings += _frequency(run, told)
     if "tool_z_mm" not in run.samples:
         findings.append(
             Finding(
@@ -218,6 +223,24 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
             said = f"the tool moves against the encoder ({behind_deg:z.0f}°): the probe reads with the opposite sign"
             findings.append(Finding("sinusoidal.sign", "error", said, {"phase_deg": behind_deg}))
     return findings
+
+
+def _frequency(run: Run, told: Commanded) -> list[Finding]:
+    """Judge the stated frequency by how the phase of the command moves from the first half of a run to the second."""
+    t, command = run.samples["t_s"], run.samples["cmd_z_mm"]
+    if (t[-1] - t[0]) * told.frequency_hz < _FEWEST_PERIODS:
+        return []
+    first = t < 0.5 * (t[0] + t[-1])
+    halves = [fit_tone(t[part], command[part], told.frequency_hz) for part in (first, ~first)]
+    moved_rad = float(np.angle(halves[1].phasor * np.conj(halves[0].phasor)))
+    if abs(moved_rad) < np.radians(_STEADY_DEG):
+        return []
+    true_hz = told.frequency_hz + moved_rad / (np.pi * float(t[-1] - t[0]))
+    said = (
+        f"the command is a tone of {true_hz:.6g} Hz, not of {told.frequency_hz:g} Hz: its phase moves by {np.degrees(moved_rad):z.0f}° within the run, and "
+        "amplitudes come out too small; state the frequency that was run"
+    )
+    return [Finding("sinusoidal.frequency", "warning", said, {"frequency_hz": true_hz})]
 
 
 def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:

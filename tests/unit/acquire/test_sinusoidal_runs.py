@@ -132,6 +132,7 @@ def cut_short(run: Run) -> Run:
         (conditioned(z_bandwidth_hz=45.0), "sinusoidal.beyond_safe", "error"),
         (conditioned(frequency_hz=35.0), "sinusoidal.not_the_tone", "error"),
         (conditioned(amplitude_um=5.0), "sinusoidal.not_the_tone", "error"),
+        (conditioned(frequency_hz=39.98), "sinusoidal.frequency", "warning"),
         (clipped, "reading.clipped", "error"),
         (saturated, "sensor.saturated", "error"),
         (in_volts, "sensor.unit", "warning"),
@@ -144,6 +145,12 @@ def test_what_is_wrong_is_found(change: Callable[[Run], Run], code: str, severit
     assert codes(good) == set()
     found = {f.code: f.severity for f in judge_run(change(good))}
     assert found.get(code) == severity
+
+
+def test_the_frequency_that_was_run_is_said() -> None:
+    (found,) = (f for f in judge_run(conditioned(frequency_hz=39.98)(loud())) if f.code == "sinusoidal.frequency")
+    assert found.numbers["frequency_hz"] == pytest.approx(40.0, abs=1e-4)
+    assert "40 Hz, not of 39.98 Hz" in found.message
 
 
 @pytest.mark.parametrize(
