@@ -10,7 +10,7 @@ from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, said_together, without_samples
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_pasted, judge_run, said_together, without_samples
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
@@ -138,8 +138,10 @@ def _checked(
     kind = kind_named(campaign.kind)
     light: list[Run] = []
     samples: dict[str, str] = {}
+    pasted: dict[str, Finding] = {}
     for done, (runs, rejected) in enumerate(sources, start=1):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in runs}
+        pasted |= judge_pasted(runs)
         checked = [replace(run, findings=tuple(_findings_of(run))) for run in runs]
         results += map(_run_result, checked)
         pairs += _bidirectional(runs)
@@ -150,7 +152,7 @@ def _checked(
             results[-1]["findings"].append(_rejected(rows).as_dict())
         if progress is not None:
             progress(done, total, runs[0].meta.run_id if runs else "")
-    copies = judge_copies(samples)
+    copies = pasted | judge_copies(samples)
     for result in results:
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
