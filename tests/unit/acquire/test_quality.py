@@ -178,3 +178,17 @@ def test_a_cycle_or_a_direction_that_was_copied_over_another_is_told_and_a_coars
     assert not judge_pasted([_reads(str(n), one) for n, one in enumerate(coarse)])
     assert not judge_pasted([_reads("1", read[0, :18]), _reads("2", read[0, :18])])
     assert not judge_pasted([_reads("1", np.zeros(120)), _reads("2", np.zeros(120))])
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.0 / 25.4, True), (-1.0, True)])
+def test_readings_that_do_not_give_what_their_file_states_are_told(
+    real: dict[str, Run], factor: float, told: bool
+) -> None:
+    for run in real.values():
+        changed = replace(run, samples=run.samples | {"deviation_um": factor * run.samples["deviation_um"]})
+        assert told == any(f.code == "vendor.differs" for f in judge_run(changed))
+
+
+def test_a_feed_that_is_a_tenth_of_the_real_one_is_told_of_a_record_too_short_for_it(real: dict[str, Run]) -> None:
+    run = replace(real["ccw"], meta=replace(real["ccw"].meta, feed_mm_min=500.0))
+    assert found(judge_run(run), "feed.differs").severity == "error"
