@@ -21,6 +21,7 @@ _MOST_GAPS = 20
 _LEAST_MM = 0.01
 _FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit", "f")
 _FREEZING_F = 32.0
+_G_M_S2 = 9.80665
 _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {
@@ -33,12 +34,15 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(_FAHRENHEIT, ("c", 1.0 / 1.8)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
+    **dict.fromkeys(("m/s2", "m/s^2"), ("g", 1.0 / _G_M_S2)),
+    "mm/s2": ("mm_s2", 1.0),
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
     "kpa": ("kpa", 1.0),
     **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
     "hz": ("hz", 1.0),
     "g": ("g", 1.0),
+    "mg": ("g", 1e-3),
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }

@@ -20,6 +20,7 @@ import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire._recipes import recipe_of, recipe_path
+from dtwin.acquire._tabular import is_parquet_of_a_kind
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
 from dtwin.acquire.foreign_columns import (
@@ -41,7 +42,7 @@ from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kinds
 
 _MAX_BYTES = 64 * 1024**2
-_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", *SPREADSHEETS)
+_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
@@ -127,9 +128,11 @@ class Looked:
 
 
 def read_as_it_is(path: Path) -> bool:
-    """Return whether a file needs no import: Parquet with the house's names, and forms that are no plain table."""
+    """Return whether a file needs no import: Parquet with the house's names and numbers, and forms that are no plain table."""
     suffix = path.suffix.lower()
-    return suffix == ".parquet" or (suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds()))
+    if suffix == ".parquet":
+        return is_parquet_of_a_kind(path)
+    return suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds())
 
 
 def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -88,6 +90,24 @@ def test_a_file_with_rules_of_its_own_needs_no_import(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), {}, {})
     assert refused.value.code == "import.needless"
+
+
+@pytest.mark.parametrize("words", [False, True])
+def test_parquet_is_imported_where_its_names_are_foreign_or_a_column_holds_words(tmp_path: Path, words: bool) -> None:
+    path, home, n = tmp_path / "circle.parquet", Home(tmp_path / "home"), 400
+    size = 1.0 if words else 1000.0
+    names = ("t_s", "angle_deg", "deviation_um", "plane") if words else ("t_ms", "angle_deg", "deviation_mm", "load_v")
+    values = (
+        size * 0.1 * np.arange(n),
+        0.9 * np.arange(n),
+        np.sin(np.arange(n)) / size,
+        ["XY"] * n if words else [None] * n,
+    )
+    pq.write_table(pa.table(dict(zip(names, values, strict=True))), path)
+    write_folder(understand(path, home, CIRCLE, {}), tmp_path / "c", home)
+    (run,) = next(iter(open_source(tmp_path / "c")[1]))[0]
+    assert run.samples["deviation_um"] == pytest.approx(np.sin(np.arange(n)), abs=1e-9)
+    assert run.samples["t_s"] == pytest.approx(0.1 * np.arange(n))
 
 
 def test_blank_columns_that_a_spreadsheet_leaves_hide_no_table(tmp_path: Path) -> None:

@@ -54,6 +54,17 @@ def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
     assert refused.value.code == "columns.number"
 
 
+@pytest.mark.parametrize("kind", [pa.timestamp("us", tz="Europe/Berlin"), pa.timestamp("ns"), pa.duration("ms")])
+def test_times_that_parquet_holds_as_such_are_seconds(tmp_path: Path, kind: pa.DataType) -> None:
+    begin = 0 if pa.types.is_duration(kind) else 1_774_000_000_000
+    per = {"us": 1000, "ns": 1_000_000, "ms": 1}[kind.unit]
+    t = pa.array([per * (begin + 5 * n) for n in range(9)]).cast(kind)
+    numbers = np.arange(9.0)
+    pq.write_table(pa.table({"t_s": t, "angle_deg": numbers, "deviation_um": numbers}), tmp_path / "a.parquet")
+    columns, _ = read_columns(tmp_path / "a.parquet", "circular")
+    assert columns["t_s"] == pytest.approx(0.005 * numbers, abs=1e-12)
+
+
 @pytest.mark.parametrize("size", [0, 1, 3, 65_536, 65_537])
 def test_the_hash_of_words_is_that_of_one_json_array(size: int) -> None:
     words = np.array([("forward", 'rück"wärts', None)[n % 3] for n in range(size)], dtype=object)
