@@ -25,6 +25,8 @@ from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
 SUFFIXES = (".xlsx", ".xlsm", ".xls", ".zip", ".gz")
+LEFT_BY_SYSTEMS = re.compile(r"(^|/)(\.(?!\.)|__MACOSX/|Thumbs\.db$)")
+"""Names in archives of what systems of computers keep beside files."""
 _ZIP, _GZIP, _PARQUET, _OLE = b"PK\x03\x04", b"\x1f\x8b", b"PAR1", bytes.fromhex("d0cf11e0a1b11ae1")
 _MARKUP = re.compile(r"\s*(<(!doctype|html|head|meta|body|table|style|\?xml|!--)|mime-version:)", re.I)
 _TITLE = re.compile(r"<title[^>]{0,200}>([^<]{1,200})", re.I)
@@ -169,7 +171,7 @@ def _only_table(path: Path, data: bytes) -> bytes:
     """Return the only file of an archive; refuse those of several: one would be read for all."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         files = [entry for entry in archive.infolist() if not entry.is_dir()]
-        files = [entry for entry in files if not re.search(r"(^|/)(\.|__MACOSX/|Thumbs\.db$)", entry.filename)]
+        files = [entry for entry in files if not LEFT_BY_SYSTEMS.search(entry.filename)]
         small = len(files) == 1 and files[0].file_size <= _MAX_UNPACKED
         if small and Path(files[0].filename).suffix.lower() in _IN_ARCHIVES:
             return archive.read(files[0])
