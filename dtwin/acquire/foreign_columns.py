@@ -52,10 +52,12 @@ _GRAD = "grad"
 _VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
+DEVIATION = re.compile(r"^(radial(e|er)?[ -]?)?(deviation|dev\.?|abweichung)$", re.I)
+"""Head of a deviation from a circle whose direction is not told."""
 _HEADS = (
     (re.compile(r"^(t|time|zeit|elapsed( time)?|time elapsed|messzeit|time ?stamp|epoch|unix ?time)$", re.I), "t", "s"),
     (re.compile(r"^(path )?(angle|winkel|phi|[φθ])$", re.I), "angle", "deg"),
-    (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
+    (DEVIATION, "deviation", "um"),
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
@@ -116,10 +118,11 @@ class Column:
 
 def in_english(head: str) -> str:
     """Return a head with the words that are known of other languages in English, ``変位X [μm]`` as ``displacement X [μm]``, and parts of units as words."""
+    head = head.strip().rstrip(":").rstrip()
     said = head
     for english, words in _ENGLISH:
         said = words.sub(f" {english} ", said)
-    return with_shares(head.strip() if said == head else " ".join(said.split()))
+    return with_shares(head if said == head else " ".join(said.split()))
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:

@@ -380,6 +380,8 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     free = [column for column in columns if column.name not in meant.columns] if any(likely(meant)) else []
     # A length is no angle.
     lacking = [name for name in meant.columns[1:] if name not in names]
+    # A column without a unit may count its rows.
+    free.sort(key=lambda column: not column.unit)
     pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'

@@ -22,13 +22,21 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads, require_one_table
+from dtwin.acquire.foreign_columns import (
+    DEVIATION,
+    Column,
+    below_heads,
+    columns_of,
+    header_row,
+    joined_heads,
+    require_one_table,
+)
 from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import DEVIATION, DIRECTION, bare, beside_way, blocks, deviates, way_of
+from dtwin.kinds.circular._circle_ways import DIRECTION, bare, beside_way, blocks, deviates, way_of
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 

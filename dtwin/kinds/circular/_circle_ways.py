@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.acquire.foreign_columns import PROBES, Column, in_english
+from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
 from dtwin.schema import Direction
 
 _SPELT = (
@@ -26,7 +26,6 @@ _SPELT = (
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
-DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)
 DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
 
 

@@ -182,9 +182,10 @@ def is_drift_log(path: Path) -> bool:
         or _turns(said, body, heads, factors)
         or any(_travels([row[i] for row in body], factors[i]) for i, name in enumerate(heads) if name in told)
     )
-    return (
-        bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
-    )
+    # A log whose temperatures are all in another unit is refused as what it is.
+    kelvin = any(_OTHER_DEGREES.fullmatch(column.unit) for column in _unknown(said, units, {}))
+    warm = kelvin or any(map(_TEMPERATURE.fullmatch, heads))
+    return bool({"t_s", _STAMPED} & set(heads)) and bool(told) and warm and not others
 
 
 def _turns(said: Sequence[str], body: Sequence[Sequence[str]], heads: Sequence[str], factors: Sequence[float]) -> bool:

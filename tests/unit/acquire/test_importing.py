@@ -337,6 +337,8 @@ def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(
         ("Winkel [deg],Wert [um],Zeit [s]", {}, '"Wert [um]=deviation_um"'),
         ("Weg,Wert", {"axis": "X"}, '"Weg=position_mm"'),
         ("Zeit [s],Taster [um]", CIRCLE, '"Taster [um]=deviation_um"'),
+        # What counts the rows is no deviation.
+        ("Nr.,Winkel [deg],Wert [um]", CIRCLE, '"Wert [um]=deviation_um"'),
         ("A,B", {}, '"HEAD=NAME"'),
     ],
 )
@@ -348,6 +350,13 @@ def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), told, {})
     assert proposed in str(refused.value.hint)
+
+
+@pytest.mark.parametrize("head", ["Radialabweichung", "radiale Abweichung", "Radial dev.", "Deviation"])
+def test_names_of_a_radial_deviation(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Winkel: [°];{head} [µm]", *(f"{n};{n % 7}" for n in range(360))]), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), CIRCLE, {}).runs == (("a-ccw1", 360),)
 
 
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
