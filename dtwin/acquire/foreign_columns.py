@@ -222,6 +222,20 @@ def require_one_of(
             )
 
 
+def require_usual_sign(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse titles and heads which say that errors are nominal minus actual."""
+    opposite = next((text for row in rows if REVERSED.search(text := " ".join(row).strip())), "")
+    if opposite:
+        raise InputError(
+            "errors are target minus actual: their sign is the opposite of everywhere else",
+            code="table.sign",
+            where=str(path),
+            got=opposite[:60],
+            allowed="actual minus target",
+            hint="change the sign of the errors, and say so in the title",
+        )
+
+
 def _has_gaps(row: Sequence[str]) -> bool:
     """Tell whether a row holds one number and empty cells, as where an instrument read nothing."""
     told = [cell for cell in row if cell.strip()]

@@ -31,6 +31,7 @@ from dtwin.acquire.foreign_columns import (
     is_number,
     joined_heads,
     require_one_table,
+    require_usual_sign,
 )
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
@@ -113,7 +114,7 @@ class Understood:
 
 @dataclass(frozen=True)
 class Looked:
-    """Heads and rows of a file, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
+    """Heads and rows of a file, and what stands above, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
 
     heads: tuple[str, ...]
     units: tuple[str, ...] | None
@@ -124,6 +125,7 @@ class Looked:
     decimal: str
     stored: Mapping[str, Any]
     rows: tuple[tuple[str, ...], ...]
+    titles: tuple[tuple[str, ...], ...]
     of_channels: bool
 
 
@@ -173,6 +175,7 @@ def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
         sign,
         stored,
         tuple(map(tuple, rows[begin:])),
+        tuple(map(tuple, rows[:begin])),
         of_channels,
     )
 
@@ -257,6 +260,7 @@ def understand(
             write_text(lone, plain, "a table")
         if not known:
             require_one_table(heads, looked.body, path, once=True)
+            require_usual_sign([*looked.titles, heads], path)
             columns = columns_of(heads, looked.units, answers)
             plain = _converted(columns, looked.body)
             write_text(lone, plain, "a table")

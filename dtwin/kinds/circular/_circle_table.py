@@ -30,6 +30,7 @@ from dtwin.acquire.foreign_columns import (
     header_row,
     joined_heads,
     require_one_table,
+    require_usual_sign,
 )
 from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -106,7 +107,9 @@ def read_circle_runs(
     lines = rows_of(decoded(table_bytes(path, _MAX_BYTES)))
     columns, body = _table(lines, path)
     form = _form_of(columns)
-    _require_as_titled(lines[: len(lines) - len(body)], stated, path)
+    above = lines[: len(lines) - len(body)]
+    _require_as_titled(above, stated, path)
+    require_usual_sign(above, path)
     _require_one_meaning(columns, path)
     require_one_table([column.head for column in columns], body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
@@ -147,7 +150,7 @@ def read_circle_runs(
             | ({} if form.time is None else {"t_s": values[form.time]})
             | kept
         )
-        for told, part in blocks(columns, lines[: len(lines) - len(body)], body):
+        for told, part in blocks(columns, above, body):
             block = {name: column[good & part] for name, column in rows.items()}
             runs += _runs(block, way if form.pair else way or told, stated, str(path))
     if not runs:

@@ -1272,6 +1272,10 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "way"),
     [
+        ("Up1", "forward"),
+        ("Dn1", "reverse"),
+        ("steigend", "forward"),
+        ("abwärts 2 [µm]", "reverse"),
         ("from below 1 [mm]", "forward"),
         ("from_above_1_mm", "reverse"),
         ("above", "reverse"),
