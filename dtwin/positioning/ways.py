@@ -25,6 +25,8 @@ _WORDS = {
         "vor",
         "vorwärts",
         "hin",
+        "hinfahrt",
+        "hinweg",
         "aufwärts",
         "steigend",
     }
@@ -44,7 +46,7 @@ _WORDS = {
         "negativ",
         "minus",
     }
-    | {"rück", "rückwärts", "zurück", "her", "abwärts", "fallend"}
+    | {"rück", "rückwärts", "zurück", "her", "rückfahrt", "rückweg", "abwärts", "fallend", "bk", "back", "return"}
     | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
 }
 _FROM = re.compile(r"(?:^|(?<![^\W_])from[\s_]+)(below|above)(?![^\W_])|(?<![^\W_])von[\s_]+(unten|oben)(?![^\W_])")
