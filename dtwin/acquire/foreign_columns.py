@@ -236,6 +236,32 @@ def require_usual_sign(rows: Sequence[Sequence[str]], path: Path) -> None:
         )
 
 
+def require_told_apart(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse columns with one head and different readings, of which one would be left out: a time that is written twice is none."""
+    cells = [[row[n].strip() if n < len(row) else "" for row in body] for n in range(len(columns))]
+    for n, column in enumerate(columns):
+        first = next(i for i, other in enumerate(columns) if other.head == column.head)
+        if columns[first].name and cells[first] != cells[n]:
+            raise InputError(
+                "several columns have one head and different readings",
+                code="import.twice",
+                where=str(path),
+                got=column.head[:80],
+                allowed="a head for each; of a circle angle [deg], ccw [µm], cw [µm]",
+                hint="a file for each, or other heads; of runs beside each other, one below the other",
+            )
+
+
+def converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return a table of the columns that have a name here, with that name and in its unit; empty where a cell is no number."""
+    kept = [(n, column) for n, column in enumerate(columns) if column.name]
+    table = [[column.name for _, column in kept]]
+    for row in body:
+        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
+        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
+    return table
+
+
 def _has_gaps(row: Sequence[str]) -> bool:
     """Tell whether a row holds one number and empty cells, as where an instrument read nothing."""
     told = [cell for cell in row if cell.strip()]

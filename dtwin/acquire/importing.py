@@ -27,10 +27,11 @@ from dtwin.acquire.foreign_columns import (
     Column,
     below_heads,
     columns_of,
+    converted,
     header_row,
-    is_number,
     joined_heads,
     require_one_table,
+    require_told_apart,
     require_usual_sign,
 )
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
@@ -262,7 +263,8 @@ def understand(
             require_one_table(heads, looked.body, path, once=True)
             require_usual_sign([*looked.titles, heads], path)
             columns = columns_of(heads, looked.units, answers)
-            plain = _converted(columns, looked.body)
+            require_told_apart(columns, looked.body, path)
+            plain = _as_csv(converted(columns, looked.body))
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -389,15 +391,6 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'
-
-
-def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
-    kept = [(n, column) for n, column in enumerate(columns) if column.name]
-    table = [[column.name for _, column in kept]]
-    for row in body:
-        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
-        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
-    return _as_csv(table)
 
 
 def _as_csv(rows: Sequence[Sequence[str]]) -> str:

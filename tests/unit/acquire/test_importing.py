@@ -359,6 +359,19 @@ def test_names_of_a_radial_deviation(tmp_path: Path, head: str) -> None:
     assert understand(path, Home(tmp_path / "home"), CIRCLE, {}).runs == (("a-ccw1", 360),)
 
 
+def test_two_runs_beside_each_other_under_the_same_heads_are_not_read_as_one(tmp_path: Path) -> None:
+    path, home = tmp_path / "a.csv", Home(tmp_path / "home")
+    rows = [f"{n};{n % 7};{(360 - n) % 360};{n % 5}" for n in range(360)]
+    path.write_text("\n".join(["angle [deg];deviation [µm];angle [deg];deviation [µm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        understand(path, home, CIRCLE, {})
+    assert refused.value.code == "import.twice"
+    # The same column twice is one.
+    rows = [f"{n};{n % 7};{n}" for n in range(360)]
+    path.write_text("\n".join(["angle [deg];deviation [µm];angle [deg]", *rows]), encoding="utf-8")
+    assert understand(path, home, CIRCLE, {}).runs == (("a-ccw1", 360),)
+
+
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     block = ["angle [deg],deviation [µm]", *(f"{n},{n % 7}" for n in range(360))]
