@@ -17,6 +17,7 @@ from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
+from dtwin.report.checking import check_source
 
 # Some blocks of a megabyte.
 ROWS = 150_000
@@ -52,6 +53,16 @@ def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_columns(tmp_path / "a.parquet", "circular")
     assert refused.value.code == "columns.number"
+
+
+@pytest.mark.parametrize(("every", "severity"), [(10, "warning"), (1, "")])
+def test_a_column_that_takes_most_rows_with_it_is_a_warning(tmp_path: Path, every: int, severity: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n / 10},{n},{n % 7},{'' if n % every else 20.1}" for n in range(361)]
+    path.write_text("\n".join(["t_s,angle_deg,deviation_um,air_c", *rows]), encoding="utf-8")
+    (run,) = check_source(path, told={"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1047.0})["runs"]
+    found = [f["severity"] for f in run["findings"] if f["code"] == "rows.rejected"]
+    assert found == ([severity] if severity else [])
 
 
 @pytest.mark.parametrize("kind", [pa.timestamp("us", tz="Europe/Berlin"), pa.timestamp("ns"), pa.duration("ms")])
