@@ -53,6 +53,7 @@ _POWERS = {"te": 1, "ze": 1, "hu": 2, "th": 3, "ta": 3}
 LENGTHS_MM = (
     {"m": 1000.0, "cm": 10.0, "mm": 1.0, "nm": 1e-6}
     | dict.fromkeys(("um", "µm", "μm", "micron", "microns", "micrometer", "micrometers", "mikrometer"), 1e-3)
+    | dict.fromkeys(("µ", "μ", "mikron"), 1e-3)
     | dict.fromkeys(("millimeter", "millimeters"), 1.0)
     | dict.fromkeys(("in", "inch", "inches"), 25.4)
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)

@@ -13,18 +13,25 @@ from dtwin.schema import Floats
 # Squares of larger ones are no longer numbers.
 _LARGEST = 1e100
 _SIGNED = re.compile(r"[+-]\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
 def parse_readings(text: str, where: str) -> Floats:
     r"""Return the numbers of a readings block, shape (n,), in the block's own unit.
 
     When every number carries a sign, white space carries no meaning and torn numbers
-    (``"-\n0.06045"``, ``"+0.1\n2345"``) are joined again; otherwise white space separates.
+    (``"-\n0.06045"``, ``"+0.1\n2345"``) are joined again; otherwise white space separates. Where no point stands, commas are decimal signs if
+    each number has one.
     ``where``: file and block, for error messages. Raises ``InputError`` when something is not a finite number.
     """
-    joined = "".join(text.split())
+    pointed = text if "." in text else text.replace(",", ".")
+    joined = "".join(pointed.split())
     signed = _SIGNED.findall(joined)
-    tokens = signed if signed and "".join(signed) == joined else text.replace(",", " ").split()
+    if signed and "".join(signed) == joined:
+        tokens = signed
+    else:
+        commas = "." not in text and all(map(_COMMA.fullmatch, text.split()))
+        tokens = pointed.split() if commas else text.replace(",", " ").split()
     try:
         values = np.array([float(token) for token in tokens])
     except ValueError as error:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from dtwin.acquire.table_dialect import encoding_of, is_comment
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.lake.parquet import numbers_of
+from dtwin.lake.parquet import NUMBERS, numbers_of
 from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
@@ -42,14 +43,14 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
     Returns ``columns`` (n,): columns without the rejected rows.
     Returns ``rejects``: rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
     """
-    table = _with_names(_read_table(path), path)
+    required = kind_named(kind).columns
+    table = _with_names(_read_table(path), path, required)
     columns: dict[str, NDArray[Any]] = {}
     for name in table.column_names:
         columns[name] = _as_array(table, name, path)
         # What is an array need not be held as a column, too.
         table = table.drop_columns([name])
     pa.default_memory_pool().release_unused()
-    required = kind_named(kind).columns
     missing = [name for name in required if name not in columns]
     if missing:
         raise InputError(
@@ -84,6 +85,17 @@ def kind_of_table(path: Path) -> str:
     )
 
 
+def is_parquet_of_a_kind(path: Path) -> bool:
+    """Return whether a file of Parquet has the columns of a kind of test, and beside them nothing but numbers; its rows are not read."""
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowException, OSError) as error:
+        raise _malformed(path, error) from error
+    types = [field.type for field in schema if field.name not in _TEXT_COLUMNS]
+    numbers = all(t in NUMBERS or pa.types.is_decimal(t) or pa.types.is_temporal(t) for t in types)
+    return numbers and any(set(schema.names).issuperset(kind.columns) for kind in kinds())
+
+
 def _read_table(path: Path) -> pa.Table:
     suffix = ending_as_table(path)
     if suffix not in (".csv", ".parquet"):
@@ -106,9 +118,10 @@ def _read_table(path: Path) -> pa.Table:
         raise _malformed(path, error) from error
 
 
-def _with_names(table: pa.Table, path: Path) -> pa.Table:
-    """Return a table without empty columns that have no name, such as separators at the ends of lines make; refuse one name for two."""
-    filled = [i for i, name in enumerate(table.column_names) if name or table.column(i).null_count < table.num_rows]
+def _with_names(table: pa.Table, path: Path, required: Sequence[str]) -> pa.Table:
+    """Return a table without empty columns that need not be there, such as separators at the ends of lines make; refuse one name for two."""
+    names = table.column_names
+    filled = [i for i, name in enumerate(names) if name in required or table.column(i).null_count < table.num_rows]
     table = table.select(filled)
     twice = sorted({name for name in table.column_names if table.column_names.count(name) > 1})
     if twice:
@@ -163,6 +176,15 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
 def _malformed(path: Path, error: Exception) -> InputError:
     if "conversion error" in str(error):
         return _not_numeric(str(path), error)
+    if ending_as_table(path) == ".parquet":
+        return InputError(
+            "the file of Parquet cannot be read",
+            code="table.malformed",
+            where=str(path),
+            got=str(error)[-160:],
+            allowed="a whole file of Parquet",
+            hint="it may be cut short or damaged: copy or write it again",
+        )
     uneven = _UNEVEN.search(str(error))
     if uneven:
         row, heads, cells, text = uneven.groups()
@@ -181,6 +203,11 @@ def _malformed(path: Path, error: Exception) -> InputError:
 
 def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
     column = table.column(name)
+    if pa.types.is_timestamp(column.type) and name == "t_s":
+        # From the first one on: seconds since 1970 leave no digits for a fast clock.
+        column = pc.subtract(column, pc.min(column))
+    if pa.types.is_duration(column.type) and name.endswith("_s"):
+        column = pc.divide(column.cast(pa.duration("ns")).cast(pa.int64()).cast(pa.float64()), 1e9)
     if name in _TEXT_COLUMNS:
         # One string for all cells that say the same.
         coded = column.cast(pa.string()).dictionary_encode(null_encoding="encode").combine_chunks()
@@ -195,7 +222,14 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
 
 
 def _not_numeric(where: str, error: Exception) -> InputError:
-    return InputError("a column is not numeric", code="columns.number", where=where, got=str(error)[:120])
+    return InputError(
+        "a column is not numeric",
+        code="columns.number",
+        where=where,
+        got=str(error)[:120],
+        allowed="numbers with a decimal point, of the unit at the end of the column's name",
+        hint="dtwin import FILE --out FOLDER leaves columns of words out and reads other forms of numbers; else take the column out of the table",
+    )
 
 
 def _drop_bad_rows(

@@ -21,6 +21,7 @@ _MOST_GAPS = 20
 _LEAST_MM = 0.01
 _FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit", "f")
 _FREEZING_F = 32.0
+_G_M_S2 = 9.80665
 _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {
@@ -33,12 +34,15 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(_FAHRENHEIT, ("c", 1.0 / 1.8)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
+    **dict.fromkeys(("m/s2", "m/s^2"), ("g", 1.0 / _G_M_S2)),
+    "mm/s2": ("mm_s2", 1.0),
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
     "kpa": ("kpa", 1.0),
     **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
     "hz": ("hz", 1.0),
     "g": ("g", 1.0),
+    "mg": ("g", 1e-3),
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }
@@ -48,10 +52,12 @@ _GRAD = "grad"
 _VALUE = re.compile(r"\d[.,:/-]?\d")
 _GRAD_WHY_NOT = "grad is a degree in German and 1/400 of a turn elsewhere: write ° or gon"
 _BETWEEN = {("mm", "um"): 1000.0, ("um", "mm"): 1e-3, ("rad", "deg"): 180.0 / math.pi, ("ms", "s"): 1e-3}
+DEVIATION = re.compile(r"^(radial(e|er)?[ -]?)?(deviation|dev\.?|abweichung)$", re.I)
+"""Head of a deviation from a circle whose direction is not told."""
 _HEADS = (
     (re.compile(r"^(t|time|zeit|elapsed( time)?|time elapsed|messzeit|time ?stamp|epoch|unix ?time)$", re.I), "t", "s"),
     (re.compile(r"^(path )?(angle|winkel|phi|[φθ])$", re.I), "angle", "deg"),
-    (re.compile(r"^(radial )?(deviation|abweichung)$", re.I), "deviation", "um"),
+    (DEVIATION, "deviation", "um"),
     (re.compile(r"^(error|fehler|positionsfehler)$", re.I), "error", "um"),
     (re.compile(r"^(position|pos|weg|soll|sollposition|target|nominal)$", re.I), "position", "mm"),
 )
@@ -112,10 +118,11 @@ class Column:
 
 def in_english(head: str) -> str:
     """Return a head with the words that are known of other languages in English, ``変位X [μm]`` as ``displacement X [μm]``, and parts of units as words."""
+    head = head.strip().rstrip(":").rstrip()
     said = head
     for english, words in _ENGLISH:
         said = words.sub(f" {english} ", said)
-    return with_shares(head.strip() if said == head else " ".join(said.split()))
+    return with_shares(head if said == head else " ".join(said.split()))
 
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
@@ -213,6 +220,46 @@ def require_one_of(
                 allowed="one",
                 hint="a file for each",
             )
+
+
+def require_usual_sign(rows: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse titles and heads which say that errors are nominal minus actual."""
+    opposite = next((text for row in rows if REVERSED.search(text := " ".join(row).strip())), "")
+    if opposite:
+        raise InputError(
+            "errors are target minus actual: their sign is the opposite of everywhere else",
+            code="table.sign",
+            where=str(path),
+            got=opposite[:60],
+            allowed="actual minus target",
+            hint="change the sign of the errors, and say so in the title",
+        )
+
+
+def require_told_apart(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse columns with one head and different readings, of which one would be left out: a time that is written twice is none."""
+    cells = [[row[n].strip() if n < len(row) else "" for row in body] for n in range(len(columns))]
+    for n, column in enumerate(columns):
+        first = next(i for i, other in enumerate(columns) if other.head == column.head)
+        if columns[first].name and cells[first] != cells[n]:
+            raise InputError(
+                "several columns have one head and different readings",
+                code="import.twice",
+                where=str(path),
+                got=column.head[:80],
+                allowed="a head for each; of a circle angle [deg], ccw [µm], cw [µm]",
+                hint="a file for each, or other heads; of runs beside each other, one below the other",
+            )
+
+
+def converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return a table of the columns that have a name here, with that name and in its unit; empty where a cell is no number."""
+    kept = [(n, column) for n, column in enumerate(columns) if column.name]
+    table = [[column.name for _, column in kept]]
+    for row in body:
+        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
+        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
+    return table
 
 
 def _has_gaps(row: Sequence[str]) -> bool:

@@ -20,16 +20,19 @@ import tomli_w
 
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire._recipes import recipe_of, recipe_path
+from dtwin.acquire._tabular import is_parquet_of_a_kind
 from dtwin.acquire.axis_titles import part_of_axis
 from dtwin.acquire.channel_log import as_table, is_channel_log
 from dtwin.acquire.foreign_columns import (
     Column,
     below_heads,
     columns_of,
+    converted,
     header_row,
-    is_number,
     joined_heads,
     require_one_table,
+    require_told_apart,
+    require_usual_sign,
 )
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
@@ -41,7 +44,7 @@ from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kinds
 
 _MAX_BYTES = 64 * 1024**2
-_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", *SPREADSHEETS)
+_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".log", ".parquet", *SPREADSHEETS)
 _SHOWN = 4
 # The direction is that in which the angle runs, file by file.
 _REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
@@ -112,7 +115,7 @@ class Understood:
 
 @dataclass(frozen=True)
 class Looked:
-    """Heads and rows of a file, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
+    """Heads and rows of a file, and what stands above, before anything is known of them; ``of_channels``: made of a log with one line a reading."""
 
     heads: tuple[str, ...]
     units: tuple[str, ...] | None
@@ -123,13 +126,16 @@ class Looked:
     decimal: str
     stored: Mapping[str, Any]
     rows: tuple[tuple[str, ...], ...]
+    titles: tuple[tuple[str, ...], ...]
     of_channels: bool
 
 
 def read_as_it_is(path: Path) -> bool:
-    """Return whether a file needs no import: Parquet with the house's names, and forms that are no plain table."""
+    """Return whether a file needs no import: Parquet with the house's names and numbers, and forms that are no plain table."""
     suffix = path.suffix.lower()
-    return suffix == ".parquet" or (suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds()))
+    if suffix == ".parquet":
+        return is_parquet_of_a_kind(path)
+    return suffix not in _PLAIN and any(kind.takes_alone(path) for kind in kinds())
 
 
 def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
@@ -170,6 +176,7 @@ def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
         sign,
         stored,
         tuple(map(tuple, rows[begin:])),
+        tuple(map(tuple, rows[:begin])),
         of_channels,
     )
 
@@ -254,8 +261,10 @@ def understand(
             write_text(lone, plain, "a table")
         if not known:
             require_one_table(heads, looked.body, path, once=True)
+            require_usual_sign([*looked.titles, heads], path)
             columns = columns_of(heads, looked.units, answers)
-            plain = _converted(columns, looked.body)
+            require_told_apart(columns, looked.body, path)
+            plain = _as_csv(converted(columns, looked.body))
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
@@ -377,18 +386,11 @@ def _example(names: Sequence[str], columns: Sequence[Column], told: Mapping[str,
     free = [column for column in columns if column.name not in meant.columns] if any(likely(meant)) else []
     # A length is no angle.
     lacking = [name for name in meant.columns[1:] if name not in names]
+    # A column without a unit may count its rows.
+    free.sort(key=lambda column: not column.unit)
     pairs = ((c.head, n) for n in lacking for c in free if columns_of([c.head], [c.unit], {c.head: n})[0].name)
     head, name = next(pairs, ("", ""))
     return f'--column "{head}={name}", where that is a {meant.name} test,' if head else '--column "HEAD=NAME"'
-
-
-def _converted(columns: Sequence[Column], body: Sequence[Sequence[str]]) -> str:
-    kept = [(n, column) for n, column in enumerate(columns) if column.name]
-    table = [[column.name for _, column in kept]]
-    for row in body:
-        cells = [(row[n].strip() if n < len(row) else "", column) for n, column in kept]
-        table.append([f"{c.factor * (float(cell) - c.zero):.12g}" if is_number(cell) else "" for cell, c in cells])
-    return _as_csv(table)
 
 
 def _as_csv(rows: Sequence[Sequence[str]]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_pasted, judge_run, without_samples
 from dtwin.acquire.spreadsheet import ending_as_table
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
@@ -76,7 +76,8 @@ def ingest(
     samples = {r["run_id"]: r["samples_sha256"] for r in lake.runs(campaign.name, left_out=True)}
     for batch, rejected, done in _batches(sources):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in batch}
-        runs = [_judged(run, judge_copies(samples)) for run in batch]
+        copies = judge_pasted(batch) | judge_copies(samples)
+        runs = [_judged(run, copies) for run in batch]
         report = lake.commit(campaign, runs, rejected)
         versions = dict(report.versions)
         added += report.added

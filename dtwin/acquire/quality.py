@@ -9,10 +9,13 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from dtwin.kinds.registry import kind_named
-from dtwin.schema import Finding, Run, of_one_way
+from dtwin.schema import Finding, Floats, Run, of_one_way
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
 _MIN_SPREAD_UM = 0.02
+_READINGS = ("deviation_um", "error_um", "error_arcsec", "displacement_um")
+# Of a run beside one other, how many readings tell what a display shows twice; and how likely equal ones may be.
+_MANY, _CHANCE = 100, 1e-6
 
 
 def judge_run(run: Run) -> list[Finding]:
@@ -76,6 +79,38 @@ def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
                 "would say that there is no noise",
             )
     return findings
+
+
+def judge_pasted(runs: Sequence[Run]) -> dict[str, Finding]:
+    """Return a finding for every run whose readings are those of an earlier one of its file, though cycle, direction or clock differ.
+
+    A coarse display shows a sound machine some readings twice: how many, other runs of the file tell, or neighbouring readings.
+    """
+    files: dict[str, list[tuple[str, Floats]]] = {}
+    for run in runs:
+        read = [(run.meta.run_id, run.samples[name]) for name in _READINGS if name in run.samples]
+        files.setdefault(run.source, []).extend(read)
+    findings = {}
+    for of_file in files.values():
+        first: dict[bytes, str] = {}
+        for name, read_um in of_file:
+            other = first.setdefault(min(read_um.tobytes(), read_um[::-1].tobytes()), name)
+            if other != name and _by_chance(read_um, [of_other for _, of_other in of_file]) < _CHANCE:
+                said = (
+                    f"the readings are those of run {other} to the last digit, in another cycle, direction or column: "
+                    "one was copied over the other, and what they differ by is not known"
+                )
+                findings[name] = Finding("run.copy", "error", said)
+    return findings
+
+
+def _by_chance(read_um: Floats, others_um: Sequence[Floats]) -> float:
+    """Return how likely it is that all readings (n,) of a run are equal to those of another one."""
+    alike = [other for other in others_um if other.size == read_um.size]
+    shares = [float(max(np.mean(read_um == other), np.mean(read_um == other[::-1]))) for other in alike]
+    beside = float(np.mean(read_um[1:] == read_um[:-1])) if read_um.size >= _MANY else 1.0
+    share = max((share for share in shares if share < 1.0), default=beside)
+    return max(share, 1.0 / max(read_um.size, 1)) ** read_um.size
 
 
 def judge_flagged(run: Run) -> list[Finding]:

@@ -57,6 +57,15 @@ def read_signals(path: Path) -> list[SignalGroup]:
     try:
         table, data = read_encoded(path)
     except StoreError as error:
+        if path.suffix.lower() != ".parquet":
+            raise InputError(
+                "a file of signals is of no form that is read",
+                code="signals.type",
+                where=str(path),
+                got=path.suffix or "no ending",
+                allowed=", ".join((".parquet", *_TABLES)),
+                hint="export it as text with a column of times and a unit in each head, such as Time [s], bed x [g]",
+            ) from error
         raise InputError(
             "the signal file cannot be read", code="signals.unreadable", where=str(path), got=error.got, hint=error.hint
         ) from error
@@ -122,7 +131,8 @@ def _group(columns: dict[str, NDArray[Any]], path: Path) -> SignalGroup:
     if not 0 < span < math.inf:
         raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
     _require_even(t_s, path)
-    name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
+    stem = path.name.removesuffix(".gz").rpartition(".")[0]
+    name = require_name(stem.split(".")[-1], f"the signal group of {path.name}")
     return SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))
 
 

@@ -1,8 +1,9 @@
-"""Tables in a spreadsheet (.xlsx), or packed (.zip), read as the CSV that they would be saved as; files that are no tables, whatever their ending."""
+"""Tables in a spreadsheet (.xlsx), or packed (.zip, .gz), or in Parquet under foreign names, read as the CSV that they would be saved as; files that are no tables, whatever their ending."""
 
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import re
 import zipfile
@@ -13,6 +14,9 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.html_table import table_of_page
@@ -20,8 +24,10 @@ from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
 
-SUFFIXES = (".xlsx", ".xlsm", ".xls", ".zip")
-_ZIP, _OLE = b"PK\x03\x04", bytes.fromhex("d0cf11e0a1b11ae1")
+SUFFIXES = (".xlsx", ".xlsm", ".xls", ".zip", ".gz")
+LEFT_BY_SYSTEMS = re.compile(r"(^|/)(\.(?!\.)|__MACOSX/|Thumbs\.db$)")
+"""Names in archives of what systems of computers keep beside files."""
+_ZIP, _GZIP, _PARQUET, _OLE = b"PK\x03\x04", b"\x1f\x8b", b"PAR1", bytes.fromhex("d0cf11e0a1b11ae1")
 _MARKUP = re.compile(r"\s*(<(!doctype|html|head|meta|body|table|style|\?xml|!--)|mime-version:)", re.I)
 _TITLE = re.compile(r"<title[^>]{0,200}>([^<]{1,200})", re.I)
 _MAX_BYTES = 32 * 1024**2
@@ -37,7 +43,7 @@ _CHUNK = 1024**2
 
 def is_spreadsheet(path: Path) -> bool:
     """Tell by its ending, or its first bytes, whether a file is a spreadsheet or packed."""
-    return path.suffix.lower() in SUFFIXES or (path.is_file() and _begin(path, len(_ZIP)) == _ZIP)
+    return path.suffix.lower() in SUFFIXES or (path.is_file() and _begin(path, len(_ZIP)).startswith((_ZIP, _GZIP)))
 
 
 def _begin(path: Path, size: int) -> bytes:
@@ -103,6 +109,11 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
 
     data: bytes = path.read_bytes()
     try:
+        if data.startswith(_GZIP):
+            with gzip.open(io.BytesIO(data)) as packed:
+                data = packed.read(_MAX_UNPACKED + 1)
+            if len(data) > _MAX_UNPACKED:
+                raise _refused(path, "a large file unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         if data.startswith(_ZIP) and not _is_workbook(data):
             data = _only_table(path, data)
         if not _is_workbook(data):
@@ -160,7 +171,7 @@ def _only_table(path: Path, data: bytes) -> bytes:
     """Return the only file of an archive; refuse those of several: one would be read for all."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         files = [entry for entry in archive.infolist() if not entry.is_dir()]
-        files = [entry for entry in files if not re.search(r"(^|/)(\.|__MACOSX/|Thumbs\.db$)", entry.filename)]
+        files = [entry for entry in files if not LEFT_BY_SYSTEMS.search(entry.filename)]
         small = len(files) == 1 and files[0].file_size <= _MAX_UNPACKED
         if small and Path(files[0].filename).suffix.lower() in _IN_ARCHIVES:
             return archive.read(files[0])
@@ -175,7 +186,9 @@ def _only_table(path: Path, data: bytes) -> bytes:
 
 
 def _table_of_text(path: Path, data: bytes) -> bytes:
-    """Return a text as it is, and the one table of a page in HTML with tabs between its cells; refuse what is none of these."""
+    """Return a text as it is, and the one table of a page in HTML with tabs between its cells, or of a file of Parquet; refuse what is none of these."""
+    if data.startswith(_PARQUET):
+        return _of_parquet(path, data)
     begin = decoded(data[:_SNIFFED])
     got = "a workbook of Excel 97 to 2003" if data.startswith(_OLE) else "an archive" if data.startswith(b"PK") else ""
     if _MARKUP.match(begin):
@@ -194,6 +207,18 @@ def _table_of_text(path: Path, data: bytes) -> bytes:
         allowed="text with commas, semicolons or tabs between columns; .xlsx; a page in HTML with one plain table",
         hint="open it in a spreadsheet program, look whether it shows the table, and save it as .xlsx or .csv",
     )
+
+
+def _of_parquet(path: Path, data: bytes) -> bytes:
+    """Return the cells of a file of Parquet as they would be written by hand."""
+    try:
+        table = pq.read_table(pa.BufferReader(data))
+        if table.num_rows <= _MOST_ROWS:
+            cells = (column.to_pylist() for column in table.columns)
+            return _as_csv(_rows(path, iter([table.column_names, *zip(*cells, strict=True)])))
+    except pa.ArrowException as error:
+        raise _refused(path, str(error)[:160], "a whole file of Parquet") from error
+    raise _refused(path, f"{table.num_rows} rows", f"up to {_MOST_ROWS} rows")
 
 
 def _has_formulas(archive: zipfile.ZipFile) -> bool:

@@ -71,6 +71,7 @@ _ACTUAL = re.compile(rf"actual|measured|reading|ist|mess|ref|(?<![a-z])(act|meas
 SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act|meas)(pos)?{_ONE}|\d+\s*[\[(])", re.I)
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
+_NUMBER = re.compile(r"\d+")
 _SERIES = re.compile(
     r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
     re.I,
@@ -120,7 +121,21 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     # Cycles may be counted from 0.
     shift = 1 if any(number == 0 for _, _, number in numbered) else 0
     counted = tuple((i, way, number + shift) for i, way, number in numbered)
-    return Wide(targets[0], counted) if len(counted) >= 2 else None
+    return Wide(targets[0], counted) if len(counted) >= 2 and not _has_more(names, counted, targets) else None
+
+
+def _has_more(names: Sequence[str], counted: Sequence[tuple[int, str, int]], targets: Sequence[int]) -> bool:
+    """Return whether beside readings of one direction as many columns of their unit stand, of another one whose name is not known."""
+    read = [i for i, _, _ in counted]
+    if len({way for _, way, _ in counted}) > 1:
+        return False
+    others = [
+        _NUMBER.sub("", name)
+        for i, name in enumerate(names)
+        if i not in (*read, *targets) and _NUMBER.search(name) and unit_of(name) == unit_of(names[read[0]])
+        if not SUMS_UP.search(name) and not is_index(name)
+    ]
+    return len(read) in Counter(others).values()
 
 
 def _ways_of(names: Sequence[str]) -> list[str | None]:
@@ -306,7 +321,8 @@ def names_no_direction(rows: Sequence[Sequence[str]]) -> str:
         senses = [cell.strip() for cell in row if names_sense(cell)]
         if len(targets) == 1 < len(senses):
             return senses[0]
-        if len(targets) == 1 and len({re.sub(r"\d+", "", row[i]) for i in read}) == 1 < len(read):
+        alike = Counter(_NUMBER.sub("", row[i]) for i in read)
+        if len(targets) == 1 and len(alike) in (1, 2) and len(set(alike.values())) == 1 < alike.total() / len(alike):
             return row[read[0]].strip()
     return ""
 

@@ -12,7 +12,24 @@ from dtwin.schema import Run
 
 IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 _WORDS = {
-    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "positiv", "plus", "vor", "vorwärts", "hin"}
+    "forward": {
+        "fwd",
+        "forward",
+        "forwards",
+        "f",
+        "up",
+        "pos",
+        "positive",
+        "positiv",
+        "plus",
+        "vor",
+        "vorwärts",
+        "hin",
+        "hinfahrt",
+        "hinweg",
+        "aufwärts",
+        "steigend",
+    }
     | {"aller", "andata", "ida", "正向", "往路", "正方向", "正転"},
     "reverse": {
         "bwd",
@@ -23,12 +40,13 @@ _WORDS = {
         "reverse",
         "r",
         "down",
+        "dn",
         "neg",
         "negative",
         "negativ",
         "minus",
     }
-    | {"rück", "rückwärts", "zurück", "her"}
+    | {"rück", "rückwärts", "zurück", "her", "rückfahrt", "rückweg", "abwärts", "fallend", "bk", "back", "return"}
     | {"retour", "ritorno", "vuelta", "反向", "復路", "負方向", "逆転"},
 }
 _FROM = re.compile(r"(?:^|(?<![^\W_])from[\s_]+)(below|above)(?![^\W_])|(?<![^\W_])von[\s_]+(unten|oben)(?![^\W_])")

@@ -10,7 +10,7 @@ from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, said_together, without_samples
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_pasted, judge_run, said_together, without_samples
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
@@ -26,6 +26,8 @@ from dtwin.tolerances import Limits, limits_from
 
 _MAX_DETAILED = 2
 """A file of both directions is told run by run; more runs as a table."""
+_MANY_ROWS = 0.1
+"""Share of a table that is not used, from which on it is a warning."""
 _LISTED_ROWS = 8
 Tolerances = Callable[[str], Mapping[str, Limits]]
 Surroundings = Callable[[str], Variation | None]
@@ -138,8 +140,10 @@ def _checked(
     kind = kind_named(campaign.kind)
     light: list[Run] = []
     samples: dict[str, str] = {}
+    pasted: dict[str, Finding] = {}
     for done, (runs, rejected) in enumerate(sources, start=1):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in runs}
+        pasted |= judge_pasted(runs)
         checked = [replace(run, findings=tuple(_findings_of(run))) for run in runs]
         results += map(_run_result, checked)
         pairs += _bidirectional(runs)
@@ -147,10 +151,11 @@ def _checked(
         if rejected:
             rows = [row for part in rejected for row in part.rows]
             results[-1]["rejected_rows"] = len(rows)
-            results[-1]["findings"].append(_rejected(rows).as_dict())
+            used = max((run.n_samples for run in runs), default=0)
+            results[-1]["findings"].append(_rejected(rows, used).as_dict())
         if progress is not None:
             progress(done, total, runs[0].meta.run_id if runs else "")
-    copies = judge_copies(samples)
+    copies = pasted | judge_copies(samples)
     for result in results:
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
@@ -176,8 +181,8 @@ def _checked(
     }
 
 
-def _rejected(rows: Sequence[Mapping[str, Any]]) -> Finding:
-    """Return what is said of rows that are no samples: how many of each reason, and which."""
+def _rejected(rows: Sequence[Mapping[str, Any]], used: int) -> Finding:
+    """Return what is said of rows that are no samples: how many of each reason, and which; a warning where they are many beside the ``used`` ones."""
     numbers: dict[str, list[str]] = {}
     for row in rows:
         numbers.setdefault(row["reason"], []).append(str(row["row"] + 1))
@@ -188,7 +193,12 @@ def _rejected(rows: Sequence[Mapping[str, Any]]) -> Finding:
     shown = [f"{why}: {of}" for why, of in list(listed.items())[:_LISTED_ROWS]]
     more = f"; and {len(listed) - _LISTED_ROWS} more reasons" * (len(listed) > _LISTED_ROWS)
     said = f"rows that are not used: {len(rows)}; {'; '.join(shown)}{more}"
-    return Finding("rows.rejected", "info", said, {"rows_1": float(len(rows))})
+    if len(rows) <= _MANY_ROWS * (len(rows) + used):
+        return Finding("rows.rejected", "info", said, {"rows_1": float(len(rows))})
+    said += f"; {used} are used"
+    if any(why.startswith("no usable number") for why in numbers):
+        said += ": a column that was read more seldom than the others belongs into a file of signals of its own, or out of the table"
+    return Finding("rows.rejected", "warning", said, {"rows_1": float(len(rows))})
 
 
 def run_result(run: Run) -> dict[str, Any]:

@@ -149,8 +149,10 @@ def _said_of_the_tray(folder: Path) -> Iterator[None]:
 def _for_the_page(error: InputError, folder: Path) -> None:
     error.where = error.where and error.where.replace(f"{folder}/", "")
     error.hint = error.hint and error.hint.replace(f"{folder}/", "")
-    if error.hint and not error.hint.startswith("dtwin "):
-        error.hint = _OPTION.sub(r"\1 in the form: ", error.hint)
+    if error.hint:
+        # A command that is proposed keeps its options.
+        said, mark, command = error.hint.partition("dtwin ")
+        error.hint = _OPTION.sub(r"\1 in the form: ", said) + mark + command
 
 
 def _said(error: InputError, path: Path) -> str:

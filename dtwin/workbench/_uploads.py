@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Collection
 from pathlib import Path, PurePosixPath
 
+from dtwin.acquire.spreadsheet import LEFT_BY_SYSTEMS
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.errors import InputError
 
@@ -160,7 +161,7 @@ def _unpack(archive: Path, target: Path) -> None:
     """Unpack an archive that nobody vouches for."""
     try:
         with zipfile.ZipFile(archive) as opened:
-            members = [m for m in opened.infolist() if not m.is_dir() and not m.filename.startswith("__MACOSX/")]
+            members = [m for m in opened.infolist() if not m.is_dir() and not LEFT_BY_SYSTEMS.search(m.filename)]
             if len(members) > _MAX_FILES:
                 raise _too_much("files", str(len(members)), str(_MAX_FILES))
             left = MAX_UNPACKED_BYTES

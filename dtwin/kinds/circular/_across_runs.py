@@ -31,6 +31,8 @@ _SHOWN = 6
 _BIN_DEG = 2.0
 _MANY_TIMES = 5.0
 _LEAST_DIFFERENCE_UM = 0.5
+_UNITS, _NEAR, _ALIKE = (10.0, 25.4, 1000.0), 0.1, 0.7
+"""Factors between units, by which share one may be missed, and the correlation of curves that have one shape."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,30 @@ def across_findings(runs: Sequence[Run]) -> list[Finding]:
     found = [finding] if (finding := _spoilt_finding(spoilt)) is not None else []
     names = {s.run for s in spoilt}
     differing = _differing_finding([run for run in whole if run.meta.run_id not in names])
-    return [*found, *([] if differing is None else [differing])]
+    return [*found, *([] if differing is None else [differing]), *_of_another_unit(whole)]
+
+
+def _of_another_unit(runs: Sequence[Run]) -> list[Finding]:
+    """Return a finding for each condition whose largest and smallest circle have one shape, and sizes that are a unit apart."""
+    of_condition: dict[tuple[object, ...], list[tuple[str, Floats]]] = {}
+    for run in runs:
+        m = run.meta
+        of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min), []).append((m.run_id, _binned(run)))
+    found = []
+    for members in of_condition.values():
+        curves = np.stack([curve for _, curve in members])
+        curves = curves[:, np.isfinite(curves).all(axis=0)]
+        size = np.sqrt(np.mean(curves**2, axis=1)) if curves.size else np.zeros(1)
+        small, large = int(size.argmin()), int(size.argmax())
+        ratio = float(size[large] / size[small]) if size[small] > 0.0 else 0.0
+        unit = next((unit for unit in _UNITS if abs(ratio / unit - 1.0) < _NEAR), 0.0)
+        if unit and float(np.mean(curves[large] * curves[small])) > _ALIKE * size[large] * size[small]:
+            said = (
+                f"{members[large][0]} and {members[small][0]} have one shape, and the first is {ratio:z.3g} times as large: about {unit:g}, as between "
+                "units (mm, µm, inch); one of both was written in another unit than it is read in"
+            )
+            found.append(Finding("circular.scale", "warning", said, {"ratio_1": ratio}))
+    return found
 
 
 def with_spoilt_told(runs: Sequence[Run]) -> list[Run]:

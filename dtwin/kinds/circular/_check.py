@@ -11,6 +11,7 @@ import numpy as np
 from dtwin.acquire.motion_quality import judge_motion
 from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.circular._across_runs import across_findings
+from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
@@ -30,6 +31,8 @@ _BACK_DEG = 30.0
 _STANDING = 8
 _FED_TIMES = 3.0
 """Times the range of all other readings that a bar is fed in by at least."""
+# What another version of a ball bar's program may compute otherwise, of circular deviation and centre.
+_OTHERWISE, _OTHERWISE_UM = 0.2, 2.0
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
 _MOST_LOST = 0.05
 
@@ -42,6 +45,7 @@ def judge_circular_run(run: Run) -> list[Finding]:
         findings += _signals(group, gaps_told=told)
     if not any(finding.severity == "error" for finding in findings):
         findings += judge_motion(run)
+        findings += _as_the_file_says(run)
     return findings
 
 
@@ -198,6 +202,31 @@ def _fed(run: Run, typical_deg: float) -> list[Finding]:
             text = f"the {where} {still.size} readings stand at {angle_deg[rows][0]:z.1f} deg while the deviation moves by {fed_um:z.0f} µm: the bar is fed in or out there; leave these rows out of the table, at both ends"
             return [Finding("angle.fed", "error", text, {"rows_1": float(still.size), "moved_um": fed_um})]
     return []
+
+
+def _as_the_file_says(run: Run) -> list[Finding]:
+    """Hold circular deviation and centre of a whole circle against those that the file itself states; its axes may be exchanged here."""
+    told = run.meta.vendor
+    angle_deg, deviation_um = run.arc
+    whole = angle_deg.size > _FEWEST and float(np.ptp(angle_deg)) > _TURN_DEG - 2.0
+    if not whole or run.meta.radius_mm is None or not {"circularity_um", "centre_a_um", "centre_b_um"} <= set(told):
+        return []
+    circle = fit_circle(angle_deg, deviation_um, run.meta.radius_mm)
+    read_um = float(np.ptp(residual_um(angle_deg, deviation_um, run.meta.radius_mm, circle)))
+    centre = circle.centre_a_um, circle.centre_b_um
+    stated = told["centre_a_um"], told["centre_b_um"]
+    apart_um = min(np.hypot(a - stated[0], b - stated[1]) for a, b in (centre, centre[::-1]))
+    size_um = max(read_um, told["circularity_um"])
+    if (
+        max(abs(read_um - told["circularity_um"]), apart_um)
+        <= _OTHERWISE * (size_um + np.hypot(*stated)) + _OTHERWISE_UM
+    ):
+        return []
+    said = (
+        f"the readings give a circular deviation of {read_um:z.1f} µm about a centre at {centre[0]:+z.1f} and {centre[1]:+z.1f} µm, the file itself states "
+        f"{told['circularity_um']:z.1f} µm at {stated[0]:+z.1f} and {stated[1]:+z.1f} µm: they are of another unit, sign or run, or the file was changed"
+    )
+    return [Finding("vendor.differs", "warning", said, {"read_um": read_um, "stated_um": told["circularity_um"]})]
 
 
 def _signals(group: SignalGroup, *, gaps_told: bool) -> list[Finding]:

@@ -22,13 +22,22 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.foreign_columns import Column, below_heads, columns_of, header_row, joined_heads, require_one_table
+from dtwin.acquire.foreign_columns import (
+    DEVIATION,
+    Column,
+    below_heads,
+    columns_of,
+    header_row,
+    joined_heads,
+    require_one_table,
+    require_usual_sign,
+)
 from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import DEVIATION, DIRECTION, bare, beside_way, blocks, deviates, way_of
+from dtwin.kinds.circular._circle_ways import DIRECTION, bare, beside_way, blocks, deviates, way_of
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -98,7 +107,9 @@ def read_circle_runs(
     lines = rows_of(decoded(table_bytes(path, _MAX_BYTES)))
     columns, body = _table(lines, path)
     form = _form_of(columns)
-    _require_as_titled(lines[: len(lines) - len(body)], stated, path)
+    above = lines[: len(lines) - len(body)]
+    _require_as_titled(above, stated, path)
+    require_usual_sign(above, path)
     _require_one_meaning(columns, path)
     require_one_table([column.head for column in columns], body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
@@ -139,7 +150,7 @@ def read_circle_runs(
             | ({} if form.time is None else {"t_s": values[form.time]})
             | kept
         )
-        for told, part in blocks(columns, lines[: len(lines) - len(body)], body):
+        for told, part in blocks(columns, above, body):
             block = {name: column[good & part] for name, column in rows.items()}
             runs += _runs(block, way if form.pair else way or told, stated, str(path))
     if not runs:

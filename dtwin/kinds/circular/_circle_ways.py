@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.acquire.foreign_columns import PROBES, Column, in_english
+from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
 from dtwin.schema import Direction
 
 _SPELT = (
@@ -26,8 +26,11 @@ _SPELT = (
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
-DEVIATION = re.compile(r"^(radial )?(deviation|abweichung)$", re.I)
 DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
+
+_RUN = re.compile(
+    r"^(run|repeat|repetition|lauf|durchgang|messung|wiederholung|test)( ?(no|nr|number|nummer)\.?)?$", re.I
+)
 
 
 def bare(column: Column) -> str:
@@ -44,14 +47,24 @@ def deviates(column: Column) -> bool:
 def blocks(
     columns: Sequence[Column], above: Sequence[Sequence[str]], body: Sequence[Sequence[str]]
 ) -> Sequence[tuple[Direction | None, NDArray[np.bool_]]]:
-    """Return which rows were measured in one go, with the direction that a column of directions, or the title above them, tells."""
+    """Return which rows were measured in one go, with the direction that a column of directions, or the title above them, tells.
+
+    A column that counts runs parts them, too.
+    """
+    counted = next((i for i, c in enumerate(columns) if _RUN.match(bare(c))), None)
+    of_run = [row[counted].strip() if counted is not None and counted < len(row) else "" for row in body]
+    # A number for each row counts rows.
+    of_run = of_run if 2 * len(set(of_run)) < len(of_run) else [""] * len(of_run)
     column = next((i for i, c in enumerate(columns) if DIRECTION.match(bare(c))), None)
     titles = [_way_of_title(row) for row in above]
     ways: list[Direction | None] = [next((way for way in titles[::-1] if way), None)]
     begins = [0]
     for n, row in enumerate(body):
         told = _way_of_title(row) if column is None else way_of(row[column].lower()) if column < len(row) else None
-        if told is not None and (column is None or told != ways[-1]):
+        if n and of_run[n] and of_run[n] != of_run[n - 1]:
+            begins.append(n)
+            ways.append(told or ways[-1])
+        elif told is not None and (column is None or told != ways[-1]):
             if n:
                 begins.append(n)
             else:

@@ -45,6 +45,16 @@ def lost_readings(temperature_c: Floats) -> NDArray[np.bool_]:
     return lost
 
 
+def stepped(t_s: Floats, temperature_c: Floats) -> NDArray[np.intp]:
+    """Return before which readings a sensor stepped, and stayed, as none of a machine does within a usual time; dropouts are NaN."""
+    there = np.flatnonzero(np.isfinite(temperature_c) & np.isfinite(t_s))
+    if there.size <= _AROUND:
+        return there[:0]
+    steps, gaps = np.abs(np.diff(temperature_c[there])), np.diff(t_s[there])
+    far = steps > max(_OFF_C, _TIMES_USUAL * float(np.median(steps)))
+    return there[1:][far & (gaps <= 2.0 * float(np.median(gaps)))]
+
+
 def nothing_read(moved_um: Floats) -> NDArray[np.bool_]:
     """Return which readings are 0 and leave their neighbours and come back, where few do."""
     there = np.flatnonzero(np.isfinite(moved_um))

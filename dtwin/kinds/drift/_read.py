@@ -34,7 +34,7 @@ from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS
 from dtwin.errors import InputError
-from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible
+from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, stepped
 from dtwin.kinds.drift._model import sense
 from dtwin.kinds.drift._standing import standing
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
@@ -128,7 +128,10 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         if (lost := lost_readings(read)).any():
             said = f"{lost.sum()} readings of {name} leave their neighbours and come back, or are of no machine ({read[lost][0]:g} °C), {_when(t_s, lost)}: the sensor dropped out, and the rows are left out"
             cold.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
-            shared[name] = np.where(lost, np.nan, read)
+            shared[name] = read = np.where(lost, np.nan, read)
+        if (stepped_at := stepped(t_s, read)).size:
+            said = f"{name} steps between two readings, to {read[stepped_at[0]]:g} °C after {(t_s[stepped_at[0]] - np.nanmin(t_s)) / 60.0:z.0f} min: another unit (°F) or another sensor from there on, or one that came off; what follows from it is suspect"
+            cold.append(Finding("drift.sensor_steps", "warning", said, {"steps_1": float(stepped_at.size)}))
     if not temperatures:
         said = "no temperature was logged: how far it drifted is told, and not what it follows"
         cold.append(Finding("drift.no_temperature", "warning", said))
@@ -182,9 +185,10 @@ def is_drift_log(path: Path) -> bool:
         or _turns(said, body, heads, factors)
         or any(_travels([row[i] for row in body], factors[i]) for i, name in enumerate(heads) if name in told)
     )
-    return (
-        bool({"t_s", _STAMPED} & set(heads)) and bool(told) and any(map(_TEMPERATURE.fullmatch, heads)) and not others
-    )
+    # A log whose temperatures are all in another unit is refused as what it is.
+    kelvin = any(_OTHER_DEGREES.fullmatch(column.unit) for column in _unknown(said, units, {}))
+    warm = kelvin or any(map(_TEMPERATURE.fullmatch, heads))
+    return bool({"t_s", _STAMPED} & set(heads)) and bool(told) and warm and not others
 
 
 def _turns(said: Sequence[str], body: Sequence[Sequence[str]], heads: Sequence[str], factors: Sequence[float]) -> bool:

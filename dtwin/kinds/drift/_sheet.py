@@ -37,10 +37,14 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         series = series_of(run, as_read=True)
         t_s, moved = _means(series)
         hours = _hours(t_s)
-        worst = max(hours, key=lambda hour: np.ptp(moved[hour]))
         of_mean = series.floor_um / math.sqrt(len(series.t_s) / len(t_s))
         dof = float(len(series.t_s) - len(t_s)) if math.isfinite(of_mean) else 0.0
-        found = (("d", "range of the drift", moved), ("d(1 h)", "range in one hour", moved[worst]))
+        found = [("d", "range of the drift", moved)]
+        if hours:
+            worst = max(hours, key=lambda hour: np.ptp(moved[hour]))
+            found.append(("d(1 h)", "range in one hour", moved[worst]))
+        else:
+            notes.append(f"{run.meta.run_id}: no hour holds two readings, so the range in one hour is not known.")
         figures = tuple(
             Characteristic(
                 symbol,
@@ -67,8 +71,8 @@ def variation(runs: Sequence[Run], campaign: str) -> Variation | None:
         if sound and run.meta.condition.get("test") == AT_REST and len(run.samples["t_s"]) > 1:
             t_s, moved = _means(series_of(run, as_read=True))
             hours = min(1.0, float(t_s[-1] - t_s[0]) / _HOUR_S)
-            mean = float(np.mean([np.ptp(moved[hour]) for hour in _hours(t_s)]))
-            found.append(Variation(mean, round(hours, 2), campaign))
+            ranges = [np.ptp(moved[hour]) for hour in _hours(t_s)]
+            found += [Variation(float(np.mean(ranges)), round(hours, 2), campaign)] if ranges else []
     return max(found, key=lambda one: one.range_um, default=None)
 
 
@@ -115,7 +119,9 @@ def _smooth(moved: Floats, of_mean: float) -> Floats:
 
 
 def _hours(t_s: Floats) -> list[slice]:
-    """Return the hour from every reading on that has a whole hour after it; of a short log, all of it."""
+    """Return the hour from every reading on that has a whole hour after it, and a second reading in it; of a short log, all of it."""
+    if t_s[0] + _HOUR_S > t_s[-1]:
+        return [slice(None)]
     last = np.searchsorted(t_s, t_s + _HOUR_S, side="right")
     whole = np.flatnonzero(t_s + _HOUR_S <= t_s[-1]).tolist()
-    return [slice(n, int(last[n])) for n in whole] or [slice(None)]
+    return [slice(n, int(last[n])) for n in whole if last[n] > n + 1]

@@ -18,12 +18,12 @@ import numpy as np
 from dtwin.acquire.campaign_folder import inside
 from dtwin.acquire.clock_column import clock_of, of_stamps
 from dtwin.acquire.foreign_columns import (
-    REVERSED,
     below_heads,
     in_english,
     joined_heads,
     require_one_of,
     require_one_table,
+    require_usual_sign,
     unit_of_titles,
 )
 from dtwin.acquire.repeated_heads import require_one_block
@@ -157,16 +157,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     if not recipe and (places := repeated_places(rows)):
         raise no_commanded(path, places)
     named, heads, units, below, unit = _headed(rows, recipe, path)
-    title = next((text for row in rows[:_MOST_TITLES] if REVERSED.search(text := " ".join(row).strip())), "")
-    if title and not any(name.startswith("measured_") for name in named):
-        raise InputError(
-            "errors are target minus actual: their sign is the opposite of everywhere else",
-            code="poses.sign",
-            where=str(path),
-            got=title[:60],
-            allowed="actual minus target",
-            hint="change the sign of the errors, and say so in the title",
-        )
+    if not any(name.startswith("measured_") for name in named):
+        require_usual_sign(rows[:_MOST_TITLES], path)
     without = [head for head, name in zip(heads, named, strict=True) if name.endswith(NO_UNIT)]
     if without:
         raise InputError(

@@ -121,6 +121,12 @@ def test_torn_numbers_are_joined(torn: str) -> None:
 
 def test_unsigned_numbers_are_separated_by_space() -> None:
     np.testing.assert_array_equal(parse_readings("0.1 0.25\n3", "x"), [0.1, 0.25, 3.0])
+    np.testing.assert_array_equal(parse_readings("1, 2, 3", "x"), [1.0, 2.0, 3.0])
+
+
+def test_decimal_commas_are_read_as_such() -> None:
+    np.testing.assert_array_equal(parse_readings("+0,12\n345 -\n0,00001", "x"), [0.12345, -0.00001])
+    np.testing.assert_array_equal(parse_readings("0,1 -0,25\n3,0", "x"), [0.1, -0.25, 3.0])
 
 
 @pytest.mark.parametrize("bad", ["nan 1.0", "+1.0 inf", "0.1 abc"])

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -88,6 +90,24 @@ def test_a_file_with_rules_of_its_own_needs_no_import(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), {}, {})
     assert refused.value.code == "import.needless"
+
+
+@pytest.mark.parametrize("words", [False, True])
+def test_parquet_is_imported_where_its_names_are_foreign_or_a_column_holds_words(tmp_path: Path, words: bool) -> None:
+    path, home, n = tmp_path / "circle.parquet", Home(tmp_path / "home"), 400
+    size = 1.0 if words else 1000.0
+    names = ("t_s", "angle_deg", "deviation_um", "plane") if words else ("t_ms", "angle_deg", "deviation_mm", "load_v")
+    values = (
+        size * 0.1 * np.arange(n),
+        0.9 * np.arange(n),
+        np.sin(np.arange(n)) / size,
+        ["XY"] * n if words else [None] * n,
+    )
+    pq.write_table(pa.table(dict(zip(names, values, strict=True))), path)
+    write_folder(understand(path, home, CIRCLE, {}), tmp_path / "c", home)
+    (run,) = next(iter(open_source(tmp_path / "c")[1]))[0]
+    assert run.samples["deviation_um"] == pytest.approx(np.sin(np.arange(n)), abs=1e-9)
+    assert run.samples["t_s"] == pytest.approx(0.1 * np.arange(n))
 
 
 def test_blank_columns_that_a_spreadsheet_leaves_hide_no_table(tmp_path: Path) -> None:
@@ -317,6 +337,8 @@ def test_a_log_with_one_line_a_reading_becomes_columns_that_hold_until_the_next(
         ("Winkel [deg],Wert [um],Zeit [s]", {}, '"Wert [um]=deviation_um"'),
         ("Weg,Wert", {"axis": "X"}, '"Weg=position_mm"'),
         ("Zeit [s],Taster [um]", CIRCLE, '"Taster [um]=deviation_um"'),
+        # What counts the rows is no deviation.
+        ("Nr.,Winkel [deg],Wert [um]", CIRCLE, '"Wert [um]=deviation_um"'),
         ("A,B", {}, '"HEAD=NAME"'),
     ],
 )
@@ -328,6 +350,26 @@ def test_the_hint_proposes_a_column_of_the_kind_that_is_meant(
     with pytest.raises(InputError) as refused:
         understand(path, Home(tmp_path / "home"), told, {})
     assert proposed in str(refused.value.hint)
+
+
+@pytest.mark.parametrize("head", ["Radialabweichung", "radiale Abweichung", "Radial dev.", "Deviation"])
+def test_names_of_a_radial_deviation(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"Winkel: [°];{head} [µm]", *(f"{n};{n % 7}" for n in range(360))]), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), CIRCLE, {}).runs == (("a-ccw1", 360),)
+
+
+def test_two_runs_beside_each_other_under_the_same_heads_are_not_read_as_one(tmp_path: Path) -> None:
+    path, home = tmp_path / "a.csv", Home(tmp_path / "home")
+    rows = [f"{n};{n % 7};{(360 - n) % 360};{n % 5}" for n in range(360)]
+    path.write_text("\n".join(["angle [deg];deviation [µm];angle [deg];deviation [µm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        understand(path, home, CIRCLE, {})
+    assert refused.value.code == "import.twice"
+    # The same column twice is one.
+    rows = [f"{n};{n % 7};{n}" for n in range(360)]
+    path.write_text("\n".join(["angle [deg];deviation [µm];angle [deg]", *rows]), encoding="utf-8")
+    assert understand(path, home, CIRCLE, {}).runs == (("a-ccw1", 360),)
 
 
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.motion_quality import aligned_angle_deg, motion_of, non_repeatable_um
-from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_pasted, judge_run
 from dtwin.schema import Finding, Run, RunMeta, SignalGroup
 
 
@@ -162,3 +162,33 @@ def test_millimetres_in_a_column_of_micrometres_are_an_error() -> None:
 
 def test_a_copy_of_a_run_is_no_repeat() -> None:
     assert judge_copies({"a": "1", "b": "2", "c": "1"}).keys() == {"c"}
+
+
+def _reads(name: str, read_um: np.ndarray, source: str = "x.csv") -> Run:
+    return Run(RunMeta(name), {"t_s": np.arange(read_um.size), "error_um": read_um}, source=source)
+
+
+def test_a_cycle_or_a_direction_that_was_copied_over_another_is_told_and_a_coarse_display_is_not() -> None:
+    read = np.random.default_rng(1).normal(0.0, 1.0, (5, 120))
+    copied = read[[0, 1, 2, 3, 3]]
+    assert judge_pasted([_reads(str(n), one[:18]) for n, one in enumerate(copied)]).keys() == {"4"}
+    assert judge_pasted([_reads("ccw", read[0]), _reads("cw", read[0, ::-1])]).keys() == {"cw"}
+    coarse = np.round(np.linspace(0.0, 9.0, 18) + 0.05 * read[:, :18])
+    coarse[4] = coarse[3]
+    assert not judge_pasted([_reads(str(n), one) for n, one in enumerate(coarse)])
+    assert not judge_pasted([_reads("1", read[0, :18]), _reads("2", read[0, :18])])
+    assert not judge_pasted([_reads("1", np.zeros(120)), _reads("2", np.zeros(120))])
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.0 / 25.4, True), (-1.0, True)])
+def test_readings_that_do_not_give_what_their_file_states_are_told(
+    real: dict[str, Run], factor: float, told: bool
+) -> None:
+    for run in real.values():
+        changed = replace(run, samples=run.samples | {"deviation_um": factor * run.samples["deviation_um"]})
+        assert told == any(f.code == "vendor.differs" for f in judge_run(changed))
+
+
+def test_a_feed_that_is_a_tenth_of_the_real_one_is_told_of_a_record_too_short_for_it(real: dict[str, Run]) -> None:
+    run = replace(real["ccw"], meta=replace(real["ccw"].meta, feed_mm_min=500.0))
+    assert found(judge_run(run), "feed.differs").severity == "error"

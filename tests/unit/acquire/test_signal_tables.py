@@ -44,6 +44,22 @@ def test_degrees_fahrenheit_are_degrees_celsius_here(tmp_path: Path, head: str) 
     assert group.columns["rise_c"] == pytest.approx([0.0, 1.0, 10.0])
 
 
+@pytest.mark.parametrize("head", ["bed x [m/s²]", "bed x (m/s^2)", "bed x [mg]"])
+def test_accelerations_are_read_in_g(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "r001.bed.csv"
+    size = 1000.0 if "mg" in head else 9.80665
+    path.write_text(f"Time [s],{head}\n0,{size}\n0.1,0\n0.2,{-size}\n", encoding="utf-8")
+    assert read_signals(path)[0].columns["bed_x_g"] == pytest.approx([1.0, 0.0, -1.0])
+
+
+def test_a_file_of_another_form_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "r001.bed.wav"
+    path.write_bytes(b"RIFF....WAVE")
+    with pytest.raises(InputError) as refused:
+        read_signals(path)
+    assert refused.value.code == "signals.type"
+
+
 @pytest.mark.parametrize(
     ("text", "code"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import zipfile
 from datetime import datetime, time, timedelta
 from pathlib import Path
@@ -219,7 +220,7 @@ def packed(path: Path, members: dict[str, bytes]) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("ending", [".xls", ".xlsx", ".zip", ".csv"])
+@pytest.mark.parametrize("ending", [".xls", ".xlsx", ".zip", ".csv", ".csv.gz"])
 def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, ending: str) -> None:
     text = TABLE.format("\t").encode()
     book = write(tmp_path / "book.xlsx", [["target [mm]", "forward 1 [µm]", "reverse 1 [µm]"], [0, 1, 2], [100, 2, 3]])
@@ -227,6 +228,7 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
         "text": text,
         "utf-16": TABLE.format("\t").encode("utf-16"),
         "archive": packed(tmp_path / "a.zip", {"__MACOSX/._x": b"", "x/table.csv": text}),
+        "packed": gzip.compress(text),
         "archive of a book": packed(tmp_path / "b.zip", {"book.xlsx": book.read_bytes()}),
         "book": book.read_bytes(),
         "page": page_of(TABLE.format("\t")).encode(),
@@ -236,6 +238,21 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
         path.write_bytes(content)
         runs = next(iter(open_source(path, {"axis": "X"})[1]))[0]
         assert [run.n_samples for run in runs] == [4], name
+
+
+def test_a_packed_file_that_is_cut_or_grows_without_bounds_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "table.csv.gz"
+    whole = gzip.compress(TABLE.format("\t").encode())
+    path.write_bytes(whole[:-9])
+    with pytest.raises(InputError):
+        open_source(path, {"axis": "X"})
+    monkeypatch.setattr("dtwin.acquire.spreadsheet._MAX_UNPACKED", 10)
+    path.write_bytes(whole)
+    with pytest.raises(InputError) as refused:
+        open_source(path, {"axis": "X"})
+    assert refused.value.code == "spreadsheet.unusable"
 
 
 @pytest.mark.parametrize("ending", [".csv", ".xls", ".xlsx", ".txt"])

@@ -17,6 +17,7 @@ from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
+from dtwin.report.checking import check_source
 
 # Some blocks of a megabyte.
 ROWS = 150_000
@@ -52,6 +53,27 @@ def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_columns(tmp_path / "a.parquet", "circular")
     assert refused.value.code == "columns.number"
+
+
+@pytest.mark.parametrize(("every", "severity"), [(10, "warning"), (1, "")])
+def test_a_column_that_takes_most_rows_with_it_is_a_warning(tmp_path: Path, every: int, severity: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n / 10},{n},{n % 7},{'' if n % every else 20.1}" for n in range(361)]
+    path.write_text("\n".join(["t_s,angle_deg,deviation_um,air_c", *rows]), encoding="utf-8")
+    (run,) = check_source(path, told={"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1047.0})["runs"]
+    found = [f["severity"] for f in run["findings"] if f["code"] == "rows.rejected"]
+    assert found == ([severity] if severity else [])
+
+
+@pytest.mark.parametrize("kind", [pa.timestamp("us", tz="Europe/Berlin"), pa.timestamp("ns"), pa.duration("ms")])
+def test_times_that_parquet_holds_as_such_are_seconds(tmp_path: Path, kind: pa.DataType) -> None:
+    begin = 0 if pa.types.is_duration(kind) else 1_774_000_000_000
+    per = {"us": 1000, "ns": 1_000_000, "ms": 1}[kind.unit]
+    t = pa.array([per * (begin + 5 * n) for n in range(9)]).cast(kind)
+    numbers = np.arange(9.0)
+    pq.write_table(pa.table({"t_s": t, "angle_deg": numbers, "deviation_um": numbers}), tmp_path / "a.parquet")
+    columns, _ = read_columns(tmp_path / "a.parquet", "circular")
+    assert columns["t_s"] == pytest.approx(0.005 * numbers, abs=1e-12)
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 65_536, 65_537])

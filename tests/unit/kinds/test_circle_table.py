@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dtwin.acquire._lone_table import open_table
+from dtwin.acquire.importing import understand
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
+from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_table import is_circle_table, read_circle_runs
 from dtwin.schema import Campaign, Floats, Run
@@ -302,6 +304,40 @@ def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_ro
     assert (ccw.meta.direction, cw.meta.direction) == ("CCW", "CW")
     assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
     assert cw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::-1], abs=1e-5)
+
+
+@pytest.mark.parametrize("head", ["run", "Messung Nr.", "repeat"])
+def test_a_column_that_counts_runs_parts_them(tmp_path: Path, head: str) -> None:
+    rows = [f"{n},{a},{d + n}" for n in (1, 2, 3) for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
+    runs = read(tmp_path / "a.csv", "\n".join([f"{head},angle_deg,deviation_um", *rows]))
+    assert [run.meta.repeat for run in runs] == [1, 2, 3]
+    for n, run in enumerate(runs, start=1):
+        assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0) + n)
+    # What counts rows counts no runs.
+    rows = [f"{n},{a},{a % 7}" for n, a in enumerate(ANGLE)]
+    assert len(read(tmp_path / "b.csv", "\n".join([f"{head},angle_deg,deviation_um", *rows]))) == 1
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        "angle [deg],ccw Soll-Ist [µm]",
+        "nominal - actual\nangle [deg],ccw [µm]",
+        "Soll - Ist\nangle [deg],deviation [µm]",
+    ],
+)
+def test_deviations_of_the_opposite_sign_are_refused(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(table(heads, ANGLE, error_um(ANGLE, 1.0)), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), TOLD, {})
+    assert refused.value.code == "table.sign"
+
+
+@pytest.mark.parametrize("unit", ["µ", "Mikron", "1/1000 mm"])
+def test_names_of_a_micrometre(tmp_path: Path, unit: str) -> None:
+    (run,) = read(tmp_path / "a.csv", table(f"angle [deg],ccw [{unit}]", ANGLE, error_um(ANGLE, 1.0)))
+    assert run.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
-CODES = {"circular.spoilt_readings", "circular.repeats_differ"}
+CODES = {"circular.spoilt_readings", "circular.repeats_differ", "circular.scale"}
 
 
 def circle(rng: np.random.Generator, repeat: int, feed: float, way: Any, n: int, noise_um: float) -> Run:
@@ -57,6 +57,18 @@ def spoilt(run: Run, row: int, off_um: float) -> Run:
 
 def told(runs: list[Run]) -> list[Finding]:
     return [f for f in judge_campaign(list(map(without_samples, runs))) if f.code in CODES]
+
+
+def test_a_direction_in_another_unit_is_told() -> None:
+    ccw, cw = (run for run in campaign(1) if run.meta.repeat == 1 and run.meta.feed_mm_min == 1000.0)
+    assert not told([ccw, cw])
+    inch = replace(cw, samples=cw.samples | {"deviation_um": cw.samples["deviation_um"] / 25.4})
+    (finding,) = told([ccw, inch])
+    assert finding.code == "circular.scale"
+    assert finding.numbers["ratio_1"] == pytest.approx(25.4, rel=0.1)
+    # Another shape is another circle.
+    other = replace(inch, samples=inch.samples | {"deviation_um": np.roll(inch.samples["deviation_um"], 90)})
+    assert not told([ccw, other])
 
 
 @pytest.mark.parametrize("off_um", [8.0, -14.0])

@@ -589,6 +589,8 @@ def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Pat
     path = tmp_path / "a.csv"
     rows = [f"{60 * n},{n / 2},{290 + n / 10}" for n in range(60)]
     path.write_text("\n".join(["t_s,Z [µm],spindle [K]", *rows]), "utf-8")
+    with pytest.raises(InputError, match="lacks columns"):
+        next(iter(open_source(path, {"machine": "m"})[1]))
     head = '[campaign]\nname = "c"\nmachine = "m"\nkind = "drift"\n'
     entry = '[[run]]\nid = "r"\nfile = "a.csv"\n'
     (tmp_path / "campaign.toml").write_text(head + entry, encoding="utf-8")
@@ -599,6 +601,28 @@ def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Pat
     (tmp_path / "campaign.toml").write_text(head + named + entry, encoding="utf-8")
     with pytest.raises(InputError, match="in another unit"):
         next(iter(open_source(tmp_path)[1]))
+
+
+@pytest.mark.parametrize(("factor", "zero", "told"), [(1.0, 0.0, False), (1.8, 32.0, True)])
+def test_a_sensor_that_goes_on_in_another_unit_is_told(tmp_path: Path, factor: float, zero: float, told: bool) -> None:
+    path = tmp_path / "a.csv"
+    read = [20.0 + n / 60.0 for n in range(120)]
+    rows = [f"{60 * n},{n / 10},{t if n < 70 else factor * t + zero:.3f}" for n, t in enumerate(read)]
+    path.write_text("\n".join(["t_s,Z [µm],spindle [°C]", *rows]), "utf-8")
+    ((run,),) = (runs for runs, _ in open_source(path, {"machine": "m"})[1])
+    assert told == any(f.code == "drift.sensor_steps" for f in run.findings)
+
+
+def test_a_logger_writes_colons_behind_heads_and_units_of_some_columns_below(tmp_path: Path) -> None:
+    rows = [f"28.03.26\t20:{n:02d}:00\t{20 + n / 10}\t{n / 2}".replace(".", ",") for n in range(60)]
+    rows = [row.replace("28,03,26", "28.03.26") for row in rows]
+    path = tmp_path / "a.txt"
+    path.write_text(
+        "\n".join(["ALMEMO 2890", "DATUM:\tZEIT:\tM00: Spindel\tM01: Taster Z", "\t\t°C\tµm", *rows]), "utf-8"
+    )
+    (run,) = next(iter(open_source(path, {"machine": "m"})[1]))[0]
+    assert run.samples["t_s"][-1] == 59 * 60.0
+    assert run.samples["displacement_um"][-1] == pytest.approx(29.5)
 
 
 @pytest.mark.parametrize("unit", ["°F", "F"])

@@ -1272,6 +1272,13 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "way"),
     [
+        ("Up1", "forward"),
+        ("Hinfahrt 1", "forward"),
+        ("Rückfahrt 1", "reverse"),
+        ("bk 1 [µm]", "reverse"),
+        ("Dn1", "reverse"),
+        ("steigend", "forward"),
+        ("abwärts 2 [µm]", "reverse"),
         ("from below 1 [mm]", "forward"),
         ("from_above_1_mm", "reverse"),
         ("above", "reverse"),
@@ -1286,6 +1293,19 @@ def test_poses_below_titles_are_no_positioning_table(tmp_path: Path) -> None:
 )
 def test_the_side_from_which_a_target_was_approached_is_its_direction(head: str, way: str | None) -> None:
     assert way_of(head) == way
+
+
+@pytest.mark.parametrize("other", ["left", "a", "kalt"])
+def test_readings_of_one_direction_are_not_taken_alone_beside_as_many_of_an_unknown_one(
+    tmp_path: Path, other: str
+) -> None:
+    path = tmp_path / "a.csv"
+    heads = ";".join(f"b {n} [µm];{other} {n} [µm];air {n} [°C]" for n in (1, 2, 3))
+    rows = [";".join([str(t), *["1"] * 9]) for t in (0, 100, 200)]
+    path.write_text("\n".join([f"target [mm];{heads}", *rows]), encoding="utf-8")
+    assert not is_position_table(path)
+    path.write_text(path.read_text("utf-8").replace(f"{other} ", "mean "), "utf-8")
+    assert is_position_table(path)
 
 
 def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> None:

@@ -52,6 +52,15 @@ def test_the_ranges_of_a_steady_drift_are_its_rate_times_the_time() -> None:
     assert sheet["verdict"] == "outside"
 
 
+def test_readings_more_than_an_hour_apart_tell_no_range_in_one_hour() -> None:
+    run = log(3.0, 6.0, test="environment")
+    run.samples["t_s"][:] *= 100.0
+    sheet = sheet_of(kind_named("drift"), Campaign("c", "m", "drift"), [run], {})
+    assert [c["symbol"] for c in sheet["parts"][0]["characteristics"]] == ["d"]
+    assert any("no hour holds two readings" in note for note in sheet["notes"])
+    assert kind_named("drift").variation([run], "c") is None
+
+
 def of_drift(instrument: dict[str, float], run: Run) -> list[dict[str, Any]]:
     sheet = sheet_of(kind_named("drift"), Campaign("c", "m", "drift", instrument=instrument), [run], {})
     return list(sheet["parts"][0]["characteristics"])

@@ -34,6 +34,7 @@ from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench, Cache
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
+from dtwin.workbench._import_routes import _for_the_page
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._live_routes import sessions
 from dtwin.workbench._twin_routes import decimal
@@ -355,6 +356,10 @@ def test_a_table_in_an_archive_is_asked_about_and_refusals_name_fields_of_the_fo
     assert "kind in the form: rotary" in first["refused"]
     assert (then["refused"], then["kind"]) == ("", "rotary")
     assert 'name="kind"' in client.get("/").text
+    # A command keeps its options.
+    error = InputError("x", code="x", hint="wrong: dtwin amend c --set axis=X --because WHY")
+    _for_the_page(error, tmp_path)
+    assert str(error.hint).endswith("--set axis=X --because WHY")
 
 
 def test_pandas_is_whole_before_a_second_thread_could_load_it(tmp_path: Path) -> None:

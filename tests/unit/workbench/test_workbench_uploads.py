@@ -54,7 +54,7 @@ def test_ordinary_names_stay() -> None:
 
 
 def test_a_campaign_in_an_archive_is_found(tmp_path: Path) -> None:
-    members = {"c/campaign.toml": b"x", "c/a.b5r": b"x"}
+    members = {"c/campaign.toml": b"x", "c/a.b5r": b"x", "c/.DS_Store": b"x", "__MACOSX/c/._a.b5r": b"x"}
     archive(tmp_path / "c.zip", members)
     found = uploads.sources(tmp_path)
     assert [path.name for path in found] == ["c"]
