@@ -16,7 +16,10 @@ _TELEMETRY_OFF = {
     "DO_NOT_TRACK": "true",
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "ORT_DISABLE_TELEMETRY": "1",
 }
+# What is asked of servers on this computer, with the secrets that they want, is none of a proxy's business.
+_NO_PROXY = ("127.0.0.1", "localhost", "::1")
 # Of what commands keep in a home, one is always among the first.
 _OURS = ("lake", "locks", "machines", "twins", "mlflow", "fleet", "home.toml")
 # Tables and databases take a path as an address: with a % or a # they lay elsewhere. SQLite's longest path is 512 bytes.
@@ -59,6 +62,8 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "DO_NOT_TRACK": ("true", "telemetry of libraries is off; set it otherwise to allow it"),
     "MLFLOW_DISABLE_TELEMETRY": ("true", "the same for MLflow"),
     "PREFECT_SERVER_ANALYTICS_ENABLED": ("false", "the same for Prefect's server"),
+    "ORT_DISABLE_TELEMETRY": ("1", "the same for ONNX Runtime; `0` allows it"),
+    "NO_PROXY": ("none", "hosts that are asked without the proxy of `HTTP_PROXY`; this computer always is"),
     "OMP_WAIT_POLICY": ("passive", "threads of numerical libraries do not spin while they wait"),
 }
 """Environment variables that a user may set: default, and what it is for."""
@@ -211,9 +216,15 @@ def home() -> Home:
 
 
 def quiet_environment() -> None:
-    """Switch telemetry off and thread pools to polite, unless the user has set them."""
+    """Switch telemetry off and thread pools to polite, unless the user has set them; ask this computer without a proxy."""
     for name, value in (_TELEMETRY_OFF | _THREADS).items():
         os.environ.setdefault(name, value)
+    kept = os.environ.get("no_proxy") or os.environ.get("NO_PROXY") or ""
+    if kept.strip() != "*":
+        hosts = [host for host in kept.split(",") if host.strip()]
+        # Libraries differ in which of the two they read.
+        for name in ("no_proxy", "NO_PROXY"):
+            os.environ[name] = ",".join([*hosts, *(own for own in _NO_PROXY if own not in hosts)])
 
 
 def sample_recording() -> Path:
