@@ -45,6 +45,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
         "the registry of `home.toml`, else a SQLite file in `DTWIN_HOME`",
         "where models are logged and registered",
     ),
+    "MLFLOW_TRACKING_TOKEN": (
+        "none",
+        "what is said to an MLflow server that asks for it; that of `dtwin up` wants the part after the colon of `DTWIN_HOME/prefect-auth`",
+    ),
     "DTWIN_MLFLOW": (
         "later",
         "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
