@@ -87,6 +87,7 @@ def _options(
     state.require_parts()
     if state.root.exists() and not state.root.is_dir():
         raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
+    state.tightened()
     if state.file.store and context.invoked_subcommand not in _FOLLOW_THEMSELVES:
         from dtwin.shared_documents import followed_beside, following
 
@@ -128,7 +129,6 @@ def _open_closed_streams() -> None:
 
 
 def _run() -> None:
-    home().tightened()
     try:
         app()
     except DtwinError as error:
