@@ -165,7 +165,8 @@ def _is_of_database(error: Exception) -> bool:
     """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
     raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
     libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    return bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
+    in_them = bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
+    return in_them or "sqlite3.Error" in raised
 
 
 def _registry_away(error: Exception) -> StoreError:

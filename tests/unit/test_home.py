@@ -228,7 +228,7 @@ def test_a_check_finds_what_was_changed(lived_in: Home) -> None:
     assert CliRunner().invoke(app, ["home", "check"]).exit_code == 1
 
 
-def test_a_champion_that_the_registry_lost_is_found(lived_in: Home) -> None:
+def test_a_champion_that_the_registry_lost_is_found(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     (version,) = registered(lived_in, small_bundle(), virtual=True)
     put_on_trial(lived_in, version)
     path = machine_folder(MACHINE, lived_in) / "v0001.json"
@@ -236,6 +236,13 @@ def test_a_champion_that_the_registry_lost_is_found(lived_in: Home) -> None:
     assert not check_home(lived_in).wrong
     (lived_in.root / "mlflow" / "mlflow.db").write_bytes(b"")
     assert "nothing can withdraw it" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
+
+    def away(home: Home) -> Registry:
+        raise StoreError("the model registry cannot be written", code="registry.write")
+
+    # On a disk that can only be read, nothing is known of it.
+    monkeypatch.setattr("dtwin.train.registry.Registry", away)
+    assert "cannot be said: the model registry cannot" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
 
 
 def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
