@@ -87,6 +87,7 @@ def _options(
     state.require_parts()
     if state.root.exists() and not state.root.is_dir():
         raise InputError("the home is not a folder", code="home.folder", where=str(state.root), hint="set DTWIN_HOME")
+    state.tightened()
     if state.file.store and context.invoked_subcommand not in _FOLLOW_THEMSELVES:
         from dtwin.shared_documents import followed_beside, following
 
@@ -128,7 +129,6 @@ def _open_closed_streams() -> None:
 
 
 def _run() -> None:
-    home().tightened()
     try:
         app()
     except DtwinError as error:
@@ -165,7 +165,8 @@ def _is_of_database(error: Exception) -> bool:
     """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
     raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
     libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    return bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
+    in_them = bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
+    return in_them or "sqlite3.Error" in raised
 
 
 def _registry_away(error: Exception) -> StoreError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +17,17 @@ _TELEMETRY_OFF = {
     "DO_NOT_TRACK": "true",
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "ORT_DISABLE_TELEMETRY": "1",
 }
+# What is asked of servers on this computer, with the secrets that they want, is none of a proxy's business.
+_NO_PROXY = ("127.0.0.1", "localhost", "::1")
 # Of what commands keep in a home, one is always among the first.
 _OURS = ("lake", "locks", "machines", "twins", "mlflow", "fleet", "home.toml")
+# What else may lie in it before the first command, or is all that this one left on a disk without permissions.
+_BESIDE = (
+    *("alerts.toml", "audit.jsonl", "bundles", "cells", "delivery-key", "desks", "kept", "logs", "lost+found"),
+    *("people.toml", "plans", "prefect", "pulled", "recipes", "reports", "uploads", "workbench"),
+)
 # Tables and databases take a path as an address: with a % or a # they lay elsewhere. SQLite's longest path is 512 bytes.
 _MISREAD, _LONGEST = re.compile(rb"[%?#\\\x00-\x1f\x7f]"), 450
 # Matrices are small: threads of BLAS cost more than they give, and ten times that beside other work.
@@ -42,6 +51,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
         "the registry of `home.toml`, else a SQLite file in `DTWIN_HOME`",
         "where models are logged and registered",
     ),
+    "MLFLOW_TRACKING_TOKEN": (
+        "none",
+        "what is said to an MLflow server that asks for it; that of `dtwin up` wants the part after the colon of `DTWIN_HOME/prefect-auth`",
+    ),
     "DTWIN_MLFLOW": (
         "later",
         "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
@@ -59,6 +72,8 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "DO_NOT_TRACK": ("true", "telemetry of libraries is off; set it otherwise to allow it"),
     "MLFLOW_DISABLE_TELEMETRY": ("true", "the same for MLflow"),
     "PREFECT_SERVER_ANALYTICS_ENABLED": ("false", "the same for Prefect's server"),
+    "ORT_DISABLE_TELEMETRY": ("1", "the same for ONNX Runtime; `0` allows it"),
+    "NO_PROXY": ("none", "hosts that are asked without the proxy of `HTTP_PROXY`; this computer always is"),
     "OMP_WAIT_POLICY": ("passive", "threads of numerical libraries do not spin while they wait"),
 }
 """Environment variables that a user may set: default, and what it is for."""
@@ -96,6 +111,7 @@ class Home:
                 allowed=f"at most {_LONGEST} bytes, without % ? # \\ and control characters",
                 hint="set DTWIN_HOME to another folder",
             )
+        self._require_own()
         for part in self.root.glob("*"):
             if part.is_symlink() and not part.exists():
                 raise InputError(
@@ -106,14 +122,33 @@ class Home:
                     hint="mount the disk that it is on, or mend the link",
                 )
 
+    def _require_own(self) -> None:
+        """Refuse a folder that others use, too: it would be taken from them."""
+        with contextlib.suppress(OSError):
+            mode = self.root.stat().st_mode
+            names = {path.name for path in self.root.glob("[!.]*")} if mode & 0o077 else set()
+            if mode & stat.S_ISVTX or (names and not names & {*_OURS, *_BESIDE}):
+                raise InputError(
+                    "the home would be a folder that holds other things",
+                    code="home.others",
+                    where=str(self.root),
+                    got=", ".join(sorted(names)[:5])[:120],
+                    allowed="a folder of its own: only its owner may enter a home",
+                    hint="set DTWIN_HOME to a new folder",
+                )
+
     def tightened(self) -> Home:
         """Take the folder from other users when state of dtwin lies in it, and return the home."""
-        # Another folder that was named by mistake, or a file, is none of ours.
-        return self._closed() if any((self.root / name).exists() for name in _OURS) else self
+        # Another folder that was named by mistake, or a file, is none of ours; a path may be too long to look at.
+        with contextlib.suppress(OSError):
+            if any((self.root / name).exists() for name in _OURS):
+                return self._closed()
+        return self
 
     def _closed(self) -> Home:
         with contextlib.suppress(OSError):
-            if self.root.stat().st_mode & 0o077:
+            mode = self.root.stat().st_mode
+            if mode & 0o077 and not mode & stat.S_ISVTX:
                 self.root.chmod(0o700)
         return self
 
@@ -211,9 +246,15 @@ def home() -> Home:
 
 
 def quiet_environment() -> None:
-    """Switch telemetry off and thread pools to polite, unless the user has set them."""
+    """Switch telemetry off and thread pools to polite, unless the user has set them; ask this computer without a proxy."""
     for name, value in (_TELEMETRY_OFF | _THREADS).items():
         os.environ.setdefault(name, value)
+    kept = os.environ.get("no_proxy") or os.environ.get("NO_PROXY") or ""
+    if kept.strip() != "*":
+        hosts = [host for host in kept.split(",") if host.strip()]
+        # Libraries differ in which of the two they read.
+        for name in ("no_proxy", "NO_PROXY"):
+            os.environ[name] = ",".join([*hosts, *(own for own in _NO_PROXY if own not in hosts)])
 
 
 def sample_recording() -> Path:

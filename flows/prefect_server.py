@@ -13,14 +13,12 @@ import uvicorn
 from prefect.server.api.server import create_app
 from prefect.settings import get_current_settings
 from starlette.datastructures import Headers
-from starlette.responses import HTMLResponse, PlainTextResponse
+from starlette.responses import HTMLResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from dtwin.own_address import is_foreign, names_this_computer
 from flows._prefect_tables import make_missing_tables
+from flows.own_pages import ENTER, HOST, asks_from_elsewhere, refuse
 
-HOST = "127.0.0.1"
-ENTER = "/enter"
 # The part of the address behind # stays in the browser: the page keeps it where Prefect's own
 # page keeps what is typed into it.
 _ENTER_PAGE = (
@@ -47,18 +45,8 @@ class OwnPagesOnly:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        host = headers.get("host", "")
-        foreign = (
-            not names_this_computer(host)
-            or is_foreign(headers.get("origin"), host)
-            or headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
-        )
-        if foreign and scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})
-        elif foreign:
-            refusal = PlainTextResponse("refused: another site asks, or another name\n", 403)
-            await refusal(scope, receive, send)
+        if asks_from_elsewhere(Headers(scope=scope)):
+            await refuse("another site asks, or another name", 403, scope, receive, send)
         elif scope["type"] == "http" and scope["path"] == ENTER:
             await HTMLResponse(_ENTER_PAGE)(scope, receive, send)
         else:

@@ -56,6 +56,17 @@ def auth_string(state: Home) -> str:
     return made
 
 
+def mlflow_token(state: Home) -> str:
+    """Return what clients and pages say to this home's MLflow server: the part of the auth string after its colon.
+
+    Parameters
+    ----------
+    state : Home
+        Gives the file.
+    """
+    return auth_string(state).partition(":")[2]
+
+
 def answers(url: str, timeout_s: float = 2.0) -> bool:
     """Tell whether an address answers with success.
 

@@ -24,7 +24,7 @@ from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError, MissingPart, StoreError
 from dtwin.locks import locked
-from flows.reach import SERVERS_FILE, answers, auth_string, running
+from flows.reach import SERVERS_FILE, answers, auth_string, mlflow_token, running
 
 HOST = "127.0.0.1"
 _HEALTHY_S, _STOP_S, _POLL_S = 120.0, 20.0, 0.25
@@ -127,8 +127,8 @@ class Servers:
     Attributes
     ----------
     addresses : dict of str to str
-        ``prefect``, ``prefect_api`` and ``mlflow``; ``prefect_enter``, an address that also tells
-        the page the auth string, where the server was started here.
+        ``prefect``, ``prefect_api`` and ``mlflow``; ``prefect_enter`` and ``mlflow_enter``, addresses that also
+        tell the page the auth string, where the server was started here.
     children : list of Child
         In the order in which they were started.
     """
@@ -273,13 +273,10 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
     env = _environment(home) | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
     if home.file.endpoint:
         env["MLFLOW_S3_ENDPOINT_URL"] = home.file.endpoint
-    command = [
-        *(sys.executable, "-m", "mlflow", "server", "--host", HOST, "--port", str(port)),
-        *("--workers", "1", "--backend-store-uri", home.mlflow_uri),
-        *("--artifacts-destination", str(artifacts)),
-    ]
+    command = [sys.executable, "-m", "flows.mlflow_server", "--port", str(port)]
     found.children.append(Child("MLflow", command, env, home.logs / "mlflow-server.log"))
-    found.addresses["mlflow"] = f"http://{HOST}:{port}"
+    page = f"http://{HOST}:{port}"
+    found.addresses |= {"mlflow": page, "mlflow_enter": f"{page}/enter?token={mlflow_token(home)}"}
 
 
 def _start_flows(home: Home, request: UpRequest, found: Servers) -> None:

@@ -73,7 +73,7 @@ def _text(payload: dict[str, Any], state: Home) -> str:
     return "\n".join(
         [
             f"Prefect  {payload.get('prefect_enter', payload['prefect'])}   flows, runs, tables, plots",
-            f"MLflow   {payload['mlflow']}/#/models   versions, comparisons, gates",
+            f"MLflow   {payload.get('mlflow_enter', payload['mlflow'])}   versions, comparisons, gates",
             f"training on new data: {when}",
             f"logs     {state.logs}",
             "Ctrl-C stops everything",

@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
-from dtwin.fleet.channels import Channel
+from dtwin.fleet.channels import Channel, deliver
 from dtwin.local_time import local_day
 from dtwin.locks import locked
 
@@ -96,7 +96,7 @@ def _tell(home: Home, alerts: Sequence[Alert], channels: Sequence[Channel], day:
         new = [alert for alert in every if alert.once not in known and alert.key not in silent]
         if new:
             try:
-                channel.send(_title(new), _lines(new), [alert.as_dict() for alert in sorted_alerts(new)])
+                deliver(channel, _title(new), _lines(new), [alert.as_dict() for alert in sorted_alerts(new)])
                 sent[channel.name] = len(new)
                 known |= {alert.once for alert in new}
             except Exception as error:  # Whatever a library of a channel raises: the others are told.

@@ -6,6 +6,7 @@ import json
 import os
 import smtplib
 import ssl
+import threading
 import tomllib
 import urllib.request
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 _Settings = TypeVar("_Settings", bound="DataclassInstance")
 _WAIT_S = 15.0
+# Each wait above begins anew with every byte that a server sends.
+_LONGEST_S = 60.0
 _MAX_BYTES = 100_000
 
 
@@ -153,6 +156,25 @@ def channels_of(home: Home) -> list[Channel]:
     return [_checked(_settings(_KINDS[name], stated[name], f"{path}: {name}"), str(path)) for name in stated]
 
 
+def deliver(channel: Channel, title: str, text: str, alerts: Sequence[Mapping[str, str]]) -> None:
+    """Send one message by a channel, or raise; a server that never ends its answer holds up no night."""
+    failed: list[Exception] = []
+
+    def send() -> None:
+        try:
+            channel.send(title, text, alerts)
+        except Exception as error:  # Whatever a library of a channel raises.
+            failed.append(error)
+
+    sending = threading.Thread(target=send, daemon=True)
+    sending.start()
+    sending.join(_LONGEST_S)
+    if sending.is_alive():
+        raise TimeoutError(f"its answer did not end within {_LONGEST_S:g} s")
+    if failed:
+        raise failed[0]
+
+
 def try_channels(home: Home) -> dict[str, str]:
     """Send every channel a test message, and return why it failed, empty where it did not.
 
@@ -164,7 +186,7 @@ def try_channels(home: Home) -> dict[str, str]:
     outcomes = {}
     for channel in channels:
         try:
-            channel.send("dtwin: a test", "This is a test of dtwin alert test; nothing is wrong.\n", [])
+            deliver(channel, "dtwin: a test", "This is a test of dtwin alert test; nothing is wrong.\n", [])
             outcomes[channel.name] = ""
         except Exception as error:  # Whatever a library of a channel raises.
             outcomes[channel.name] = f"{type(error).__name__}: {error}"[:300]
@@ -196,6 +218,10 @@ def _checked(channel: Email | Webhook | Mqtt, where: str) -> Channel:
                 raise _refused(f"{where}: email", address[:60], "an address such as shop@example.com")
     elif isinstance(channel, Webhook):
         parts = urlsplit(channel.url)
+        if "@" in parts.netloc:
+            # What stands before it may be a password.
+            allowed = "an address without name and password; token_from names a variable that holds a token"
+            raise _refused(f"{where}: webhook.url", f"{parts.scheme}://...@{parts.hostname}", allowed)
         if not (parts.scheme == "https" or (parts.scheme == "http" and names_this_computer(parts.netloc))):
             raise _refused(f"{where}: webhook.url", channel.url[:80], "https://..., or http:// on this computer")
     else:

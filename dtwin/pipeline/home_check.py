@@ -13,7 +13,7 @@ from typing import Any
 from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.documents import read_document
-from dtwin.errors import DtwinError, StoreError
+from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
 from dtwin.progress import Progress
@@ -137,18 +137,22 @@ def _served(home: Home) -> Iterator[tuple[str, str]]:
             damaged = not error.code.startswith("serve.")
             yield f"bundles/{folder.name}", error.message if damaged else ""
         else:
-            lost = (
-                f"version {served.version} is served, and the model registry does not know it: nothing can withdraw it"
-            )
-            yield f"bundles/{folder.name}", lost if _said(_registered, home, folder.name, served.version) else ""
+            yield f"bundles/{folder.name}", _unregistered(home, folder.name, served.version)
 
 
-def _registered(home: Home, machine: str, version: int) -> None:
-    """Read a version in the registry; a host that only serves has none."""
-    if (home.root / "mlflow").is_dir():
-        from dtwin.train.registry import Registry
+def _unregistered(home: Home, machine: str, version: int) -> str:
+    """Return what is wrong with a served version in the registry, empty when nothing is; a host that only serves has none."""
+    if not (home.root / "mlflow").is_dir():
+        return ""
+    from dtwin.train.registry import Registry
 
+    try:
         Registry(home).version(machine, str(version))
+    except InputError:
+        return f"version {version} is served, and the model registry does not know it: nothing can withdraw it"
+    except DtwinError as error:
+        return f"whether the model registry knows version {version}, which is served, cannot be said: {error.message}"
+    return ""
 
 
 def _shared(home: Home) -> Iterator[tuple[str, str]]:

@@ -75,7 +75,7 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(shared_up: Up
     up, home = shared_up, shared_up.home
     children = descendants(up.process.pid)
     assert len(children) >= 3
-    for page in (up.addresses["prefect"], up.addresses["mlflow"]):
+    for page in (up.addresses["prefect"], up.addresses["mlflow_enter"]):
         assert "<html" in fetched(page).lower()
     # 127.0.0.1 as the kernel writes it.
     assert listening(children) == {"0100007F"}
@@ -122,6 +122,7 @@ def _refuses_strangers(up: Up) -> None:
         assert _status(lambda h=headers: up.ask("/deployments/filter", {}, **h)) == 403, headers
     assert _status(lambda: up.ask("/deployments/filter", {}, Authorization="")) == 401
     assert _status(lambda: up.ask("/deployments/filter", {}, Authorization="Basic eDp5")) == 401
+    _refuses_changes_of_models(up)
     before = len(up.ask("/flow_runs/filter", {}))
     deployment = next(d for d in up.ask("/deployments/filter", {}) if "campaign" in d["entrypoint"])
     secret = up.addresses["prefect_enter"].rpartition("#")[2]
@@ -135,7 +136,27 @@ def _refuses_strangers(up: Up) -> None:
         opened.goto(up.addresses["prefect_enter"])
         opened.wait_for_url(f"{page}/dashboard*")
         opened.get_by_text(re.compile("Run a task or flow|Flow Runs")).first.wait_for(timeout=60_000)
+        opened.goto(up.addresses["mlflow_enter"])
+        opened.get_by_text("Registered Models").first.wait_for(timeout=60_000)
     assert len(up.ask("/flow_runs/filter", {})) == before
+
+
+def _refuses_changes_of_models(up: Up) -> None:
+    """Every user of this computer reaches MLflow's port; who does not say the token neither reads nor changes models."""
+    token = up.addresses["mlflow_enter"].rpartition("=")[2]
+    page = up.addresses["mlflow"]
+
+    def status(path: str, **headers: str) -> int:
+        asked = urllib.request.Request(page + path, b"{}", {"Content-Type": "application/json", **headers})
+        return _status(lambda: urllib.request.urlopen(asked, timeout=60).read())
+
+    search = "/api/2.0/mlflow/runs/search"
+    assert status(search) == 401
+    assert status(search, Authorization="Bearer dtwin") == 401
+    assert status("/", Cookie="dtwin_mlflow=x") == 401
+    assert status(search, Authorization=f"Bearer {token}", Host="evil.example") == 403
+    assert status(search, Authorization=f"Bearer {token}", Origin="https://evil.example") == 403
+    assert status(search, Authorization=f"Bearer {token}") == 200
 
 
 _ATTACK = """<!doctype html><title>x</title><script>

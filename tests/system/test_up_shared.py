@@ -37,6 +37,7 @@ def test_the_servers_keep_everything_at_the_shared_places_and_clients_need_no_ke
             with running_up(home, "--no-schedule") as up:
                 for name in KEYS:
                     keys.delenv(name)
+                keys.setenv("MLFLOW_TRACKING_TOKEN", up.addresses["mlflow_enter"].rpartition("=")[2])
                 client = MlflowClient(up.addresses["mlflow"])
                 run = client.create_run(client.create_experiment("by proxy"))
                 client.log_text(run.info.run_id, "a text", "said.txt")

@@ -248,7 +248,14 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
         error.args = (f"(raised as a result of autoflush)\n{error.args[0]}",)
         raise error
 
-    for broken, told in ((held, "database is locked"), (full, "database or disk is full")):
+    def full_for_ourselves() -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    for broken, told in (
+        (held, "database is locked"),
+        (full, "database or disk is full"),
+        (full_for_ourselves, "database or disk is full"),
+    ):
         monkeypatch.setattr("dtwin.cli.app", broken)
         with pytest.raises(SystemExit):
             cli.main()

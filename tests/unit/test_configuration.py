@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
+import urllib.request
 from pathlib import Path
 
-from dtwin.config import SETTINGS
+import pytest
+
+from dtwin.config import SETTINGS, quiet_environment
 
 ROOT = Path(__file__).parents[2]
 READ = re.compile(r"environ(?:\.get|\.setdefault)?[(\[]\s*\"([A-Z_]+)\"")
@@ -16,3 +22,27 @@ def test_every_variable_that_the_code_reads_is_listed() -> None:
     read = {name for path in sources for name in READ.findall(path.read_text(encoding="utf-8"))}
     assert len(read) > 3
     assert read <= set(SETTINGS)
+
+
+def test_onnx_runtime_begins_no_telemetry(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"} | {
+        "HOME": str(tmp_path),
+        "XDG_CACHE_HOME": str(tmp_path),
+    }
+    code = "from dtwin.config import quiet_environment; quiet_environment(); import onnxruntime"
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    assert not list(tmp_path.rglob("*")), "it keeps an identifier of the computer here, and what it will send"
+
+
+@pytest.mark.parametrize("stated", ["", "plant.example,localhost", "*"])
+def test_this_computer_is_asked_without_a_proxy(monkeypatch: pytest.MonkeyPatch, stated: str) -> None:
+    monkeypatch.setenv("no_proxy", "")  # so that it is as it was after the test
+    monkeypatch.delenv("no_proxy")
+    monkeypatch.setenv("NO_PROXY", stated)
+    monkeypatch.setenv("http_proxy", "http://proxy.plant.example:3128")
+    for _ in range(2):
+        quiet_environment()
+    for host in ("127.0.0.1", "localhost", *filter(None, stated.replace("*", "store.example").split(","))):
+        assert urllib.request.proxy_bypass(host)
+    assert bool(urllib.request.proxy_bypass("other.example")) == (stated == "*")
+    assert os.environ["NO_PROXY"].count("localhost") == (stated != "*")

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 import tarfile
 from collections.abc import Callable
 from contextlib import closing
@@ -225,7 +228,7 @@ def test_a_check_finds_what_was_changed(lived_in: Home) -> None:
     assert CliRunner().invoke(app, ["home", "check"]).exit_code == 1
 
 
-def test_a_champion_that_the_registry_lost_is_found(lived_in: Home) -> None:
+def test_a_champion_that_the_registry_lost_is_found(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     (version,) = registered(lived_in, small_bundle(), virtual=True)
     put_on_trial(lived_in, version)
     path = machine_folder(MACHINE, lived_in) / "v0001.json"
@@ -233,6 +236,13 @@ def test_a_champion_that_the_registry_lost_is_found(lived_in: Home) -> None:
     assert not check_home(lived_in).wrong
     (lived_in.root / "mlflow" / "mlflow.db").write_bytes(b"")
     assert "nothing can withdraw it" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
+
+    def away(home: Home) -> Registry:
+        raise StoreError("the model registry cannot be written", code="registry.write")
+
+    # On a disk that can only be read, nothing is known of it.
+    monkeypatch.setattr("dtwin.train.registry.Registry", away)
+    assert "cannot be said: the model registry cannot" in check_home(lived_in).wrong[f"bundles/{MACHINE}"]
 
 
 def test_the_commands_say_what_there_is(lived_in: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,3 +276,35 @@ def test_an_unusual_path_is_used_as_it_is(tmp_path: Path) -> None:
         asked = CliRunner().invoke(app, words, env={"DTWIN_HOME": str(root)})
         assert asked.exit_code == 0, asked.output
     assert list(tmp_path.iterdir()) == [root]
+
+
+def test_a_folder_of_others_is_not_taken_from_them(tmp_path: Path) -> None:
+    public, ours = tmp_path / "public", tmp_path / "ours"
+    for folder, mode in ((public, 0o1777), (ours, 0o775)):
+        folder.mkdir()
+        folder.chmod(mode)
+    (ours / "colleague.txt").write_text("mine")
+    (public / "machines").mkdir()
+    for folder, mode in ((public, 0o1777), (ours, 0o775)):
+        told = subprocess.run(
+            [sys.executable, "-m", "dtwin", "machine", "add", "mill-1", "--notes", "x"],
+            env=dict(os.environ, DTWIN_HOME=str(folder)),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (told.returncode, "home.others" in told.stderr) == (1, True)
+        assert folder.stat().st_mode & 0o7777 == mode
+    (ours / "colleague.txt").rename(ours / "home.toml")
+    Home(ours).require_parts()
+
+
+def test_a_path_with_a_name_that_no_folder_can_have_is_said() -> None:
+    told = subprocess.run(
+        [sys.executable, "-m", "dtwin", "runs"],
+        env=dict(os.environ, DTWIN_HOME="x" * 600),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (told.returncode, "home.path" in told.stderr, "Traceback" in told.stderr) == (1, True, False)

@@ -205,6 +205,7 @@ def test_a_night_tells_the_newest_change_of_a_figure(monkeypatch: pytest.MonkeyP
         ("[email]\nsmtp = 'mail:25'\nsender = 'a@b.c'\nto = [\"d@e.f\\nBcc: g@h.i\"]\n", "d@e.f\nBcc: g@h.i"),
         ("[webhook]\nurl = 'http://plant.example/x'\n", "http://plant.example/x"),
         ("[webhook]\nurl = 'file:///etc/passwd'\n", "file:///etc/passwd"),
+        ("[webhook]\nurl = 'https://me:hush@plant.example/x'\n", "https://...@plant.example"),
         ("[webhook]\nurl = 'https://plant.example/x'\npassword = 'p'\n", None),
         ("[mqtt]\nbroker = 'plant:1883'\ntopic = 'a/#'\n", "a/#"),
         ("[mqtt\n", None),
@@ -237,6 +238,24 @@ def test_no_secret_stands_in_what_is_said(
     with pytest.raises(InputError) as refused:
         channels_of(where)
     assert refused.value.got == "password"
+
+
+def test_a_server_that_never_ends_its_answer_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.fleet.channels._LONGEST_S", 0.5)
+    over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip() -> None:
+            connected, _ = server.accept()
+            with connected:
+                connected.sendall(b"HTTP/1.1 200 OK\r\nX-Slow: ")
+                while not over.wait(0.05):
+                    connected.sendall(b".")
+
+        threading.Thread(target=drip, daemon=True).start()
+        where = state(f'[webhook]\nurl = "http://127.0.0.1:{server.getsockname()[1]}/alerts"\n')
+        assert try_channels(where) == {"webhook": "TimeoutError: its answer did not end within 0.5 s"}
+        over.set()
 
 
 def test_what_is_not_encrypted_takes_no_proxy(
