@@ -372,6 +372,17 @@ def test_two_runs_beside_each_other_under_the_same_heads_are_not_read_as_one(tmp
     assert understand(path, home, CIRCLE, {}).runs == (("a-ccw1", 360),)
 
 
+def test_a_refused_text_is_sent_to_the_import_and_numbers_without_heads_are_not_sent_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(f"{n} {n % 7} {n % 5}" for n in range(99)), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        open_source(path, {})
+    assert str(refused.value.hint).startswith("dtwin import a.txt ")
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), {}, {})
+    assert str(refused.value.hint).startswith("write heads with units")
+
+
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     block = ["angle [deg],deviation [µm]", *(f"{n},{n % 7}" for n in range(360))]
