@@ -110,6 +110,16 @@ def test_parquet_is_imported_where_its_names_are_foreign_or_a_column_holds_words
     assert run.samples["t_s"] == pytest.approx(0.1 * np.arange(n))
 
 
+def test_a_damaged_file_of_parquet_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "circle.parquet"
+    pq.write_table(pa.table({"t_ms": [0.0, 1.0], "angle_deg": [0.0, 1.0], "plane": ["XY", "XY"]}), path)
+    data = bytearray(path.read_bytes())
+    data[4:12] = b"\xff" * 8
+    path.write_bytes(data)
+    with pytest.raises(InputError):
+        understand(path, Home(tmp_path / "home"), CIRCLE, {})
+
+
 def test_blank_columns_that_a_spreadsheet_leaves_hide_no_table(tmp_path: Path) -> None:
     rows = [
         "Titel,,,,,,",
