@@ -175,7 +175,7 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
 
 def _malformed(path: Path, error: Exception) -> InputError:
     if "conversion error" in str(error):
-        return _not_numeric(str(path), error)
+        return _not_numeric(path, "", error)
     if ending_as_table(path) == ".parquet":
         return InputError(
             "the file of Parquet cannot be read",
@@ -218,17 +218,17 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
             raise ValueError("true and false")
         return numbers_of(column.cast(pa.float64()))
     except (pa.ArrowException, ValueError) as error:
-        raise _not_numeric(f"{path} {name[:60]}", error) from error
+        raise _not_numeric(path, name[:60], error) from error
 
 
-def _not_numeric(where: str, error: Exception) -> InputError:
+def _not_numeric(path: Path, column: str, error: Exception) -> InputError:
     return InputError(
         "a column is not numeric",
         code="columns.number",
-        where=where,
+        where=f"{path} {column}".strip(),
         got=str(error)[:120],
         allowed="numbers with a decimal point, of the unit at the end of the column's name",
-        hint="dtwin import FILE --out FOLDER leaves columns of words out and reads other forms of numbers; else take the column out of the table",
+        hint=f"dtwin import {path.name} --out FOLDER leaves columns of words out and reads other forms of numbers; else take the column out of the table",
     )
 
 

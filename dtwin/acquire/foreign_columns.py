@@ -142,7 +142,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         where=str(path),
         got=f"{len(rows)} lines",
         allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
-        hint="dtwin check FILE reads the forms of instruments",
+        hint="write heads with units above numbers that have none, such as time [s], angle [deg]; dtwin check FILE reads the forms of instruments",
     )
 
 

@@ -216,7 +216,7 @@ def _of_parquet(path: Path, data: bytes) -> bytes:
         if table.num_rows <= _MOST_ROWS:
             cells = (column.to_pylist() for column in table.columns)
             return _as_csv(_rows(path, iter([table.column_names, *zip(*cells, strict=True)])))
-    except pa.ArrowException as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise _refused(path, str(error)[:160], "a whole file of Parquet") from error
     raise _refused(path, f"{table.num_rows} rows", f"up to {_MOST_ROWS} rows")
 

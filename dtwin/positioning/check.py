@@ -24,6 +24,8 @@ _EQUAL = 0.1
 _GOLDEN = (0.382, 0.618)
 _STUCK_READINGS = 12
 _FEWEST_FOR_DRIFT = 8
+_CLIPPED, _CLIPPED_TIMES = 10, 5
+"""Readings of one value at the end of all, and how many times as often as any other value, that are clipped; and fewest values of a fine display."""
 
 
 def _targets_of(position_mm: Floats) -> Floats:
@@ -112,7 +114,8 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
     told = [finding for test in tests for finding in _across_cycles(test)]
     datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
     zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
-    return findings + (told or _drift(runs, scale)) + datum + zeroed
+    clipped = [finding for test in tests if (finding := _clipped(test)) is not None]
+    return findings + clipped + (told or _drift(runs, scale)) + datum + zeroed
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
@@ -139,6 +142,21 @@ def _across_cycles(test: LinearTest) -> list[Finding]:
         return []
     moving = moving_zero(test)
     return [f for f in (spoilt_finding(test), moving.finding if moving else None) if f is not None]
+
+
+def _clipped(test: LinearTest) -> Finding | None:
+    """Return that the largest or the smallest deviation was read again and again, as no other one: the instrument was at the end of its range."""
+    read = np.concatenate([test.forward_um.ravel(), test.reverse_um.ravel()])
+    values, counts = np.unique(np.round(read, 4), return_counts=True)
+    for end in (0, -1) if values.size > _CLIPPED else ():
+        # What a coarse display reads often, other values are, too.
+        if counts[end] >= _CLIPPED and counts[end] > _CLIPPED_TIMES * np.delete(counts, end).max():
+            said = (
+                f"axis {test.axis}: {counts[end]} readings of {read.size} are {values[end]:g} {test.scale.fine}, the {'smallest' if end == 0 else 'largest'} of all, and no "
+                "other value is nearly as frequent: the instrument, or what wrote the table, was at the end of its range"
+            )
+            return Finding(f"{test.scale.kind}.clipped", "error", said, {"readings_1": float(counts[end])})
+    return None
 
 
 def _missed(run: Run, scale: Scale) -> list[Finding]:

@@ -110,6 +110,16 @@ def test_parquet_is_imported_where_its_names_are_foreign_or_a_column_holds_words
     assert run.samples["t_s"] == pytest.approx(0.1 * np.arange(n))
 
 
+def test_a_damaged_file_of_parquet_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "circle.parquet"
+    pq.write_table(pa.table({"t_ms": [0.0, 1.0], "angle_deg": [0.0, 1.0], "plane": ["XY", "XY"]}), path)
+    data = bytearray(path.read_bytes())
+    data[4:12] = b"\xff" * 8
+    path.write_bytes(data)
+    with pytest.raises(InputError):
+        understand(path, Home(tmp_path / "home"), CIRCLE, {})
+
+
 def test_blank_columns_that_a_spreadsheet_leaves_hide_no_table(tmp_path: Path) -> None:
     rows = [
         "Titel,,,,,,",
@@ -370,6 +380,17 @@ def test_two_runs_beside_each_other_under_the_same_heads_are_not_read_as_one(tmp
     rows = [f"{n};{n % 7};{n}" for n in range(360)]
     path.write_text("\n".join(["angle [deg];deviation [µm];angle [deg]", *rows]), encoding="utf-8")
     assert understand(path, home, CIRCLE, {}).runs == (("a-ccw1", 360),)
+
+
+def test_a_refused_text_is_sent_to_the_import_and_numbers_without_heads_are_not_sent_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(f"{n} {n % 7} {n % 5}" for n in range(99)), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        open_source(path, {})
+    assert str(refused.value.hint).startswith("dtwin import a.txt ")
+    with pytest.raises(InputError) as refused:
+        understand(path, Home(tmp_path / "home"), {}, {})
+    assert str(refused.value.hint).startswith("write heads with units")
 
 
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:

@@ -1308,6 +1308,19 @@ def test_readings_of_one_direction_are_not_taken_alone_beside_as_many_of_an_unkn
     assert is_position_table(path)
 
 
+@pytest.mark.parametrize(("digits", "highest", "told"), [(3, 5.0, True), (3, 99.0, False), (0, 99.0, False)])
+def test_readings_at_the_end_of_the_range_are_told(tmp_path: Path, digits: int, highest: float, told: bool) -> None:
+    rng = np.random.default_rng(2)
+    target = np.arange(0.0, 401.0, 50.0)
+    read = np.minimum(0.02 * target[:, None] + rng.normal(0.0, 0.3, (9, 10)), highest)
+    heads = ";".join(f"fwd {n} [µm];rev {n} [µm]" for n in range(1, 6))
+    rows = [";".join([str(t), *(f"{v:.{digits}f}" for v in line)]) for t, line in zip(target, read, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"target [mm];{heads}", *rows]), encoding="utf-8")
+    found = check_source(path, told={"axis": "X"})["findings"]
+    assert told == any(f["code"] == "linear.clipped" for f in found)
+
+
 def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{t},{t + 0.001},{way}" for _ in (1, 2) for way, ts in (("+", (0, 50)), ("-", (50, 0))) for t in ts]
