@@ -126,9 +126,18 @@ class Home:
                 )
 
     def _require_own(self) -> None:
-        """Refuse a folder that others use, too: it would be taken from them."""
+        """Refuse a folder that others use, too: it would be taken from them; and one of another user that nobody named."""
         with contextlib.suppress(OSError):
-            mode = self.root.stat().st_mode
+            mode, owner = self.root.stat().st_mode, self.root.stat().st_uid
+            if owner != os.geteuid() and not os.environ.get("DTWIN_HOME"):
+                raise InputError(
+                    "the home in this folder is another user's",
+                    code="home.owner",
+                    where=str(self.root),
+                    got=f"user {owner}",
+                    allowed="your own: what its files state says where data and passwords are sent",
+                    hint="cd to another folder, or name it all the same: DTWIN_HOME=.dtwin",
+                )
             names = {path.name for path in self.root.glob("[!.]*")} if mode & 0o077 else set()
             if mode & stat.S_ISVTX or (names and not names & {*_OURS, *_BESIDE}):
                 raise InputError(
