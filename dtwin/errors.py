@@ -67,7 +67,7 @@ class DtwinError(Exception):
     def _names(self) -> list[str]:
         """Return the allowed names; a sentence about what is allowed is no list of names."""
         names = [] if self.allowed is None else self.allowed.replace(" ...", "").split(", ")
-        return [name for name in names if " " not in name]
+        return [name for name in names if " " not in name and not name.isdecimal()]
 
     def as_dict(self) -> dict[str, str]:
         """Return the set fields, for ``--json``."""

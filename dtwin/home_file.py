@@ -92,7 +92,7 @@ def _read(path: Path, _changed: int, size: int) -> HomeFile:
         if size > _MAX_BYTES:
             raise ValueError(f"more than {_MAX_BYTES} bytes")
         stated = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise _refused(str(path), str(error)[:120], "a TOML file") from error
     return home_file_of(stated, str(path))
 

@@ -83,7 +83,7 @@ def read_record(home: Home, machine: str) -> MachineRecord | None:
         stated = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise _refused(str(path), str(error)[:120], "a TOML file") from error
     return record_from(machine, stated, str(path))
 

@@ -90,7 +90,7 @@ def read_people(home: Home) -> People:
         return People(tuple(_person(name, about) for name, about in people.items()), second)
     except FileNotFoundError:
         return People()
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             "the list of people is not usable",
             code="people.file",
@@ -177,7 +177,7 @@ def audit(home: Home) -> list[dict[str, Any]]:
         try:
             said = json.loads(line)
             whole = said["after"] == before
-        except (ValueError, TypeError, KeyError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             said, whole = {}, False
         if not whole:
             raise StoreError(

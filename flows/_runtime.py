@@ -70,8 +70,10 @@ def runtime(state: Home) -> Iterator[str | None]:
     updates: dict[str, Any] = {"flows.heartbeat_frequency": None, "server.ephemeral.startup_timeout_seconds": _START_S}
     if url is not None:
         updates["api.url"] = url
-        if not os.environ.get("PREFECT_API_URL"):
-            updates["api.auth_string"] = auth_string(state)
+    if not os.environ.get("PREFECT_API_URL"):
+        # Its own one, too: it answers every user of this computer, and every page in a browser, and what they begin
+        # there runs at the next `dtwin up`.
+        updates["api.auth_string"] = updates["server.api.auth_string"] = auth_string(state)
     with temporary_settings(updates=updates):
         if url is None:
             from flows._prefect_tables import make_missing_tables

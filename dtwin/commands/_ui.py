@@ -12,11 +12,16 @@ from typing import Annotated
 
 import typer
 
+from dtwin.atomic import write_text
 from dtwin.commands._output import Json
 from dtwin.config import home
-from dtwin.errors import InputError
+from dtwin.errors import DtwinError, InputError
 
 LOOPBACK = "127.0.0.1"
+_OPENING = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
+    '<meta http-equiv="refresh" content="0; url={to}"><p><a href="{to}">To the workbench</a></p>'
+)
 
 app = typer.Typer()
 
@@ -47,10 +52,9 @@ def ui(
         text = f"workbench  {address}\nCtrl-C stops it"
         print(shown if as_json else text, flush=True)
         if not no_browser:
-            import webbrowser
+            _open(address, opening)
 
-            webbrowser.open(address)
-
+    opening = home().root / "workbench" / "open.html"
     own = None if effects_path is None else effects_path.absolute()
     # Over before the process may end at once.
     with following(home()), only_one(home()), listening(host, port) as bound:
@@ -59,9 +63,24 @@ def ui(
         # The server has ended in order by then, and raises the signal once more.
         with contextlib.suppress(KeyboardInterrupt):
             run(home(), host, bound, own, announce, private=private)
+        opening.unlink(missing_ok=True)
     print("stopped", file=sys.stderr, flush=True)
     if threading.active_count() > 1:
         # A thread that still reads or fits must not meet an interpreter that is taken apart:
         # it would end in a segmentation fault. What it stores is whole or absent.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _open(address: str, opening: Path) -> None:
+    """Open an address in a browser by a file that leads there.
+
+    Every user of a computer sees the words of its commands; the token in them would be everybody's.
+    """
+    import html
+    import webbrowser
+
+    # Without room for it, the address that was printed is pressed.
+    with contextlib.suppress(DtwinError):
+        write_text(opening, _OPENING.format(to=html.escape(address)), "the way into the workbench", private=True)
+        webbrowser.open(opening.as_uri())

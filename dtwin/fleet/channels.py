@@ -148,7 +148,7 @@ def channels_of(home: Home) -> list[Channel]:
         stated = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         return []
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise _refused(str(path), str(error)[:120], "a TOML file") from error
     unknown = sorted(set(stated) - set(_KINDS))
     if unknown:

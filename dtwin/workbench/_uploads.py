@@ -158,15 +158,19 @@ def _unpack_all(folder: Path) -> None:
 
 
 def _unpack(archive: Path, target: Path) -> None:
-    """Unpack an archive that nobody vouches for."""
+    """Unpack an archive that nobody vouches for; what is not whole gets no name."""
+    coming = target.with_name(f".{target.name}")
+    shutil.rmtree(coming, ignore_errors=True)
     try:
+        coming.mkdir()
         with zipfile.ZipFile(archive) as opened:
             members = [m for m in opened.infolist() if not m.is_dir() and not LEFT_BY_SYSTEMS.search(m.filename)]
             if len(members) > _MAX_FILES:
                 raise _too_much("files", str(len(members)), str(_MAX_FILES))
             left = MAX_UNPACKED_BYTES
             for member in members:
-                left -= _extract(opened, member, target, left)
+                left -= _extract(opened, member, coming, left)
+        coming.rename(target)
     except (
         zipfile.BadZipFile,
         zlib.error,
@@ -180,7 +184,8 @@ def _unpack(archive: Path, target: Path) -> None:
             "the archive cannot be unpacked",
             code="upload.zip",
             where=archive.name,
-            got=str(error)[:120],
+            # The place of the tray is nobody's business.
+            got=(getattr(error, "strerror", None) or str(error))[:120],
             hint="pack the campaign folder again, without a password",
         ) from error
 

@@ -531,6 +531,26 @@ def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbenc
     assert bench.ask("/?token=wrong")[0] == 403
 
 
+def test_the_browser_is_not_told_the_token_in_words_that_every_user_sees(browser: Browser, tmp_path: Path) -> None:
+    told, program = tmp_path / "told", tmp_path / "browser"
+    program.write_text(f'#!/bin/sh\necho "$@" > {told}.part; mv {told}.part {told}\n')
+    program.chmod(0o755)
+    with running_workbench(tmp_path / "home", browser=program) as opened:
+        while not told.exists():
+            time.sleep(0.05)
+        words = told.read_text()
+        assert opened.token not in words
+        way = Path(words.strip().removeprefix("file://"))
+        assert way.stat().st_mode & 0o077 == 0
+        page = browser.new_page()
+        page.goto(words.strip())
+        page.wait_for_url(f"{opened.base}/machines")
+        assert page.get_by_text("Read only").count() == 0
+        page.close()
+        assert opened.stop() == 0
+    assert not way.exists()
+
+
 def test_a_person_sees_which_buttons_are_not_for_them(browser: Browser, bench: Workbench) -> None:
     state = Home(bench.home)
     token = add_person(state, "max", ["measure"])

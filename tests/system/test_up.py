@@ -290,3 +290,35 @@ def _ended(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
         return True
+
+
+_SHORT = """
+import urllib.error, urllib.request
+from prefect import flow, get_client
+from flows._runtime import run
+
+@flow
+def asked():
+    with get_client(sync_client=True) as client:
+        page = str(client.api_url).rstrip("/")
+    wanted = urllib.request.Request(page + "/flows/filter", b"{}", {"Content-Type": "application/json"})
+    try:
+        return urllib.request.urlopen(wanted, timeout=30).status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+print(run(asked))
+"""
+
+
+def test_the_server_of_a_flow_without_up_answers_no_stranger(tmp_path: Path) -> None:
+    """What a stranger began there would run at the next `dtwin up`."""
+    done = subprocess.run(
+        [sys.executable, "-c", _SHORT],
+        env=dict(os.environ, DTWIN_HOME=str(tmp_path / "home")),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert done.stdout.strip().endswith("401"), done.stderr[-1500:]

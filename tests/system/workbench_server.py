@@ -74,10 +74,12 @@ class Workbench:
 
 
 @contextmanager
-def running_workbench(home: Path, *options: str) -> Iterator[Workbench]:
+def running_workbench(home: Path, *options: str, browser: Path | None = None) -> Iterator[Workbench]:
+    """Run ``dtwin ui``. ``browser``: a program that it opens instead of none."""
+    options = options if browser else ("--no-browser", *options)
     process = subprocess.Popen(
-        [sys.executable, "-m", "dtwin", "ui", "--no-browser", *options],
-        env=os.environ | {"DTWIN_HOME": str(home), "OMP_NUM_THREADS": "1"},
+        [sys.executable, "-m", "dtwin", "ui", *options],
+        env=os.environ | {"DTWIN_HOME": str(home), "OMP_NUM_THREADS": "1", "BROWSER": f"{browser} %s"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

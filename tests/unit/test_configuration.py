@@ -34,6 +34,21 @@ def test_onnx_runtime_begins_no_telemetry(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*")), "it keeps an identifier of the computer here, and what it will send"
 
 
+def test_a_program_that_is_begun_takes_no_code_from_the_folder_of_the_command(tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    for name in ("mlflow", "numpy", "json"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(ran)!r}, 'a').close()\n")
+    code = (
+        "from dtwin.config import quiet_environment; quiet_environment(); import subprocess, sys; "
+        "subprocess.run([sys.executable, '-m', 'dtwin.twins.registration', sys.argv[1]])"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
+    subprocess.run(
+        [sys.executable, "-P", "-c", code, str(tmp_path / "home")], env=environment, cwd=tmp_path, check=True
+    )
+    assert not ran.exists()
+
+
 @pytest.mark.parametrize("stated", ["", "plant.example,localhost", "*"])
 def test_this_computer_is_asked_without_a_proxy(monkeypatch: pytest.MonkeyPatch, stated: str) -> None:
     monkeypatch.setenv("no_proxy", "")  # so that it is as it was after the test

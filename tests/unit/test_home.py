@@ -299,6 +299,18 @@ def test_a_folder_of_others_is_not_taken_from_them(tmp_path: Path) -> None:
     Home(ours).require_parts()
 
 
+def test_a_home_of_another_user_is_used_by_those_who_name_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / ".dtwin").mkdir(mode=0o700)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DTWIN_HOME")
+    assert CliRunner().invoke(app, ["people", "list"]).exit_code == 0
+    monkeypatch.setattr("os.geteuid", lambda: 4711)
+    asked = CliRunner().invoke(app, ["people", "list"]).exception
+    assert isinstance(asked, InputError)
+    assert asked.code == "home.owner"
+    assert CliRunner().invoke(app, ["people", "list"], env={"DTWIN_HOME": ".dtwin"}).exit_code == 0
+
+
 def test_a_path_with_a_name_that_no_folder_can_have_is_said() -> None:
     told = subprocess.run(
         [sys.executable, "-m", "dtwin", "runs"],

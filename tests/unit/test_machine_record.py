@@ -94,6 +94,7 @@ def test_what_was_mistyped_is_taken_back(home: Home) -> None:
         'test_every_days = "x"',
         "test_every_days = -1",
         "= ",
+        "a = " + "[" * 100_000,
     ],
 )
 def test_a_file_that_is_no_record_is_refused_with_its_place(home: Home, text: str) -> None:

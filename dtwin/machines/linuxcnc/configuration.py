@@ -71,7 +71,7 @@ def read_faults(path: Path) -> MillFaults:
     try:
         with path.open("rb") as file:
             given = tomllib.loads(file.read(_MAX_COMP_BYTES).decode("utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             "the faults cannot be read", code="linuxcnc.faults", where=str(path), got=str(error)[:120]
         ) from error

@@ -209,6 +209,7 @@ def test_a_night_tells_the_newest_change_of_a_figure(monkeypatch: pytest.MonkeyP
         ("[webhook]\nurl = 'https://plant.example/x'\npassword = 'p'\n", None),
         ("[mqtt]\nbroker = 'plant:1883'\ntopic = 'a/#'\n", "a/#"),
         ("[mqtt\n", None),
+        ("a = " + "[" * 90_000, None),
     ],
 )
 def test_channels_that_cannot_be_used_are_refused(text: str, got: str | None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
+from dtwin.commands import _certificate as certificate_command
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
@@ -161,3 +163,14 @@ def test_a_browser_prints_it(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_pa
     done = CliRunner().invoke(app, ["certificate", "t01", "--out", str(tmp_path / "x.pdf")], catch_exceptions=False)
     assert done.exit_code == 0
     assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF-")
+
+
+def test_the_browser_that_prints_asks_nobody(tmp_path: Path) -> None:
+    """Its maker's servers are not there in a test; one of ours stands for them."""
+    browser = require_program("chromium", "chromium")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        certificate_command._print(browser, f'<img src="{address}">', tmp_path / "x.pdf")
+        server.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            server.accept()

@@ -78,9 +78,10 @@ def test_a_link_in_an_archive_is_refused(tmp_path: Path) -> None:
 
 def test_a_bomb_is_stopped_while_it_is_unpacked(tmp_path: Path) -> None:
     archive(tmp_path / "c.zip", {"zeros.csv": bytes(40_000_000)})
-    with pytest.raises(InputError) as caught:
-        uploads.sources(tmp_path)
-    assert caught.value.code == "upload.size"
+    for _ in range(2):
+        with pytest.raises(InputError) as caught:
+            uploads.sources(tmp_path)
+        assert caught.value.code == "upload.size", "asked again, the reason is the same"
     written = sum(p.stat().st_size for p in tmp_path.rglob("zeros.csv"))
     assert written <= 12_000_000
 
@@ -98,6 +99,13 @@ def test_a_damaged_archive_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         uploads.sources(tmp_path)
     assert caught.value.code == "upload.zip"
+    with zipfile.ZipFile(tmp_path / "c.zip", "w") as twice:
+        twice.writestr("a.csv", "t_s")
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            twice.writestr("a.csv", "t_s")
+    with pytest.raises(InputError) as caught:
+        uploads.sources(tmp_path)
+    assert caught.value.got == "File exists"
 
 
 def test_loose_files_name_what_is_wanted(tmp_path: Path) -> None:
