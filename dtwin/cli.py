@@ -111,6 +111,8 @@ def _require_text(words: Sequence[str]) -> None:
 def main() -> None:
     """Run the command line; a user's mistake ends in a message, never a traceback."""
     quiet_environment()
+    # What a library begins by -m would import what lies where the command was typed: an mlflow.py on a share.
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     _open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal of few letters has no µ; what it cannot show is told as on stderr.

@@ -19,8 +19,6 @@ _TELEMETRY_OFF = {
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "ORT_DISABLE_TELEMETRY": "1",
 }
-# A program that is begun by -m would import what lies in the folder where the command was typed: mlflow.py on a share.
-_OWN_CODE = {"PYTHONSAFEPATH": "1"}
 # What is asked of servers on this computer, with the secrets that they want, is none of a proxy's business.
 _NO_PROXY = ("127.0.0.1", "localhost", "::1")
 # Of what commands keep in a home, one is always among the first.
@@ -76,7 +74,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "PREFECT_SERVER_ANALYTICS_ENABLED": ("false", "the same for Prefect's server"),
     "ORT_DISABLE_TELEMETRY": ("1", "the same for ONNX Runtime; `0` allows it"),
     "NO_PROXY": ("none", "hosts that are asked without the proxy of `HTTP_PROXY`; this computer always is"),
-    "PYTHONSAFEPATH": ("1", "programs that dtwin begins take no code from the folder in which they are begun"),
+    "PYTHONSAFEPATH": ("1", "programs that commands begin take no code from the folder in which they are begun"),
     "OMP_WAIT_POLICY": ("passive", "threads of numerical libraries do not spin while they wait"),
 }
 """Environment variables that a user may set: default, and what it is for."""
@@ -260,10 +258,9 @@ def home() -> Home:
 def quiet_environment() -> None:
     """Set what libraries and the programs that are begun by this one take from the environment, unless the user has.
 
-    Telemetry is off, pools of threads are polite, no code is taken from the folder where a command is typed, and this
-    computer is asked without a proxy.
+    Telemetry is off, pools of threads are polite, and this computer is asked without a proxy.
     """
-    for name, value in (_TELEMETRY_OFF | _THREADS | _OWN_CODE).items():
+    for name, value in (_TELEMETRY_OFF | _THREADS).items():
         os.environ.setdefault(name, value)
     kept = os.environ.get("no_proxy") or os.environ.get("NO_PROXY") or ""
     if kept.strip() != "*":

@@ -54,7 +54,7 @@ def end_child(process: subprocess.Popen[Any], patience_s: float) -> int | None:
 @contextmanager
 def running_beside(module: str, *arguments: str) -> Iterator[None]:
     """Run a module in a process of its own, whose standard input ends when this process does, however it ends."""
-    command = [sys.executable, "-m", module, *arguments]
+    command = [sys.executable, "-P", "-m", module, *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as child:
         try:
             yield

@@ -250,7 +250,7 @@ def _start_prefect(home: Home, wanted: int | None, found: Servers) -> None:
         "PREFECT_SERVER_API_AUTH_STRING": secret,
         "PREFECT_SERVER_CORS_ALLOWED_ORIGINS": page,
     }
-    command = [sys.executable, "-m", "flows.prefect_server", "--port", str(port)]
+    command = [sys.executable, "-P", "-m", "flows.prefect_server", "--port", str(port)]
     found.children.append(Child("Prefect", command, env, home.logs / "prefect-server.log"))
     entering = base64.b64encode(secret.encode()).decode()
     found.addresses |= {"prefect": page, "prefect_api": f"{page}/api", "prefect_enter": f"{page}/enter#{entering}"}
@@ -273,7 +273,7 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
     env = _environment(home) | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
     if home.file.endpoint:
         env["MLFLOW_S3_ENDPOINT_URL"] = home.file.endpoint
-    command = [sys.executable, "-m", "flows.mlflow_server", "--port", str(port)]
+    command = [sys.executable, "-P", "-m", "flows.mlflow_server", "--port", str(port)]
     found.children.append(Child("MLflow", command, env, home.logs / "mlflow-server.log"))
     page = f"http://{HOST}:{port}"
     found.addresses |= {"mlflow": page, "mlflow_enter": f"{page}/enter?token={mlflow_token(home)}"}
@@ -287,7 +287,7 @@ def _start_flows(home: Home, request: UpRequest, found: Servers) -> None:
     }
     if "prefect_enter" in found.addresses:
         env["PREFECT_API_AUTH_STRING"] = auth_string(home)
-    command = [sys.executable, "-m", "flows", *(["--cron", request.cron] if request.cron else [])]
+    command = [sys.executable, "-P", "-m", "flows", *(["--cron", request.cron] if request.cron else [])]
     found.children.append(Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True))
 
 

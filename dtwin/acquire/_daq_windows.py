@@ -120,7 +120,7 @@ class DaqWindows(Closed):
         self._messages, theirs = os.pipe2(os.O_CLOEXEC)
         options = [f"--memory={memory}", f"--messages={theirs}", f"--capacity={capacity}"]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin.acquire._daq_worker", *options, f"--setup={setup}"],
+            [sys.executable, "-P", "-m", "dtwin.acquire._daq_worker", *options, f"--setup={setup}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=(memory, theirs),

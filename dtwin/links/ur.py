@@ -105,7 +105,7 @@ class UrLink(Closed):
         options += [f"--lost-after-s={lost_after_s}"] + (["--realtime"] if realtime else [])
         options += ["--writes"] if writes else []
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin.links.ur_worker", *options],
+            [sys.executable, "-P", "-m", "dtwin.links.ur_worker", *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,

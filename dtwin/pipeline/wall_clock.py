@@ -39,7 +39,7 @@ def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float
     with _virtual_controller(plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log) as host:
         done = subprocess.run(
             [
-                *(sys.executable, "-m", "dtwin", "serve", "--model", "trial"),
+                *(sys.executable, "-P", "-m", "dtwin", "serve", "--model", "trial"),
                 *("--machine", machine, "--host", host, "--duration", str(duration_s), "--json"),
             ],
             env=dict(os.environ, DTWIN_HOME=str(home.root)),
@@ -98,6 +98,7 @@ def _virtual_controller(
     host = _free_address()
     command = [
         sys.executable,
+        "-P",
         "-m",
         "dtwin.machines.rtde_server",
         f"--host={host}",

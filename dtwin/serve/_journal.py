@@ -99,7 +99,7 @@ class Journal:
         # Sessions of one machine share the file: one that serves and others that look on.
         self._session = secrets.token_hex(4)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin.serve._journal", str(path)],
+            [sys.executable, "-P", "-m", "dtwin.serve._journal", str(path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -35,6 +35,7 @@ from dtwin.serve.interface import (
 
 _FORMAT = "dtwin-bundle"
 _VERSION = 1
+_SLOWEST_HZ, _FASTEST_HZ = 1e-4, 1e6
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,9 @@ class Bundle:
         for item in self.inputs:
             if not item.low <= item.high:
                 raise wrong(f"the validity box of {item.name} is empty", f"{item.low} to {item.high}")
+            # A value counts for three periods: at a rate of nearly nothing an old one would count for ever.
+            if not _SLOWEST_HZ <= item.rate_hz <= _FASTEST_HZ:
+                raise wrong(f"the rate of {item.name} is none that a value comes at", f"{item.rate_hz} Hz")
 
     def _check_window(self) -> None:
         if self.window is None:

@@ -154,7 +154,7 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
     _children[:] = [child for child in _children if child.poll() is None]
     _children.append(
         subprocess.Popen(
-            [sys.executable, "-m", "dtwin.twins.registration", str(home.root)],
+            [sys.executable, "-P", "-m", "dtwin.twins.registration", str(home.root)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

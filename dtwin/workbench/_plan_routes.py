@@ -200,7 +200,7 @@ def _measured(bench: Bench, machine: str, document: Mapping[str, Any]) -> str:
     write_text(file, tomli_w.dumps(dict(document)), "the plan")
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "dtwin", "machine", "measure", machine, str(file), "--json"],
+            [sys.executable, "-P", "-m", "dtwin", "machine", "measure", machine, str(file), "--json"],
             env=os.environ | {"DTWIN_HOME": str(bench.home.root)},
             capture_output=True,
             text=True,

@@ -39,8 +39,10 @@ def test_a_program_that_is_begun_takes_no_code_from_the_folder_of_the_command(tm
     for name in ("mlflow", "numpy", "json"):
         (tmp_path / f"{name}.py").write_text(f"open({str(ran)!r}, 'a').close()\n")
     code = (
-        "from dtwin.config import quiet_environment; quiet_environment(); import subprocess, sys; "
-        "subprocess.run([sys.executable, '-m', 'dtwin.twins.registration', sys.argv[1]])"
+        "import subprocess, sys; from dtwin import cli; from dtwin.processes import running_beside; "
+        "held = running_beside('dtwin.serve._journal', sys.argv[1] + '.jsonl'); held.__enter__(); "
+        "held.__exit__(None, None, None); "
+        "cli._run = lambda: subprocess.run([sys.executable, '-m', 'dtwin.twins.registration', sys.argv[1]]); cli.main()"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
     subprocess.run(

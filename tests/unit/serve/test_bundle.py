@@ -140,6 +140,8 @@ def test_other_machine_and_other_contract_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
+        lambda d: d["inputs"][0].update(rate_hz=0.0),
+        lambda d: d["inputs"][0].update(rate_hz=1e-320),
         lambda d: d["tick_graph"]["nodes"].insert(0, {"op": "__import__", "args": []}),
         lambda d: d["tick_graph"]["nodes"].insert(0, {"op": "exec", "name": "os"}),
         lambda d: d["tick_graph"]["nodes"][-1].update(args=[10**9, 0]),
