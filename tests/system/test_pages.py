@@ -85,6 +85,8 @@ def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, artif
     candidate = registry.version(MACHINE, "candidate")
     address = f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}/versions/{candidate.version}"
 
+    page.goto(up.addresses["mlflow_enter"])
+    expect(page).to_have_url(f"{up.addresses['mlflow']}/#/models")
     page.goto(address)
     expect(page.get_by_text("Offline gates:").first).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_text("physics-library").first).to_be_visible()
