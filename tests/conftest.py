@@ -26,6 +26,8 @@ os.environ["TZ"] = "UTC"
 time.tzset()
 # Not by a process in the background, which would outlive the test.
 os.environ["DTWIN_MLFLOW"] = "now"
+# Commands set it for the programs that they begin; those that run in this process would set it for the next test's scripts.
+os.environ.setdefault("PYTHONSAFEPATH", "")
 # Thousands of small files, each written through to its disk: in memory where there is room.
 _MEMORY = Path("/dev/shm")
 if "TMPDIR" not in os.environ and _MEMORY.is_dir() and shutil.disk_usage(_MEMORY).free > 4 << 30:

@@ -251,8 +251,6 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     def full_for_ourselves() -> None:
         raise sqlite3.OperationalError("database or disk is full")
 
-    # It sets this for the programs that it begins; the next test begins others.
-    monkeypatch.setenv("PYTHONSAFEPATH", "1")
     for broken, told in (
         (held, "database is locked"),
         (full, "database or disk is full"),
