@@ -24,9 +24,9 @@ from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError, MissingPart, StoreError
 from dtwin.locks import locked
+from flows.own_pages import HOST
 from flows.reach import SERVERS_FILE, answers, auth_string, mlflow_token, running
 
-HOST = "127.0.0.1"
 _HEALTHY_S, _STOP_S, _POLL_S = 120.0, 20.0, 0.25
 _PR_SET_PDEATHSIG = 1
 _TAIL = 400

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from dtwin.errors import InputError
-from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
+from dtwin.units import G_MM_S2, LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
 
 MOST_COLUMNS = 512
 MOST_PREAMBLE = 200
@@ -21,7 +21,6 @@ _MOST_GAPS = 20
 _LEAST_MM = 0.01
 _FAHRENHEIT = ("°f", "f°", "degf", "fahrenheit", "f")
 _FREEZING_F = 32.0
-_G_M_S2 = 9.80665
 _DIFFERENCE = re.compile(r"rise|delta|diff|[Δδ]", re.I)
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {
@@ -34,7 +33,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     **dict.fromkeys(_FAHRENHEIT, ("c", 1.0 / 1.8)),
     "mm/min": ("mm_min", 1.0),
     "mm/s": ("mm_s", 1.0),
-    **dict.fromkeys(("m/s2", "m/s^2"), ("g", 1.0 / _G_M_S2)),
+    **dict.fromkeys(("m/s2", "m/s^2"), ("g", 1000.0 / G_MM_S2)),
     "mm/s2": ("mm_s2", 1.0),
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
