@@ -1,6 +1,6 @@
 """A machine with a ball bar and lasers: is an ambiguity of one test resolved by one twin of all, and rightly?
 
-Circles of the virtual mill (one radius, one feed, both ways, three repeats, noise 0.1 um), which are no formulas of the library;
+Circles of the virtual mill (one radius, one feed, both ways, three repeats or ``--repeats``, noise 0.1 um), which are no formulas of the library;
 positions by formulas of their own (``tests/laser_axis.py``: five runs, noise 0.15 um, datum 0.3 um). Stories are what
 circles at one feed cannot tell: a scale of X, or an X that gives way in a mode; X and Y scaled alike, or a longer bar; lost
 motion of X, friction of its drive, or both; or nothing at all. Further: a long wave of the screw of X, which a laser reads, against three lobes
@@ -58,6 +58,8 @@ Drawn = tuple[dict[str, float], dict[str, float], float, float, float, list[set[
 
 # Tests of one instrument, tests of all, and names, one set for each cause.
 Tests = tuple[list[Observations], list[Observations], list[set[str]]]
+# What the ball bar reads of a mill.
+Bar = Callable[..., Observations]
 NOISE_UM = 0.1
 
 
@@ -145,50 +147,50 @@ def _nothing(rng: np.random.Generator, k: float) -> Drawn:
     return {}, {}, 0.0, 0.0, 0.0, []
 
 
-def _long_wave(rng: np.random.Generator, case: int, k: float) -> Tests:
+def _long_wave(rng: np.random.Generator, case: int, k: float, bar: Bar) -> Tests:
     um, pitch_mm, phase_rad = rng.uniform(0.5, 2.0), rng.uniform(150.0, 250.0), rng.uniform(0.0, 6.28)
 
     def mill(size: float) -> MillParameters:
         return MillParameters().with_axis("X", pitch_error_um=size, pitch_mm=pitch_mm, pitch_phase_rad=phase_rad)
 
     um = _sized(k, um, mill)
-    tests = [circles(mill(um), case), warmed("X", case, wave=(um, pitch_mm, phase_rad)), warmed("Y", case)]
+    tests = [bar(mill(um)), warmed("X", case, wave=(um, pitch_mm, phase_rad)), warmed("Y", case)]
     return tests[:1], tests, [{"cyclic_error X", "pitch_error X"}]
 
 
 FEW_RADII_MM, ALL_RADII_MM = (50.0, 100.0), (50.0, 100.0, 150.0)
 
 
-def _lobes(rng: np.random.Generator, case: int, k: float, radii_mm: Sequence[float] = FEW_RADII_MM) -> Tests:
+def _lobes(rng: np.random.Generator, case: int, k: float, bar: Bar, radii_mm: Sequence[float] = FEW_RADII_MM) -> Tests:
     um, phase_rad = rng.uniform(0.5, 2.0), rng.uniform(0.0, 6.28)
 
     def mill(size: float) -> MillParameters:
         return MillParameters(cup_lobe_um=size, cup_phase_rad=phase_rad)
 
     made = mill(_sized(k, um, mill))
-    return [circles(made, case)], [circles(made, case, radii_mm=radii_mm)], [{"instrument_artefact"}]
+    return [bar(made)], [bar(made, radii_mm=radii_mm)], [{"instrument_artefact"}]
 
 
-def _growth(rng: np.random.Generator, case: int, k: float) -> Tests:
+def _growth(rng: np.random.Generator, case: int, k: float, bar: Bar) -> Tests:
     def mill(size: float) -> MillParameters:
         return MillParameters().with_axis("X", growth_um_m_k=size).with_axis("Y", growth_um_m_k=size)
 
     um_m_k = _sized(k, rng.uniform(5.0, 15.0), mill)
-    tests = [circles(mill(um_m_k), case), *(warmed(axis, case, growth_um_m_k=um_m_k) for axis in "XY")]
+    tests = [bar(mill(um_m_k)), *(warmed(axis, case, growth_um_m_k=um_m_k) for axis in "XY")]
     return tests[:1], tests, [{"thermal_growth", "thermal_growth X", "thermal_growth Y"}]
 
 
-def _drift(rng: np.random.Generator, case: int, k: float, radii_mm: Sequence[float] = (100.0,)) -> Tests:
+def _drift(rng: np.random.Generator, case: int, k: float, bar: Bar, radii_mm: Sequence[float] = (100.0,)) -> Tests:
     def mill(size: float) -> MillParameters:
         return MillParameters(bar_growth_um_h=size)
 
     um_h = _signed(rng, 5.0, 20.0)
     um_h = float(np.sign(um_h)) * _sized(k, abs(um_h), mill)
-    tests = [circles(mill(um_h), case, radii_mm=radii_mm), *(warmed(axis, case) for axis in "XY")]
-    return [circles(mill(um_h), case)], tests, [{"thermal_drift", "thermal_shift"}]
+    tests = [bar(mill(um_h), radii_mm=radii_mm), *(warmed(axis, case) for axis in "XY")]
+    return [bar(mill(um_h))], tests, [{"thermal_drift", "thermal_shift"}]
 
 
-FURTHER: dict[str, Callable[[np.random.Generator, int, float], Tests]] = {
+FURTHER: dict[str, Callable[..., Tests]] = {
     "a long wave of X": _long_wave,
     "three lobes of the bar": _lobes,
     "growth with temperature": _growth,
@@ -252,10 +254,10 @@ def _false(groups: Groups, right: list[set[str]]) -> bool:
     return any(len(group) == 1 and not group <= every for group in groups)
 
 
-def further(story: str, case: int, k: float) -> dict[str, Any]:
+def further(story: str, case: int, k: float, bar: Bar) -> dict[str, Any]:
     """Return the same of a story whose tests are its own, ``k`` times the noise where that is not 0."""
     rng = np.random.default_rng([case, len(STORIES) + list(FURTHER).index(story.partition(",")[0])])
-    few, every, right = FURTHER[story](rng, case, k)
+    few, every, right = FURTHER[story](rng, case, k, bar)
     alone = [_alone(obs) for obs in [*few, *every]]
     groups = discovered(every)[1] if len(every) > 1 else alone[-1]
     shown = all(any(group & names for one in alone for group in one) for names in right)
@@ -271,12 +273,12 @@ def further(story: str, case: int, k: float) -> dict[str, Any]:
     }
 
 
-def told(story: str, case: int, k: float) -> dict[str, Any]:
+def told(story: str, case: int, k: float, bar: Bar) -> dict[str, Any]:
     """Return what tests say alone and in one twin, and how the sizes that they share compare."""
     rng = np.random.default_rng([case, list(STORIES).index(story)])
     of_x, of_y, lead_x, lead_y, lost_um, right = STORIES[story](rng, k)
     mill = MillParameters().with_axis("X", **of_x).with_axis("Y", **of_y)
-    campaigns = [circles(mill, case), laser("X", lead_x, lost_um, 2 * case), laser("Y", lead_y, 0.0, 2 * case + 1)]
+    campaigns = [bar(mill), laser("X", lead_x, lost_um, 2 * case), laser("Y", lead_y, 0.0, 2 * case + 1)]
     alone = [_alone(obs) for obs in campaigns]
     twin, groups = discovered(campaigns)
     truth = {("scale", "X"): lead_x, ("scale", "Y"): lead_y, ("backlash", "X"): lost_um}
@@ -303,9 +305,10 @@ def _where(term: Term) -> tuple[str, str]:
     return term.instance.effect.name, term.instance.axis
 
 
-def row(story: str, cases: range, k: float = 0.0) -> dict[str, Any]:
+def row(story: str, cases: range, k: float = 0.0, repeats: int = 3) -> dict[str, Any]:
     """Return how often one story is not told by the ball bar alone, and is named in one twin."""
-    found = [further(story, case, k) if story in FURTHER else told(story, case, k) for case in cases]
+    one = further if story in FURTHER else told
+    found = [one(story, case, k, partial(circles, seed=case, repeats=repeats)) for case in cases]
     unclear, shown = [f for f in found if f["unclear"]], [f for f in found if f["shown"]]
     covered = [c for f in found for c in f["covered"]]
     return {
@@ -330,11 +333,12 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--first", type=int, default=0, help="seed of the first machine")
     parser.add_argument("--k", type=float, default=0.0, help="size of each cause on the circles, in RMS of the noise")
+    parser.add_argument("--repeats", type=int, default=3, help="of each circle")
     parser.add_argument("--only", default="", help="stories that have this in their name")
     asked = parser.parse_args()
     stories = [story for story in (*STORIES, *FURTHER) if asked.only in story]
     cases = range(asked.first, asked.first + (1 if asked.short else asked.cases))
-    rows = [row(story, cases, asked.k) for story in stories]
+    rows = [row(story, cases, asked.k, asked.repeats) for story in stories]
     if asked.json:
         print(json.dumps(rows))
         return

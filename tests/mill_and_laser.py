@@ -20,19 +20,23 @@ DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 
 
 def circular_tests(
-    radii_mm: Sequence[float] = (100.0,), feeds_mm_min: Sequence[float] = (2000.0,)
+    radii_mm: Sequence[float] = (100.0,), feeds_mm_min: Sequence[float] = (2000.0,), repeats: int = 3
 ) -> list[CircularTest]:
-    """Return circles both ways, three repeats, a set-up for each radius."""
-    every = product(radii_mm, feeds_mm_min, (1, 2, 3), DIRECTIONS)
+    """Return circles both ways, a set-up for each radius."""
+    every = product(radii_mm, feeds_mm_min, range(1, repeats + 1), DIRECTIONS)
     return [CircularTest("XY", way, radius, feed, k, f"xy{radius:g}") for radius, feed, k, way in every]
 
 
 def measured(
-    mill: MillParameters, seed: int, radii_mm: Sequence[float] = (100.0,), feeds_mm_min: Sequence[float] = (2000.0,)
+    mill: MillParameters,
+    seed: int,
+    radii_mm: Sequence[float] = (100.0,),
+    feeds_mm_min: Sequence[float] = (2000.0,),
+    repeats: int = 3,
 ) -> tuple[Campaign, list[Run]]:
     """Return what the ball bar reads of them."""
     made = VirtualMill(mill, seed=seed, noise=NoiseParameters(rms_um=0.1))
-    return made.campaign(), made.measure(circular_tests(radii_mm, feeds_mm_min))
+    return made.campaign(), made.measure(circular_tests(radii_mm, feeds_mm_min, repeats))
 
 
 def circles(
@@ -42,9 +46,10 @@ def circles(
     day: str = "",
     radii_mm: Sequence[float] = (100.0,),
     feeds_mm_min: Sequence[float] = (2000.0,),
+    repeats: int = 3,
 ) -> Observations:
     """Return the same on a grid, begun on a day where one is given."""
-    campaign, runs = measured(mill, seed, radii_mm, feeds_mm_min)
+    campaign, runs = measured(mill, seed, radii_mm, feeds_mm_min, repeats)
     if day:
         runs = [replace(run, meta=replace(run.meta, started=f"{day}T09:{n:02d}:00")) for n, run in enumerate(runs)]
     return observe(replace(campaign, name=name), runs)

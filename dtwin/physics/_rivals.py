@@ -107,7 +107,8 @@ def described(
         group += tuple(c for c in others_tested if c is not None)
         sets = _sets(problem, candidates, terms, term, rivals, group, level)
         group += sets
-        group += _two_instead(given, few, candidates, top, rivals, group, level)
+        two = _two_instead(given, few, candidates, top, rivals, group, level)
+        group += two or beside_a_part(given, candidates, top, group, level)
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
@@ -254,6 +255,31 @@ def _two_instead(
             if _is_nothing(candidates.given(given, beside), candidates, top, level, _SIMPLER_P):
                 return tuple(c for c in (first, second) if c.term.label not in have)
     return ()
+
+
+def beside_a_part(
+    problem: Problem, candidates: Candidates, top: Candidate, group: Sequence[Candidate], level: NoiseLevel
+) -> tuple[Candidate, ...]:
+    """Return each effect that at one speed is, together with a part of an effect, exactly that effect.
+
+    The oval of a mode is that of a scale; what rings may then be another mode, or how far the law of a spike is off.
+    """
+    effect, axis = top.term.instance.effect, top.term.instance.axis
+    if problem.obs.several_speeds or not effect.at_one_speed:
+        return ()
+    label = f"{effect.at_one_speed} {axis}"
+    part = [Term(i, top.term.shape) for i in candidates.instances if i.label == label]
+    given = candidates.given(problem, part)
+    have = {c.term.label for c in group}
+    out = []
+    for instance in candidates.instances:
+        term = Term(instance, {})
+        if instance.effect.shapes or instance.label in have or not candidates.visible(given, term).shape[1]:
+            continue
+        other = candidates.tested_term(problem, term, level)
+        if other is not None and not candidates.visible(candidates.given(given, [term]), top.term).shape[1]:
+            out.append(other)
+    return tuple(out)
 
 
 def refined_candidate(

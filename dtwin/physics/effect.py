@@ -153,6 +153,8 @@ class Effect:
         Effects that it can be mistaken for.
     special_cases : tuple of str
         Effects that it becomes at an end of its shapes: where one of them is enough, it is no other explanation.
+    at_one_speed : str
+        Effect of the same shape that it is at one speed, together with another that has no shape.
     cause : str
         What of the machine its size measures, where tests of other kinds can see that too: effects with the same cause
         on the same axis have the same size.
@@ -180,6 +182,7 @@ class Effect:
     stated: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()
     special_cases: tuple[str, ...] = ()
+    at_one_speed: str = ""
     cause: str = ""
     correctable: str = ""
     setup: bool = False

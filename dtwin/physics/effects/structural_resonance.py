@@ -45,5 +45,6 @@ EFFECT = Effect(
         ShapeParameter("damping_ratio", "1", 0.05, (0.015, 0.05, 0.16)),
     ),
     confusables=("inertial_compliance", "reversal_ringing", "servo_lag"),
+    at_one_speed="reversal_ringing",
     correctable=("The part that follows the acceleration; the ringing cannot be corrected by offsets."),
 )
