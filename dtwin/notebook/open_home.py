@@ -352,6 +352,8 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
             got=str(root.root),
             allowed="a folder, or a new name",
         )
+    if folder is None:
+        root.require_parts()
     follow_shared(root)
     return OpenHome(root.tightened(), effects)
 

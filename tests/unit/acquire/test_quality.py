@@ -88,6 +88,7 @@ def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
         ({"t_s": _changed(np.arange(400) / 200, slice(200, 201), 0.0)}, "clock.backwards"),
         ({"t_s": np.arange(400) / 200 + (np.arange(400) > 200) * 0.5}, "clock.dropout"),
         ({"deviation_um": 1e4 * np.sin(np.arange(400) / 7.0)}, "reading.out_of_range"),
+        ({"deviation_um": np.linspace(0.0, 360.0, 400)}, "reading.ramp"),
         ({"deviation_um": 350.0 + 5.0 * np.sin(np.arange(400) / 7.0)}, "reading.datum"),
         ({"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)}, "reading.stuck"),
         ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
