@@ -193,3 +193,12 @@ def test_readings_that_do_not_give_what_their_file_states_are_told(
 def test_a_feed_that_is_a_tenth_of_the_real_one_is_told_of_a_record_too_short_for_it(real: dict[str, Run]) -> None:
     run = replace(real["ccw"], meta=replace(real["ccw"].meta, feed_mm_min=500.0))
     assert found(judge_run(run), "feed.differs").severity == "error"
+
+
+@pytest.mark.parametrize(("slope", "told"), [(1.0, True), (0.05, False)])
+def test_actual_positions_under_a_head_of_errors_are_told(slope: float, told: bool) -> None:
+    at = np.linspace(0.0, 500.0, 51)
+    error = slope * at + 2e-3 * np.sin(at)
+    samples = {"t_s": np.arange(51.0), "position_mm": at, "error_um": error, "direction": np.array(["forward"] * 51)}
+    run = Run(RunMeta("a", kind="linear", condition={"axis": "X"}), samples)
+    assert ("linear.positions" in codes(run)) == told
