@@ -315,6 +315,12 @@ def test_a_home_of_another_user_is_used_by_those_who_name_it(tmp_path: Path, mon
     assert not dtwin.open_home(".dtwin").runs().size
 
 
+def test_a_pipe_in_place_of_the_settings_of_a_home_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "home.toml")
+    with pytest.raises(InputError, match="not usable"):
+        Home(tmp_path).file  # noqa: B018
+
+
 def test_a_path_with_a_name_that_no_folder_can_have_is_said() -> None:
     told = subprocess.run(
         [sys.executable, "-m", "dtwin", "runs"],
