@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -83,6 +84,9 @@ def read_home_file(root: Path) -> HomeFile:
         state = path.stat()
     except OSError:
         return HomeFile()
+    if not stat.S_ISREG(state.st_mode):
+        # A pipe would never end.
+        raise _refused(str(path), "no plain file", "a TOML file")
     return _read(path, state.st_mtime_ns, state.st_size)
 
 

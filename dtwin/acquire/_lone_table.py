@@ -78,6 +78,8 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
 
 
 def safe_name(text: str) -> str:
-    """Return a text as a name: what is not allowed in one becomes a hyphen."""
+    """Return a text, or what a file is called, as a name: what is not allowed in one becomes a hyphen."""
+    # Of a file that was packed: kreis.csv.gz.
+    text = re.sub(r"\.(csv|tsv|txt|dat)$", "", text, flags=re.I)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-._")[:80].lower()
     return re.sub(r"\.{2,}", ".", name) or "unnamed"

@@ -83,7 +83,7 @@ class MqttRecorder(OpenAndClose):
         self._heard: queue.SimpleQueue[tuple[float, str, bytes]] = queue.SimpleQueue()
         self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
         self._running, self._away_s, self._refused = False, math.nan, 0
-        self._newest_s = self._monotonic_s = math.nan
+        self._newest_s = self._monotonic_s = self._offset_s = math.nan
         self._spoilt: set[str] = set()
 
     def open(self) -> None:
@@ -100,6 +100,7 @@ class MqttRecorder(OpenAndClose):
                 got="paho-mqtt",
                 hint="pip install '.[stream]' in a checkout of dtwin",
             ) from error
+        self._set_clock()
         client = Client(CallbackAPIVersion.VERSION2)
         client.connect_timeout = self._timeout_s
         if self._tls:
@@ -146,6 +147,7 @@ class MqttRecorder(OpenAndClose):
     def start(self) -> None:
         """Begin with the first message."""
         self._require_open()
+        self._set_clock()
         self._held.restart()
         self._spoilt.clear()
         self._newest_s = self._monotonic_s = self._away_s = math.nan
@@ -187,10 +189,14 @@ class MqttRecorder(OpenAndClose):
             client.disconnect()
             client.loop_stop()
 
+    def _set_clock(self) -> None:
+        """Take this computer's clock as it is now: it may be set while recording, and times run on."""
+        self._offset_s = time.time() - time.monotonic()
+
     def _hear(self, topic: str, payload: bytes) -> None:
         """Keep a message; called by the thread of the client."""
         if self._heard.qsize() < _MOST_WAITING:
-            self._heard.put((time.time(), topic, payload[: _MAX_BYTES + 1]))
+            self._heard.put((self._offset_s + time.monotonic(), topic, payload[: _MAX_BYTES + 1]))
         else:
             self._refused += 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import math
 import time
@@ -214,7 +215,8 @@ class MTConnectRecorder(OpenAndClose):
                 return _bounded(answer.read(_MAX_BYTES + 1), address)
         except urllib.error.HTTPError as error:
             # Newer agents put the reason into the body.
-            with error:
+            body = b""
+            with error, contextlib.suppress(OSError, http.client.HTTPException):
                 body = error.read(_MAX_BYTES + 1)
             if b"MTConnectError" in body[:4000]:
                 return _bounded(body, address)

@@ -13,6 +13,8 @@ from dtwin.schema import Finding, Floats, Run, of_one_way
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
 _MIN_SPREAD_UM = 0.02
+# Of the span of places, by which errors that are places may differ from them.
+_SAME_PLACES = 0.01
 _READINGS = ("deviation_um", "error_um", "error_arcsec", "displacement_um")
 # Of a run beside one other, how many readings tell what a display shows twice; and how likely equal ones may be.
 _MANY, _CHANCE = 100, 1e-6
@@ -111,6 +113,18 @@ def _by_chance(read_um: Floats, others_um: Sequence[Floats]) -> float:
     beside = float(np.mean(read_um[1:] == read_um[:-1])) if read_um.size >= _MANY else 1.0
     share = max((share for share in shares if share < 1.0), default=beside)
     return max(share, 1.0 / max(read_um.size, 1)) ** read_um.size
+
+
+def judge_places(error: Floats, place: Floats, name: str, code: str) -> list[Finding]:
+    """Return that the errors of a column are the places themselves, as where actual positions stand under a head of errors.
+
+    ``error``, ``place``: in the units of their columns, which are not the same.
+    """
+    span = float(np.ptp(place))
+    if span == 0.0 or float(np.ptp(error - place)) > _SAME_PLACES * span:
+        return []
+    text = f"{name} rises by {np.ptp(error):z.6g} as the position does: actual positions in place of errors"
+    return [Finding(code, "error", text)]
 
 
 def judge_flagged(run: Run) -> list[Finding]:

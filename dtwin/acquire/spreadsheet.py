@@ -7,7 +7,7 @@ import gzip
 import io
 import re
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import date, datetime, time, timedelta
 from functools import lru_cache
 from itertools import islice, zip_longest
@@ -38,6 +38,10 @@ _SNIFFED, _FIRST_LINES = 65_536, 100
 _LOOKED_AT = 200
 _MOST_ROWS, _MOST_COLUMNS = 200_000, 512
 _FORMULA = re.compile(rb"<(\w+:)?f[ />]")
+_HIDDEN_ROW = re.compile(
+    rb'<(?:\w+:)?row\b[^>]*\bhidden="(?:1|true)"[^>]*(?<!/)>(?:<(?:\w+:)?c\b[^>]*/>)*<(?:\w+:)?c\b[^>]*(?<!/)>'
+)
+"""A row that is not shown, as a filter leaves it, with a cell that holds something."""
 _CHUNK = 1024**2
 
 
@@ -120,7 +124,10 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             return _table_of_text(path, data), False
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
-            calculated = unpacked <= _MAX_UNPACKED and _has_formulas(archive)
+            small = unpacked <= _MAX_UNPACKED
+            # Few hold formulas, and to look for their values takes as long as to read the workbook twice.
+            calculated = small and bool(_sheets_with(_FORMULA, archive))
+            filtered = _sheets_with(_HIDDEN_ROW, archive) if small else set()
         if unpacked > _MAX_UNPACKED:
             raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
         book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
@@ -149,6 +156,7 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
             for sheet in sheets:
                 rows = _rows(path, sheet.iter_rows(values_only=True))
                 if sum(map(len, rows)) > 1:
+                    _require_shown(path, sheet, filtered)
                     return _as_csv(rows), others
         finally:
             book.close()
@@ -221,17 +229,32 @@ def _of_parquet(path: Path, data: bytes) -> bytes:
     raise _refused(path, f"{table.num_rows} rows", f"up to {_MOST_ROWS} rows")
 
 
-def _has_formulas(archive: zipfile.ZipFile) -> bool:
-    """Return whether any sheet holds a formula; few do, and to look for their values takes as long as to read the workbook twice."""
+def _sheets_with(form: re.Pattern[bytes], archive: zipfile.ZipFile) -> set[str]:
+    """Return in which sheets of a workbook, by their names in its archive, something of a form stands."""
+    found = set()
     for entry in archive.infolist():
         if entry.filename.startswith("xl/worksheets/"):
             with archive.open(entry) as sheet:
                 end = b""
                 while block := sheet.read(_CHUNK):
-                    if _FORMULA.search(end + block):
-                        return True
+                    if form.search(end + block):
+                        found.add(entry.filename)
+                        break
                     end = block[-_LOOKED_AT:]
-    return False
+    return found
+
+
+def _require_shown(path: Path, sheet: Any, filtered: Collection[str]) -> None:
+    """Refuse a sheet with rows that are not shown: figures would be of other rows than those that its reader sees."""
+    if sheet._worksheet_path in filtered:
+        raise InputError(
+            "rows of the sheet are hidden, as by a filter",
+            code="spreadsheet.hidden",
+            where=f"{path} {sheet.title}",
+            got="rows with values that the spreadsheet program does not show",
+            allowed="a table of which all rows are shown",
+            hint="clear the filter and show all rows; or copy the rows that are meant to a file of their own",
+        )
 
 
 def _require_saved(path: Path, data: bytes, sheets: Sequence[Any]) -> None:

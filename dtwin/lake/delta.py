@@ -28,8 +28,10 @@ _KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
 # Hexadecimal digits of its own hash that the name of a data file ends with.
 _DIGITS = 24
 _NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
-# One group of rows of a data file.
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
+# What deltalake says of a table that needs features which it does not have.
+_NEWER = re.compile(r"\bunsupported\b|table features", re.I)
+# One group of rows of a data file.
 _PART = re.compile(r"([^\x00]+\.parquet)#([0-9]{1,6})")
 
 
@@ -162,7 +164,9 @@ class DeltaFiles:
                 return table.version()
             try:
                 return self._written(table, actions, {*live, *new})
-            except CommitFailedError:
+            except CommitFailedError as error:
+                if _NEWER.search(str(error)):
+                    raise self._newer(str(error)) from error
                 time.sleep(0.02 * (attempt + 1))
                 table = self._open()
         raise StoreError(
@@ -303,6 +307,8 @@ class DeltaFiles:
     def _damaged(self, got: str) -> StoreError:
         if isinstance(self.place, Bucket) and is_of_store(got):
             return store_error(got, str(self.place))
+        if _NEWER.search(got):
+            return self._newer(got)
         return StoreError(
             "the log of a table is damaged",
             code="store.open",
@@ -310,6 +316,16 @@ class DeltaFiles:
             got=got[:200],
             hint="restore _delta_log from a backup; after a power cut: dtwin repair, then ingest "
             "the newest measurements again",
+        )
+
+    def _newer(self, got: str) -> StoreError:
+        return StoreError(
+            "another program made the lake so that this version cannot use it",
+            code="store.newer",
+            where=str(self.place),
+            got=got[:200],
+            allowed="tables of Delta as this version of dtwin writes them",
+            hint="install the newest dtwin, or restore _delta_log from a backup before it; nothing was lost or committed",
         )
 
     def _with_columns(self, schema: pa.Schema) -> DeltaTable:

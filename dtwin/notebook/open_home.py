@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.lake.store import Lake
+from dtwin.notebook._told import path_of, require_plain, require_seed, require_text, texts_of, version_of
 from dtwin.notebook.results import (
     ComparisonResult,
     DiagnosisResult,
@@ -70,8 +70,8 @@ class OpenHome:
     def __init__(self, home: Home, effects: str | Path | Iterable[str | Path] = ()) -> None:
         self.home = home
         self._lake = Lake(home.lake)
-        paths = [effects] if isinstance(effects, str | Path) else effects
-        self._library = Library([Path(path) for path in paths])
+        files = [effects] if isinstance(effects, str) else texts_of(effects, "files of effects")
+        self._library = Library([path_of(file, "a file of effects") for file in files])
 
     def __repr__(self) -> str:
         campaigns = self._lake.campaigns()
@@ -102,11 +102,13 @@ class OpenHome:
         InputError
             When there is no such machine, or it has no such option.
         """
+        require_text(machine, "a virtual machine")
+        folder = path_of(out, "the folder of a campaign")
         virtual = machine_named(machine)
-        _require_seed(seed)
+        require_seed(seed)
         options = virtual.chosen({"hidden": hidden, "truth": truth, "schedule": schedule})
-        virtual.simulate(Request(Path(out), seed, quick, None, options), _silent)
-        return Path(out)
+        virtual.simulate(Request(folder, seed, quick, None, options), _silent)
+        return folder
 
     def ingest(self, path: str | Path, **told: str | float) -> IngestResult:
         """Bring a campaign folder, a ``.b5r`` or a table into the lake; safe to repeat.
@@ -130,11 +132,8 @@ class OpenHome:
                 got=", ".join(unknown)[:120],
                 allowed=", ".join(_TOLD),
             )
-        if not _is_path(path):
-            raise InputError(
-                "what is ingested is a path", code="ingest.path", got=repr(path)[:60], allowed="a folder or a file"
-            )
-        ingested = ingest_path(Path(path), self._lake, told=told)
+        require_plain(told)
+        ingested = ingest_path(path_of(path, "what is ingested"), self._lake, told=told)
         rows = [{"run_id": run, **finding.as_dict()} for run, finding in ingested.findings]
         columns = ["run_id", "severity", "code", "message"]
         return IngestResult(
@@ -162,7 +161,7 @@ class OpenHome:
             When there is no such campaign.
         """
         if campaign is not None:
-            _require_text(campaign, "a campaign")
+            require_text(campaign, "a campaign")
         rows = self._lake.runs(campaign, left_out=True)
         if campaign is not None and not rows:
             self._lake.campaign(campaign)
@@ -236,38 +235,45 @@ class OpenHome:
         InputError
             When the campaign, an effect or the name cannot be used.
         """
-        names = effects.split(",") if isinstance(effects, str) else effects
+        names = effects.split(",") if isinstance(effects, str) else texts_of(effects, "effects")
         wanted = [part.strip() for part in names if part.strip()]
-        campaigns = [campaign] if isinstance(campaign, str) else campaign
+        campaigns = texts_of(campaign, "campaigns")
+        require_text(name, "a twin")
         return of_twin(*fit_twin(self.home, self._library, campaigns, wanted, name, robust=robust))
 
     def show(self, name: str, version: int | None = None) -> TwinResult:
         """Return a version of a twin, the newest one without a number."""
         twins = self._twins(name)
-        return of_twin(twins, twins.newest(name, version))
+        return of_twin(twins, twins.newest(name, version_of(version)))
 
     def compare(self, name: str, campaign: str | None = None) -> ComparisonResult:
         """Compare a twin with measurements, those of its fit or of another campaign."""
+        if campaign is not None:
+            require_text(campaign, "a campaign")
         return of_comparison(self._twins(name).compare(name, campaign))
 
     def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Name the effect that a twin lacks, or say why it cannot be named."""
-        _require_seed(seed)
+        require_seed(seed)
         return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
 
     def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
         """Add an effect, refit, and return the new version."""
+        require_text(effect, "an effect")
+        require_text(axis, "an axis")
         twins = self._twins(name)
         return of_twin(twins, twins.add(name, effect, axis))
 
     def remove(self, name: str, effect: str, axis: str = "") -> TwinResult:
         """Take an effect out, refit, and return the new version."""
+        require_text(effect, "an effect")
+        require_text(axis, "an axis")
         twins = self._twins(name)
         return of_twin(twins, twins.remove(name, effect, axis))
 
     def discover(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Add all that these runs can tell, one version each; return the last diagnosis."""
-        _require_seed(seed)
+        require_seed(seed)
         twins = self._twins(name)
         _, _, said = twins.discover(name, seed=seed)
         return of_diagnosis(twins.newest(name), said)
@@ -296,6 +302,7 @@ class OpenHome:
         loaded = self._run(campaign, run)
         drawings = {known.name: known for known in kind_named(loaded.meta.kind).drawings}
         wanted = next(iter(drawings)) if drawing is None else drawing
+        require_text(wanted, "a figure")
         if wanted not in drawings:
             raise InputError(
                 "there is no such figure of the run",
@@ -307,11 +314,12 @@ class OpenHome:
         return drawings[wanted].draw(loaded, lambda: self._floor_um(campaign))
 
     def _twins(self, name: str) -> Twins | HeatTwins:
+        require_text(name, "a twin")
         return twins_with(self.home, self._library, name)
 
     def _run(self, campaign: str, run: str, *, signals: bool = False) -> Run:
-        _require_text(campaign, "a campaign")
-        _require_text(run, "a run")
+        require_text(campaign, "a campaign")
+        require_text(run, "a run")
         rows = {row["run_id"]: row for row in self._lake.runs(campaign, left_out=True)}
         if not rows:
             self._lake.campaign(campaign)
@@ -344,7 +352,7 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
         Your own effect files, or folders of them. Their code is run.
     """
     quiet_environment()
-    root = home() if folder is None else Home(Path(folder).expanduser().absolute())
+    root = home() if folder is None else Home(path_of(folder, "a home").expanduser().absolute())
     if root.root.is_file():
         raise InputError(
             "a home is a folder, and this is a file",
@@ -352,27 +360,10 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
             got=str(root.root),
             allowed="a folder, or a new name",
         )
+    if folder is None:
+        root.require_parts()
     follow_shared(root)
     return OpenHome(root.tightened(), effects)
-
-
-def _require_seed(seed: object) -> None:
-    if not isinstance(seed, Integral) or int(seed) < 0:
-        raise InputError("not a seed", code="notebook.seed", got=str(seed)[:40], allowed="a whole number from 0")
-
-
-def _is_path(value: object) -> bool:
-    return isinstance(value, str | Path)
-
-
-def _require_text(value: object, what: str) -> None:
-    if not isinstance(value, str):
-        raise InputError(
-            f"{what} is named by its text",
-            code="notebook.name",
-            got=repr(value)[:60],
-            hint="home.runs() lists the names",
-        )
 
 
 def _silent(done: int, total: int, what: str) -> None:

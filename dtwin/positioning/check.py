@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dtwin.acquire.quality import judge_clock
+from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
 from dtwin.positioning.scale import LENGTHS, Scale
@@ -79,6 +79,7 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
                 {f"largest_{scale.figure}": largest},
             )
         )
+    findings += judge_places(error, position, scale.error, f"{scale.kind}.positions")
     constant = _longest_constant(error)
     if constant >= _STUCK_READINGS:
         findings.append(

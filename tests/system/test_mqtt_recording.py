@@ -173,6 +173,18 @@ def test_a_broker_that_comes_back_leaves_a_gap(tmp_path: Path) -> None:
     assert np.diff(found["timestamp_s"]).min() > 0.04
 
 
+def test_a_clock_that_is_set_back_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with running_broker(tmp_path) as port, machine(port) as publish, recorder(port) as device:
+        device.start()
+        publish("mill/x", 1.0)
+        until(device, lambda read: read["x_mm"].size > 0)
+        now_s = time.time
+        monkeypatch.setattr("time.time", lambda: now_s() - 7200.0)
+        publish("mill/x", 2.0)
+        read, _ = until(device, lambda read: bool((read["x_mm"] == 2.0).any()))
+        assert (np.diff(read["timestamp_s"]) > 0.0).all()
+
+
 def test_silence_is_said(tmp_path: Path) -> None:
     with running_broker(tmp_path) as port, recorder(port, patience_s=0.3) as device:
         device.start()

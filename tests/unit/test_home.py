@@ -20,6 +20,7 @@ from closed_loop import MACHINE, registered, small_bundle
 from fleet_lake import fill
 from typer.testing import CliRunner
 
+import dtwin
 from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
@@ -309,6 +310,15 @@ def test_a_home_of_another_user_is_used_by_those_who_name_it(tmp_path: Path, mon
     assert isinstance(asked, InputError)
     assert asked.code == "home.owner"
     assert CliRunner().invoke(app, ["people", "list"], env={"DTWIN_HOME": ".dtwin"}).exit_code == 0
+    with pytest.raises(InputError, match="another user's"):
+        dtwin.open_home()
+    assert not dtwin.open_home(".dtwin").runs().size
+
+
+def test_a_pipe_in_place_of_the_settings_of_a_home_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "home.toml")
+    with pytest.raises(InputError, match="not usable"):
+        Home(tmp_path).file  # noqa: B018
 
 
 def test_a_path_with_a_name_that_no_folder_can_have_is_said() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -117,6 +118,30 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
         home.plot("parts", "p1")
     with pytest.raises(NotOffered):
         home.fit("parts", ["backlash"], name="p")
+
+
+@pytest.mark.parametrize("value", [None, 1.5, b"x", ["a", 2], pd.Series([1.0]), pd.DataFrame({"a": [1]}), {"a"}])
+def test_what_is_of_another_type_is_refused_in_words(home: OpenHome, tmp_path: Path, value: Any) -> None:
+    verbs: list[Callable[[], object]] = [
+        lambda: dtwin.open_home(tmp_path / "h", effects=[value]),
+        lambda: dtwin.open_home(tmp_path / "h", effects=""),
+        lambda: home.simulate(value, tmp_path / "m"),
+        lambda: home.simulate("mill", value),
+        lambda: home.ingest(value),
+        lambda: home.ingest(tmp_path / "x.csv", machine=[value]),
+        lambda: home.fit(value, ["backlash"], "t"),
+        lambda: home.fit("rounds", value, "t"),
+        lambda: home.fit("rounds", ["backlash"], value),
+        lambda: home.show(value),
+        lambda: home.show("t", value if value is not None else 1.5),
+        lambda: home.compare("t", value if value is not None else 1),
+        lambda: home.add("t", value),
+        lambda: home.remove("t", "backlash", value),
+        lambda: home.plot("rounds", "a", value if value is not None else 1),
+    ]
+    for verb in verbs:
+        with pytest.raises(dtwin.InputError):
+            verb()
 
 
 def test_a_home_that_is_another_folder_or_a_file_is_left_as_it_is(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -505,6 +506,23 @@ def test_a_cut_log_entry_is_an_error_that_repair_mends(tmp_path: Path) -> None:
     assert lake.repair()["log"] == [f"runs/_delta_log/{3:020d}.json"]
     assert [row["run_id"] for row in lake.runs()] == ["r0", "r1"]
     assert lake.commit(CAMPAIGN, [make_run("r2", 2)]).added == ("r2",)
+
+
+@pytest.mark.parametrize(
+    "needs",
+    [
+        '"minReaderVersion":9,"minWriterVersion":9',
+        '"minReaderVersion":3,"minWriterVersion":7,"readerFeatures":["x"],"writerFeatures":["x"]',
+        '"minReaderVersion":1,"minWriterVersion":7,"writerFeatures":["x"]',
+    ],
+)
+def test_a_lake_that_needs_a_newer_program_is_not_called_damaged_or_busy(tmp_path: Path, needs: str) -> None:
+    Lake(tmp_path / "lake").commit(CAMPAIGN, [make_run("r0")])
+    log = tmp_path / "lake" / "runs" / "_delta_log" / f"{0:020d}.json"
+    log.write_text(re.sub(r'"protocol":\{[^}]*\}', f'"protocol":{{{needs}}}', log.read_text()))
+    with pytest.raises(StoreError) as caught:
+        Lake(tmp_path / "lake").commit(CAMPAIGN, [make_run("r1", 1)])
+    assert caught.value.code == "store.newer"
 
 
 def test_what_was_added_is_synced_file_log_and_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

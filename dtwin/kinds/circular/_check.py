@@ -19,6 +19,8 @@ _SAME_RADIUS = 0.01
 _MAX_DEVIATION_UM = 2_500.0
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
+# Share of squares that a straight line over the angle takes of no circle.
+_STRAIGHT = 0.9999
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 # Of run-in and run-out beside the turn that is evaluated.
@@ -130,6 +132,10 @@ def _reading(run: Run) -> list[Finding]:
             "calibrated, or a radius other than the one stated; G does not count it, Fmax, Fmin and D do"
         )
         findings.append(Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread}))
+    angle = run.samples["angle_deg"]
+    if spread > 0.0 and np.ptp(angle) > 0.0 and np.corrcoef(angle, deviation)[0, 1] ** 2 > _STRAIGHT:
+        said = f"deviations rise or fall evenly with the angle, by {spread:z.4g} µm: a column of angles or times, and no error of a circle"
+        findings.append(Finding("reading.ramp", "error", said, {"spread_um": spread}))
     rate = run.meta.sample_rate_hz
     limit = max(8, int(_STUCK_S * rate)) if np.isfinite(rate) else 20
     length, value = _longest_constant(deviation)

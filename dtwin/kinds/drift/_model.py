@@ -261,10 +261,17 @@ def _late(t_s: Floats, values: Floats, tau_s: float) -> Floats:
     slope = np.divide(rises, gaps, out=np.zeros_like(rises), where=gaps > 0.0)
     kept = np.exp(-gaps / tau_s)
     added = values[1:] - slope * tau_s - kept * (values[:-1] - slope * tau_s)
-    out = [float(values[0])]
-    for share, more in zip(kept.tolist(), added.tolist(), strict=True):
-        out.append(share * out[-1] + more)
-    return np.array(out)
+    # Rows of readings that follow each other are walked side by side from zero, then each begins where the one before ended.
+    rows = max(int(np.sqrt(kept.size)), 1)
+    steps = max(-(-kept.size // rows), 1)
+    share, more = (np.pad(one, (0, rows * steps - kept.size)).reshape(rows, steps) for one in (kept, added))
+    out, at, begin = np.empty_like(more), np.zeros(rows), float(values[0])
+    for n in range(steps):
+        out[:, n] = at = share[:, n] * at + more[:, n]
+    for row, left in zip(out, np.cumprod(share, axis=1), strict=True):
+        row += left * begin
+        begin = row[-1]
+    return np.concatenate([values[:1], out.ravel()[: kept.size]])
 
 
 def sense(condition: Mapping[str, Any], where: str) -> float:

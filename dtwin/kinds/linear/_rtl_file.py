@@ -31,9 +31,10 @@ from dtwin.units import UM_PER_MM
 SUFFIXES = (".rtl", ".pos")
 _MAX_BYTES = 8 * 1024 * 1024
 _MOST_TARGETS = 2000
-_SECTION = re.compile(r"^\s*([^:]{1,40}?)\s*::\s*$")
-_KEY = re.compile(r"^\s*([^:]{1,40}?)\s*:\s*(.*)$")
-_MEANS = re.compile(r"^\s*position\s+(\w+).*error\s*$", re.I)
+# Of lines without blanks at their ends: of two parts that both take them, a long line has no end.
+_SECTION = re.compile(r"^([^:]{1,40}?)\s*::$")
+_KEY = re.compile(r"^([^:]{1,40}?)\s*:\s*(.*)$")
+_MEANS = re.compile(r"^position\s+(\w+)\b.*error$", re.I)
 _TARGETS = {"targets", "ziele", "zielpositionen"}
 _DATA = {"run target data", "lauf ziel daten", "lauf-ziel-daten"}
 _COUNTS = {"target-count": "targets", "zielanzahl": "targets", "run-count": "runs", "laufanzahl": "runs"}
@@ -102,8 +103,9 @@ def _content(path: Path) -> _Content:
     content, collecting = _Content(), ""
     for number, line in enumerate(decoded(read_bounded(path, _MAX_BYTES)).splitlines(), start=1):
         where = Path(f"{path} line {number}")
+        line = line.strip()
         key, means = _KEY.match(line), _MEANS.match(line)
-        if not line.strip():
+        if not line:
             continue
         if _SECTION.match(line):
             collecting = ""

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 from dtwin.kinds.kind import Kind
 
 if TYPE_CHECKING:
-    from dtwin.schema import Finding, Run
+    from dtwin.schema import Finding, Floats, Run
 
 
 _LEAST_UM, _MOST_UM = 1.0, 1e5
 """Between these lies the largest error of a robot that places parts."""
+_FEWEST, _TIMES_USUAL = 5, 20.0
+"""Placements that tell what is usual, and how many times that one lies off that is none of them."""
 
 
 class _Placement(Kind):
@@ -35,13 +37,43 @@ def _sizes(run: Run) -> list[Finding]:
     from dtwin.schema import Finding
 
     errors = {name: run.samples[name] for name in _Placement.columns if name.startswith("error_")}
-    largest = max(float(abs(values).max()) for values in errors.values())
-    if largest and not _LEAST_UM <= largest <= _MOST_UM:
-        text = f"the largest error is {largest:.3g} µm: is it another unit? A robot places within {_LEAST_UM:g} to {_MOST_UM:g} µm"
+    by_way = {name: float(abs(values).max()) for name, values in errors.items()}
+    largest = max(by_way.values())
+    few = len(run.samples["t_s"]) < _FEWEST
+    other = {
+        n: most
+        for n, most in by_way.items()
+        if most > _MOST_UM or (0.0 < most < _LEAST_UM and (not few or largest < _LEAST_UM))
+    }
+    if other:
+        told = " and ".join(f"{most:.3g} µm of {name}" for name, most in other.items())
+        text = (
+            f"the largest error is {told}: is it another unit? A robot places within {_LEAST_UM:g} to {_MOST_UM:g} µm"
+        )
         return [Finding("placement.units", "error", text, {"largest_um": largest})]
-    still = [name for name, values in errors.items() if largest and len(values) > 1 and not values.any()]
-    text = f"{' and '.join(still)} is 0 at every placement: this direction was not measured"
-    return [Finding("placement.still", "warning", text)] if still else []
+    still = [
+        n for n, values in errors.items() if largest and len(values) > 1 and float(values.max()) == float(values.min())
+    ]
+    text = f"{' and '.join(still)} is the same at every placement: this direction was not measured"
+    return [Finding("placement.still", "warning", text)] * bool(still) + _far(run, errors)
+
+
+def _far(run: Run, errors: Mapping[str, Floats]) -> list[Finding]:
+    """Return placements that lie far off all others, which no rule flagged."""
+    import numpy as np
+
+    from dtwin.schema import Finding
+
+    found = []
+    kept = np.flatnonzero(run.samples.get("flag_1", np.zeros(len(run.samples["t_s"]))) == 0.0)
+    for name, values in errors.items():
+        off = abs(values[kept] - np.median(values[kept])) if len(kept) >= _FEWEST else np.zeros(0)
+        usual = float(np.median(off)) if off.size else 0.0
+        far = kept[off > _TIMES_USUAL * usual] if usual > 0.0 else kept[:0]
+        if far.size:
+            text = f"{name} of row {', '.join(str(n + 1) for n in far[:5])} lies up to {off.max():.4g} µm off the others, half of which lie within {usual:.3g}: a part that slipped, or a reading of another one"
+            found.append(Finding("placement.far", "warning", text, {"off_um": float(off.max())}))
+    return found
 
 
 KIND = _Placement()

@@ -71,6 +71,9 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     needed = _NEEDED if any(n.startswith("joint_") for n in columns) else (*_NEEDED, "target_")
     need = np.stack([v for n, v in columns.items() if n.startswith(needed)], axis=1)
     good = np.isfinite(need).all(axis=1)
+    read = [columns[n] for n in ("measured_x_mm", "measured_y_mm", "measured_z_mm") if n in columns]
+    # Where its beam is lost an instrument writes zeros.
+    good &= np.any([values != 0.0 for values in read], axis=0) if read else True
     left_out = np.isin(columns["row_1"], out)
     # The same reading at the same time was written twice; without times it may be two that agree.
     copied = np.isin(columns["row_1"], [] if any(f.code == "poses.times" for f in findings) else list(copy_of))
@@ -131,7 +134,7 @@ def _copies(columns: Mapping[str, Floats]) -> dict[int, int]:
 def _why_not(number: int, left_out: bool, copied: bool, copy_of: Mapping[int, int]) -> str:
     if left_out:
         return "left out in campaign.toml"
-    return f"a copy of row {copy_of[number]}" if copied else "not finite"
+    return f"a copy of row {copy_of[number]}" if copied else "not finite, or nothing was read"
 
 
 def is_pose_table(path: Path) -> bool:

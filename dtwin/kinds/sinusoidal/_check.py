@@ -22,6 +22,8 @@ HEARD = 0.5
 _SAME_TONE = 0.9
 # m/s² under a name of g are 9.8 times as many; a sensor beside the tool feels another share of it, not that much.
 _OTHER_UNIT = 5.0
+_LEAST_MOVED, _MOST_MOVED = 0.2, 20.0
+"""Of the encoder's amplitude: what a tool moves by, beside a resonance, too."""
 _AGAINST_DEG = 150.0
 """No slide turns a tone below its bandwidth by as much."""
 # Between the halves of a run; of a tone that is told to the last digit it moves by what the command is quantised by.
@@ -222,6 +224,11 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
         if abs(behind_deg) > _AGAINST_DEG:
             said = f"the tool moves against the encoder ({behind_deg:z.0f}°): the probe reads with the opposite sign"
             findings.append(Finding("sinusoidal.sign", "error", said, {"phase_deg": behind_deg}))
+    # The error of a tool is no tone where noise is most of it.
+    ratio = tool.amplitude / encoder.amplitude if encoder.share > _SAME_TONE else 1.0
+    if ratio > 0.0 and not _LEAST_MOVED < ratio < _MOST_MOVED:
+        said = f"the tool moves {ratio:z.3g} times as far as the encoder: another unit, or the tool's error in place of its position"
+        findings.append(Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio}))
     return findings
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dtwin.acquire.quality import judge_clock
+from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in
@@ -68,6 +68,7 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
         *_places(run),
         *_range(error),
         *_still(error),
+        *_positions(run),
         *_fixed(run.samples["pose_1"], run.samples["ball_1"], error),
         *(finding for group in run.signals for finding in _temperatures(group)),
     ]
@@ -131,6 +132,11 @@ def _still(error: Floats) -> list[Finding]:
         return []
     text = f"{' and '.join(still)} {'is' if len(still) == 1 else 'are'} the same at every ball: this direction was not measured, and errors of it are unknown, not 0"
     return [Finding("balls.axis_still", "error", text)]
+
+
+def _positions(run: Run) -> list[Finding]:
+    told = ((f"error_{axis}_um", f"{axis}_mm") for axis in "xyz" if f"{axis}_mm" in run.samples)
+    return [f for e, at in told for f in judge_places(run.samples[e], run.samples[at], e, "balls.positions")]
 
 
 def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:

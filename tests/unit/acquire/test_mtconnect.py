@@ -222,6 +222,29 @@ def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
     assert caught.value.code == "mtconnect.absent"
 
 
+def test_a_refusal_that_breaks_off_is_said() -> None:
+    over = threading.Event()
+
+    class Cut(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.wfile.write(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 900\r\n\r\nno")
+            over.wait(10.0)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Cut) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+        thread.start()
+        try:
+            with pytest.raises(DeviceError, match="refuses"):
+                recorder(f"http://127.0.0.1:{server.server_address[1]}", patience_s=0.5, timeout_s=0.2).open()
+        finally:
+            over.set()
+            server.shutdown()
+            thread.join()
+
+
 @pytest.mark.parametrize("begin", [b"HTTP/1.0 200 OK\r\n\r\n", b"HTTP/1.0 200 OK\r\nX: "])
 def test_an_answer_that_never_ends_is_given_up(begin: bytes) -> None:
     """As of an agent that hangs in its answer, or its head: each byte comes before the timeout."""

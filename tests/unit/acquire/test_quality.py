@@ -88,6 +88,7 @@ def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
         ({"t_s": _changed(np.arange(400) / 200, slice(200, 201), 0.0)}, "clock.backwards"),
         ({"t_s": np.arange(400) / 200 + (np.arange(400) > 200) * 0.5}, "clock.dropout"),
         ({"deviation_um": 1e4 * np.sin(np.arange(400) / 7.0)}, "reading.out_of_range"),
+        ({"deviation_um": np.linspace(0.0, 360.0, 400)}, "reading.ramp"),
         ({"deviation_um": 350.0 + 5.0 * np.sin(np.arange(400) / 7.0)}, "reading.datum"),
         ({"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)}, "reading.stuck"),
         ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
@@ -192,3 +193,12 @@ def test_readings_that_do_not_give_what_their_file_states_are_told(
 def test_a_feed_that_is_a_tenth_of_the_real_one_is_told_of_a_record_too_short_for_it(real: dict[str, Run]) -> None:
     run = replace(real["ccw"], meta=replace(real["ccw"].meta, feed_mm_min=500.0))
     assert found(judge_run(run), "feed.differs").severity == "error"
+
+
+@pytest.mark.parametrize(("slope", "told"), [(1.0, True), (0.05, False)])
+def test_actual_positions_under_a_head_of_errors_are_told(slope: float, told: bool) -> None:
+    at = np.linspace(0.0, 500.0, 51)
+    error = slope * at + 2e-3 * np.sin(at)
+    samples = {"t_s": np.arange(51.0), "position_mm": at, "error_um": error, "direction": np.array(["forward"] * 51)}
+    run = Run(RunMeta("a", kind="linear", condition={"axis": "X"}), samples)
+    assert ("linear.positions" in codes(run)) == told

@@ -240,11 +240,28 @@ def test_a_table_is_read_by_what_it_is_whatever_its_ending(tmp_path: Path, endin
         assert [run.n_samples for run in runs] == [4], name
 
 
+def test_rows_that_a_filter_hides_are_refused_and_empty_ones_are_not(tmp_path: Path) -> None:
+    path = write(tmp_path / "book.xlsx", circle())
+    book = openpyxl.load_workbook(path)
+    sheet = book.active
+    assert sheet is not None
+    sheet.row_dimensions[900].hidden = True
+    book.save(path)
+    table_bytes(path, 10**6)
+    sheet.row_dimensions[50].hidden = True
+    book.save(path)
+    with pytest.raises(InputError) as refused:
+        table_bytes(path, 10**6)
+    assert refused.value.code == "spreadsheet.hidden"
+
+
 def test_a_packed_file_that_is_cut_or_grows_without_bounds_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "table.csv.gz"
     whole = gzip.compress(TABLE.format("\t").encode())
+    path.write_bytes(whole)
+    assert open_source(path, {"axis": "X"})[0].name == "table"
     path.write_bytes(whole[:-9])
     with pytest.raises(InputError):
         open_source(path, {"axis": "X"})

@@ -583,10 +583,12 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     assert run.samples["error_x_mm"][1] == pytest.approx(101.0)
 
 
-def test_a_number_beyond_all_reason_is_no_reading(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lost", ["{x},{y},1e300", "0.0,0,0.000"])
+def test_a_number_beyond_all_reason_and_a_lost_beam_are_no_readings(tmp_path: Path, lost: str) -> None:
     folder = without_joints(tmp_path / "c", "position")
     lines = (folder / "poses.csv").read_text("utf-8").splitlines()
-    lines[3] = ",".join([*lines[3].split(",")[:5], "1e300"])
+    cells = lines[3].split(",")
+    lines[3] = ",".join([*cells[:3], lost.format(x=cells[3], y=cells[4])])
     (folder / "poses.csv").write_text("\n".join(lines), encoding="utf-8")
     (run,), (rejected,) = next(iter(open_source(folder)[1]))
     assert ([row["row"] for row in rejected.rows], run.n_samples) == ([2], 899)
@@ -741,7 +743,7 @@ def test_spoilt_rows_are_numbered_as_in_the_file_and_can_be_left_out(tmp_path: P
     ((run,), (out,)) = next(iter(open_source(folder)[1]))
     assert "poses.spoilt" not in {f.code for f in judge_run(run)}
     assert {(row["row"], row["reason"]) for row in out.rows} == {
-        (4, "not finite"),
+        (4, "not finite, or nothing was read"),
         (29, "left out in campaign.toml"),
         (30, "left out in campaign.toml"),
     }

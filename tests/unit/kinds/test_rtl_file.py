@@ -140,6 +140,9 @@ def test_means_by_direction(tmp_path: Path) -> None:
         ("1   9      8.000", "1   8      8.000"),
         ("50.0000", "1e300"),
         ("Run Target Data:", "Nothing:"),
+        # Lines without an end.
+        ("Run Target Data:", " " * 100_000 + "x"),
+        ("Run Target Data:", "position " + "a" * 100_000),
     ],
 )
 def test_what_does_not_belong_together_is_refused(tmp_path: Path, old: str, new: str) -> None:

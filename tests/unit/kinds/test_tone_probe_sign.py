@@ -11,8 +11,11 @@ from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.units import G_MM_S2
 
 
-@pytest.mark.parametrize(("sign", "said"), [(1.0, set()), (-1.0, {"sinusoidal.sign"})])
-def test_a_probe_of_the_opposite_sign_is_an_error(sign: float, said: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("sign", "said"),
+    [(1.0, set()), (-1.0, {"sinusoidal.sign"}), (1000.0, {"sinusoidal.tool_scale"}), (0.02, {"sinusoidal.tool_scale"})],
+)
+def test_a_probe_of_the_opposite_sign_or_another_size_is_an_error(sign: float, said: set[str]) -> None:
     t_s = np.arange(0.0, 7.0, 0.001)
     encoder = 0.0196 * np.sin(2.0 * np.pi * 5.0 * t_s - 0.02)
     samples = {"t_s": t_s, "cmd_z_mm": 0.02 * np.sin(2.0 * np.pi * 5.0 * t_s), "act_z_mm": encoder}

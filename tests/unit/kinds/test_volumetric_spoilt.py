@@ -74,6 +74,13 @@ def test_a_clock_that_runs_back_and_a_place_that_stands_still_are_told(
     assert [(f.code, f.severity) for f in found] == codes
 
 
+def test_actual_places_in_place_of_errors_are_told() -> None:
+    run = runs_of(measured())[0]
+    at = run.samples["x_mm"] + 1e-3 * run.samples["error_x_um"]
+    found = KIND.judge_run(replace(run, samples=dict(run.samples) | {"error_x_um": at}))
+    assert [(f.code, f.severity) for f in found] == [("balls.positions", "error")]
+
+
 @pytest.mark.parametrize(
     ("hour", "said"),
     [
