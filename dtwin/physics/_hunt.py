@@ -141,10 +141,7 @@ class Hunt:
         return best
 
     def _price(self, entry: Entry) -> float:
-        effect = entry.term.instance.effect
-        chosen_from = _NAMELESS if effect.source == LEARNED else 1.0
-        if effect.at_one_speed and not self.dictionary.problem.obs.several_speeds:
-            chosen_from += 1.0
+        chosen_from = _NAMELESS if entry.term.instance.effect.source == LEARNED else 1.0
         return self._per_number * entry.free + chosen_from * self._per_effect
 
     def _cost(self, chosen: Sequence[Entry]) -> float:

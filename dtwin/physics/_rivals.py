@@ -263,13 +263,16 @@ def beside_a_part(
     """Return each effect that at one speed is, together with a part of an effect, exactly that effect.
 
     The oval of a mode is that of a scale; what rings may then be another mode, or how far the law of a spike is off.
+    Nothing where what follows the reversals is enough without an oval.
     """
     effect, axis = top.term.instance.effect, top.term.instance.axis
-    if problem.obs.several_speeds or not effect.at_one_speed:
+    if problem.obs.several_speeds or not effect.at_one_speed or any(_is_like(top, c) for c in group[1:]):
         return ()
     label = f"{effect.at_one_speed} {axis}"
     part = [Term(i, top.term.shape) for i in candidates.instances if i.label == label]
     given = candidates.given(problem, part)
+    if not candidates.visible(given, top.term).shape[1]:
+        return ()
     have = {c.term.label for c in group}
     out = []
     for instance in candidates.instances:

@@ -16,6 +16,7 @@ from dtwin.physics._rivals import beside_a_part
 from dtwin.physics.candidates import Candidates, applicable, probes
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
@@ -286,32 +287,26 @@ def test_at_one_speed_what_follows_a_reversal_is_a_group() -> None:
     assert len(group) > 1
 
 
-def rings(moment: Moment, um: float, hz: float, decay_s: float) -> Floats:
-    """Return a free damped oscillation after each reversal of X, in um."""
-    way = 1.0 if moment.test.direction == "CCW" else -1.0
-    test = moment.test
-    t_s = ((way * moment.angle_rad) % np.pi) * test.radius_mm / (test.feed_mm_min / 60.0)
-    swing = np.exp(-t_s / decay_s) * np.cos(2.0 * np.pi * hz * t_s)
-    return np.asarray(um * swing * np.abs(np.cos(moment.angle_rad)))
-
-
-def test_at_one_speed_a_scale_and_what_rings_are_not_taken_for_one_mode() -> None:
+def test_at_one_speed_what_rings_and_a_scale_are_a_mode() -> None:
     tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
-    scaled = MillParameters().with_axis("X", scale_ppm=12.0)
-    noise = NoiseParameters(rms_um=0.1)
-    mill = VirtualMill(
-        scaled, seed=5, noise=noise, disturbance=lambda m: rings(m, 10.0, 8.0, 0.08) + rings(m, 8.0, 17.0, 0.05)
-    )
+    mill = VirtualMill(MillParameters().with_axis("X", scale_ppm=12.0), seed=5, noise=NoiseParameters(rms_um=0.1))
     obs = observe(mill.campaign(), mill.measure(tests))
-    groups = [[s.label for s in group] for group in diagnose(obs, [], LIBRARY).found]
-    assert [group[0] for group in groups] == ["scale_mismatch XY", "reversal_ringing X"]
     candidates, problem = Candidates(obs, applicable(LIBRARY, obs, ())[0]), set_up(obs, [], ())
     level = noise_level(problem, probes(problem))
+
+    def also(mode: Instance, *others: str) -> set[str]:
+        top, *group = [
+            candidates.tested_term(problem, Term(i, {"frequency_hz": 8.0, "damping_ratio": 0.25}), level)
+            for i in (mode, *(i for i in candidates.instances if i.label in others))
+        ]
+        assert top is not None
+        every = [top, *(c for c in group if c is not None)]
+        return {c.term.label for c in beside_a_part(problem, candidates, top, every, level)}
+
     mode = next(i for i in candidates.instances if i.label == "structural_resonance X")
-    top = candidates.tested_term(problem, Term(mode, {"frequency_hz": 8.0, "damping_ratio": 0.25}), level)
-    assert top is not None
-    same = beside_a_part(problem, candidates, top, [top], level)
-    assert {c.term.label for c in same} == {"scale_mismatch XY", "inertial_compliance", "servo_lag"}
+    assert also(mode) == {"scale_mismatch XY", "inertial_compliance", "servo_lag"}
+    # What rings is enough without an oval.
+    assert also(mode, "reversal_ringing X") == set()
 
 
 def test_effects_keep_their_names_beside_a_curve_of_an_axis_that_looks_like_one_of_them() -> None:
