@@ -168,10 +168,10 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     expect(page.get_by_role("heading", name="An effect is missing")).to_be_visible()
     _settled(page)
     expect(page.locator(".verdict")).to_contain_text("backlash X is missing")
-    expect(page.locator("#signature-plot")).to_contain_text("What backlash X would take away")
+    expect(page.locator("#signature-plot")).to_contain_text("What Backlash X would take away")
     page.screenshot(path=artifacts / "diagnose.png", full_page=True)
 
-    page.get_by_role("button", name="Add backlash X").first.click()
+    page.get_by_role("button", name="Add Backlash X").first.click()
     page.wait_for_url("**/twins/mill/versions")
     before, first, second = _heights(page)
     assert before > first > 1.5 * second
