@@ -92,6 +92,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         campaign=line,
         runs=rows,
         findings=findings,
+        worst=next((s for s in ("error", "warning") if any(f["severity"] == s for f in findings)), ""),
         kind=kind,
         instrument=campaign_of(rows).instrument,
         sheet=sheet,
