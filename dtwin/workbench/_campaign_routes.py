@@ -138,6 +138,8 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
     bench = bench_of(request)
     row = _row(bench, name, run_id)
     kind = kind_named(row["kind"])
+    sheet = campaign_sheet_of(bench, name, row["machine"]) if kind.offers("sheet") else {"parts": []}
+    part = next((n for n, one in enumerate(sheet["parts"]) if run_id in one["runs"]), -1)
     return rendered(
         request,
         "run.html",
@@ -146,6 +148,9 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
         row=row,
         kind=kind,
         findings=findings_of(row),
+        sheet=sheet,
+        part=part,
+        shown=sheet["parts"][part] if part >= 0 else None,
         drawings=kind.drawings if kind.offers("drawings") else (),
     )
 
