@@ -25,7 +25,7 @@ from dtwin.workbench._jobs import Job, Tell
 from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
-_WORDS = {
+VERDICTS = {
     "missing_effect": "An effect is missing",
     "ambiguous": "Several effects would explain it",
     "unknown_effect": "There is structure that no known effect explains",
@@ -66,7 +66,7 @@ _ENVIRONMENT.filters |= {
     "grouped": grouped,
     "titled": title_of,
 }
-_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
+_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:

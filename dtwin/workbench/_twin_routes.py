@@ -40,6 +40,7 @@ from dtwin.workbench._experiment_files import experiment_documents, grids_of, pl
 from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, rendered
+from dtwin.workbench._report_head import diagnosed, head_section
 from dtwin.workbench._told_pages import told_page, told_sections
 
 _HARMONICS = 60
@@ -161,7 +162,7 @@ def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
-    sections = (_sections if isinstance(twin, Twin) else told_sections)(bench, name)
+    sections = [head_section(bench, twin), *(_sections if isinstance(twin, Twin) else told_sections)(bench, name)]
     made = page(
         f"Machine {twin.machine}: twin {name}",
         f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
@@ -311,7 +312,7 @@ def _sections(bench: Bench, name: str) -> list[Section]:
     comparison = bench.twins.compare(name) if several else reading.view(bench, name).comparison
     report, compared = report_of(twin.as_dict()), comparison.as_dict()
     sections = [report.twin_section(twin), *report_of(compared).comparison_sections(comparison, compared)]
-    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    _, diagnosis = diagnosed(bench, twin)
     if diagnosis is not None:
         sections.append(report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis)))
     sections.append(report.history_section(bench.twins.history(name)))

@@ -511,6 +511,9 @@ def test_the_report_is_one_file_that_needs_nothing_else(browser: Browser, bench:
     opened.on("request", lambda request: asked.append(request.url))
     opened.goto(path.as_uri())
     expect(opened.get_by_role("heading", name="Machine virtual-mill: twin mill")).to_be_visible()
+    # The verdict first, in the words of the shop, and of what test it is.
+    expect(opened.locator("section").first).to_contain_text("Scale mismatch, XY: ")
+    expect(opened.locator("section").first).to_contain_text("mill-backlash")
     expect(opened.locator(".js-plotly-plot").first).to_be_visible()
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
     expect(opened.locator(".modebar-btn").first).to_be_attached()
