@@ -283,7 +283,7 @@ def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(pa
     page.get_by_role("button", name="Ingest").click()
     page.wait_for_url("**/campaigns/alone")
     expect(page.locator("tbody").get_by_text("CW", exact=True)).to_be_visible()
-    expect(page.get_by_text("a wrong feed, or a radius in another unit")).to_be_visible()
+    expect(page.get_by_text("a wrong feed, or a radius in another unit").first).to_be_visible()
 
     page.get_by_label("Field").fill("radius_mm")
     page.get_by_label("is", exact=True).fill("150")
@@ -443,7 +443,7 @@ def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(p
     # The page is a new one, whose buttons its script has not yet seen.
     _settled(page)
     page.locator("select[name=what]").select_option("crash")
-    page.get_by_label("note").fill("the vice")
+    page.get_by_label("note", exact=True).fill("the vice")
     page.get_by_role("button", name="Note it").click()
     expect(page.get_by_text("crash: the vice")).to_be_visible()
     _settled(page)
