@@ -586,6 +586,7 @@ async function fillMachine(row) {
       if (word === "changed") tag.title = found.changed;
       cell("decision").append(tag, " ");
     }
+    if (!found.last.decision) cell("decision").append(Object.assign(document.createElement("small"), { textContent: "no limits" }));
     if (words.length) row.dataset.order = Math.min(...words.map((word) => WORST.indexOf(word)));
   } catch (error) {
     cell("decision").textContent = error.message.split("\n")[0];
