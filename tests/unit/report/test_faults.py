@@ -71,7 +71,11 @@ def test_a_signature_is_drawn_for_both_directions() -> None:
         assert abs(int(np.argmax(step)) % (2 * quarter) - quarter) <= 2
     away = np.abs(np.arange(len(radii[0])) % (2 * quarter) - quarter) > 2
     assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
-    assert signature_svg(LIBRARY["stick_slip"]) == ""
+    # What no circle shows is drawn along an axis; only a spread has no picture.
+    assert [name for name, effect in LIBRARY.items() if not signature_svg(effect)] == ["stick_slip"]
+    worn = fromstring(signature_svg(LIBRARY["worn_screw"])).findall("polyline")
+    heights = [np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2)[:, 1] for c in worn]
+    assert np.allclose(heights[0] + heights[1], 300.0, atol=0.2)
 
 
 @pytest.mark.parametrize("names", [("cosine_2", "sine_2"), ("half_wave_2", "half_wave_5")])
