@@ -15,7 +15,9 @@ from dtwin.workbench._pages import VERDICTS
 
 def head_section(bench: Bench, twin: Any) -> Section:
     """Return the verdict, the faults in the words of the shop, and the facts of the test."""
-    facts = [(name, fact) for name, fact in facts_of(bench.home, bench.run_rows(twin.campaign)).items() if fact]
+    tests = list(getattr(twin, "campaigns", ()) or [twin.campaign])
+    facts = [facts_of(bench.home, bench.run_rows(test)) for test in tests]
+    named = [name for name in facts[0] if name not in ("campaign", "test") and any(one[name] for one in facts)]
     version, diagnosis = diagnosed(bench, twin)
     said = VERDICTS.get((diagnosis or {}).get("verdict", ""), "Not diagnosed yet")
     other = [f"As version {version} was diagnosed, which has the same effects."] if version != twin.version else []
@@ -25,7 +27,7 @@ def head_section(bench: Bench, twin: Any) -> Section:
         said,
         [*other, *(f"Missing: {line}" for line in missing), *known],
         [],
-        [Table(("what", "stated"), [row for row in facts if row[0] != "campaign"])],
+        [Table(("test", *tests), [(name, *(one[name] or "-" for one in facts)) for name in named])],
     )
 
 
