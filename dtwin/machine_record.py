@@ -20,9 +20,10 @@ from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
 from dtwin.units import is_number
 
-FACTS = ("type", "serial", "controller", "instruments", "notes")
+FACTS = ("type", "serial", "chain", "controller", "instruments", "notes")
 EVENTS = ("repair", "crash", "moved", "compensated", "other")
-_AXIS = ("travel_mm", "pitch_mm")
+_LENGTHS, _LIMITS = ("travel_mm", "pitch_mm"), ("low_mm", "high_mm")
+_AXIS = (*_LENGTHS, *_LIMITS)
 _LONGEST = 2000
 _MAX_BYTES = 1_000_000
 _MOST_DAYS = 3653
@@ -47,7 +48,7 @@ class MachineRecord:
     """What a user stated of a machine.
 
     ``facts``: some of ``FACTS``.
-    ``axes``: ``travel_mm`` and ``pitch_mm`` of an axis, where they are known.
+    ``axes``: ``travel_mm``, ``pitch_mm`` and the limits ``low_mm`` and ``high_mm`` of an axis, where they are known.
     ``tolerances``: by the symbol of a test sheet, such as ``G(b)`` or ``A``.
     ``events``: in the order of their days.
     ``test_every_days``: longest time between two tests; 0 when none is stated.
@@ -59,6 +60,11 @@ class MachineRecord:
     tolerances: Mapping[str, Limits] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     test_every_days: float = 0.0
+
+    @property
+    def reach(self) -> dict[str, dict[str, float]]:
+        """The axes as plans need them: limits tell the travel."""
+        return {axis: _with_travel(known) for axis, known in self.axes.items()}
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the file holds; days are ISO 8601 text."""
@@ -260,9 +266,20 @@ def _axis(value: object, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping) or not set(value) <= set(_AXIS):
         raise _refused(where, str(value)[:60], ", ".join(_AXIS))
     for name, number in value.items():
-        if not is_number(number) or number <= 0:
-            raise _refused(f"{where}.{name}", str(number)[:60], "a positive number")
-    return {name: float(number) for name, number in value.items()}
+        if not is_number(number) or (name in _LENGTHS and number <= 0):
+            raise _refused(f"{where}.{name}", str(number)[:60], "a positive number" if name in _LENGTHS else "a number")
+    known = {name: float(number) for name, number in value.items()}
+    if set(_LIMITS) <= set(known) and known["low_mm"] >= known["high_mm"]:
+        raise _refused(
+            where, f"low_mm {known['low_mm']:g}, high_mm {known['high_mm']:g}", "a low limit below the high one"
+        )
+    return known
+
+
+def _with_travel(known: Mapping[str, float]) -> dict[str, float]:
+    if not set(_LIMITS) <= set(known):
+        return dict(known)
+    return {**known, "travel_mm": known["high_mm"] - known["low_mm"]}
 
 
 def _event(value: object, where: str) -> Event:

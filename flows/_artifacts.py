@@ -30,7 +30,7 @@ def publish_table(key: str, head: Sequence[str], rows: Sequence[Sequence[object]
         What it shows, in Markdown.
     """
     table = [{title: _cell(cell) for title, cell in zip(head, row, strict=True)} for row in rows]
-    create_table_artifact(table or [{"": "none"}], key=slug(key), description=description)
+    create_table_artifact(table or [{head[0]: "none"}], key=slug(key), description=description)
 
 
 def publish_markdown(key: str, text: str, description: str) -> None:

@@ -24,7 +24,11 @@ from flows.reach import mlflow_token
 
 # A redirect would count as coming from where the address was pressed, and a strict cookie were withheld.
 _ENTERED = (
-    '<!doctype html><html lang="en"><meta charset="utf-8"><title>MLflow</title>'
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>MLflow</title><script>'
+    # The first view is the list of models, without MLflow's advertisement, its assistant and its mode for chat programs.
+    "for (const [key, value] of Object.entries({'_mlflow_model_registry_promo_modal_dismissed': true, "
+    "'mlflow.assistant.fab.autoOpenedOnFirstLoad': true, 'mlflow.workflowType': 'machine_learning'})) "
+    "if (localStorage.getItem(`${key}_v1`) === null) localStorage.setItem(`${key}_v1`, JSON.stringify(value));</script>"
     '<meta http-equiv="refresh" content="0; url=/#/models">'
 )
 _ABSENT = (

@@ -22,7 +22,6 @@ from flows.recheck import recheck_flow
 from flows.simulate import simulate_flow
 from flows.train import publish_training, train_flow
 
-DEPLOYMENT = "local"
 _AT_NIGHT = "0 2 * * *"
 
 
@@ -66,21 +65,21 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
     """
     scheduled = RunnerDeployment.from_flow(
         scheduled_training_flow,
-        DEPLOYMENT,
+        scheduled_training_flow.name,
         cron=cron,
         description="New data -> candidate, compared with the champion. Never promotes.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     checked = RunnerDeployment.from_flow(
         recheck_flow,
-        DEPLOYMENT,
+        recheck_flow.name,
         cron=cron,
         description="Circles with and without each champion; one that harms is withdrawn.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     night = RunnerDeployment.from_flow(
         nightly_flow,
-        DEPLOYMENT,
+        nightly_flow.name,
         cron=_AT_NIGHT if cron else None,
         description="Diagnoses what is new, checks champions, lists what is late, failed or changed.",
         entrypoint_type=EntrypointType.MODULE_PATH,
@@ -100,7 +99,7 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         checked,
         night,
         *(
-            RunnerDeployment.from_flow(known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH)
+            RunnerDeployment.from_flow(known, known.name, entrypoint_type=EntrypointType.MODULE_PATH)
             for known in others
         ),
     ]

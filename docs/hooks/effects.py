@@ -93,10 +93,14 @@ def _law(effect: Effect) -> str:
 
 
 def _signature(effect: Effect) -> str:
-    """Draw the error round the circle, with what is drawn."""
+    """Draw the error round the circle, or along an axis, with what is drawn."""
     picture = signature_svg(effect)
     caption = (
         f"First parameter at R = {RADIUS_MM:g} mm, F = {FEED_MM_MIN:g} mm/min: counter-clockwise blue, "
         "clockwise orange and dashed; dotted: the nominal circle."
     )
+    if "linear" in effect.kinds and "circular" not in effect.kinds:
+        caption = "First parameter along an axis: forward blue, reverse orange and dashed; dotted: no error."
+    elif "circular" not in effect.kinds:
+        caption = "First parameter over one period of a tone; dotted: no error."
     return f"{picture}\n\n*{caption}*" if picture else ""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
 
-_FORMS = "SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10"
+_FORMS = "SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10 or X:low_mm=-250,high_mm=250"
 app = typer.Typer(name="machine", no_args_is_help=True, help="What is known of a machine, and what happened to it.")
 
 
@@ -28,10 +28,16 @@ def add(
     name: Name,
     type: Annotated[str | None, typer.Option(help="What it is, such as a 3-axis mill.")] = None,
     serial: Annotated[str | None, typer.Option(help="Serial number.")] = None,
+    chain: Annotated[str | None, typer.Option(help="Axes from the workpiece to the tool, such as w-Y-X-b-Z-t.")] = None,
     controller: Annotated[str | None, typer.Option(help="Control and its version.")] = None,
     instruments: Annotated[str | None, typer.Option(help="What measures it.")] = None,
     notes: Annotated[str | None, typer.Option(help="Anything else.")] = None,
-    axis: Annotated[list[str] | None, typer.Option(help="AXIS:travel_mm=500,pitch_mm=10; may be repeated.")] = None,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="AXIS:travel_mm=500,pitch_mm=10, or with its limits, low_mm=-250,high_mm=250; may be repeated."
+        ),
+    ] = None,
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
@@ -47,6 +53,7 @@ def add(
     stated = {
         "type": type,
         "serial": serial,
+        "chain": chain,
         "controller": controller,
         "instruments": instruments,
         "notes": notes,
@@ -250,7 +257,7 @@ def _record_text(record: MachineRecord) -> str:
 
     lines = [record.name, *(f"  {name}: {value}" for name, value in record.facts.items())]
     for axis, known in record.axes.items():
-        lines.append(f"  axis {axis}: " + ", ".join(f"{name} {value:g}" for name, value in known.items()))
+        lines.append(_axis_line(axis, known))
     if record.test_every_days:
         lines.append(f"  tested every {record.test_every_days:g} days")
     lines += [
@@ -260,10 +267,15 @@ def _record_text(record: MachineRecord) -> str:
     return "\n".join(lines)
 
 
+def _axis_line(axis: str, known: Mapping[str, float]) -> str:
+    return f"  axis {axis}: " + ", ".join(f"{name.removesuffix('_mm')} {value:g} mm" for name, value in known.items())
+
+
 def _history_text(history: Mapping[str, Any]) -> str:
     from dtwin.units import shown_unit
 
     lines = [history["machine"], *(f"  {key}: {value}" for key, value in history["facts"].items())]
+    lines += [_axis_line(axis, known) for axis, known in history["axes"].items()]
     rows = [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in history["events"]]
     rows += [
         [

@@ -143,12 +143,20 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
         ]
         head = ("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created", "model")
         lines = [table(head, rows)]
-        for name, entries in past.items():
-            lines += [
-                f"{name}  {e['time']}  version {e['version']}  {e['action']}  {e['comment']}"
-                + (f"  failed: {', '.join(e['failed'])}" if e["failed"] else "")
-                for e in entries
+        made = [
+            [
+                name,
+                e["time"][:16].replace("T", " "),
+                e["version"],
+                e["action"],
+                e["comment"] or "-",
+                ", ".join(e["failed"]) or "-",
             ]
+            for name, entries in past.items()
+            for e in entries
+        ]
+        if made:
+            lines += ["", table(("machine", "when, UTC", "version", "what", "why", "failed gates"), made)]
         return "\n".join([*lines, *last])
 
     emit(payload, text, as_json=as_json)

@@ -44,15 +44,16 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     used = {name for part in sheet["parts"] for name in part["runs"]}
     runs = {row["run_id"]: lake.load(row, signals=False) for row in mine if row["run_id"] in used}
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
-    record = read_record(home, known.machine) or MachineRecord(known.machine)
     told = [(f["severity"], f["message"]) for f in grouped_findings(mine, sheet["findings"]) if f["severity"] != "info"]
     sheet = sheet | {"notes": notes_beside(sheet)}
     earlier = earlier_test(home, every, mine, sheet, variation)
-    return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
+    return certificate_page(facts_of(home, mine), sheet, figures, told, earlier=earlier, language=language)
 
 
-def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str, str]:
+def facts_of(home: Home, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return what stands at the head of a document about a test; ``rows``: of its runs."""
     known = campaign_of(rows)
+    record = read_record(home, known.machine) or MachineRecord(known.machine)
     stated = {name: str(value) for name, value in known.instrument.items()}
     stamps = sorted(row["started"][:16].replace("T", " ") for row in rows if row["started"])
     same_day = bool(stamps) and stamps[0][:10] == stamps[-1][:10]

@@ -118,7 +118,9 @@ def _proposed(
     record: MachineRecord, allowed: Sequence[str], measured: Sequence[Observations]
 ) -> list[tuple[Planned, dict[str, Any]]]:
     """Return plans with their documents, named after machine and day so that each becomes a campaign of its own."""
-    axes = record.axes or {axis: {} for obs in measured for axis in obs.axes} or {axis: {} for axis in _USUAL_AXES}
+    axes: Mapping[str, Mapping[str, float]] = (
+        record.reach or {axis: {} for obs in measured for axis in obs.axes} or {axis: {} for axis in _USUAL_AXES}
+    )
     day = local_day().isoformat()
     out = []
     for kind in [kind_named(name) for name in allowed] or [kind for kind in kinds() if kind.offers("proposals")]:

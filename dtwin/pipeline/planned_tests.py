@@ -44,7 +44,7 @@ def draft_of(home: Home, machine: str, kind: str) -> dict[str, Any]:
     Raises ``InputError`` when the kind is not known, or has no form for a plan.
     """
     record = read_record(home, require_name(machine, "the machine"))
-    axes = (record.axes if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
+    axes = (record.reach if record is not None else {}) or {axis: {} for axis in _USUAL_AXES}
     document = {table: dict(known) for table, known in kind_named(kind).draft(machine, axes).items()}
     stem = f"{machine}-{document['plan']['name']}-{local_day().isoformat()}"
     taken = {*Lake(home.lake).campaigns(), *(path.stem for path in home.plans.glob("*.toml"))}

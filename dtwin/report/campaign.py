@@ -37,9 +37,9 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
             rows.append(
                 [
                     f"{run['run']}: {title}",
-                    circle_figure(run["by_file_indices"].get(key)),
-                    circle_figure(run["vendor"].get(vendor)),
-                    circle_figure(aligned.get(key)),
+                    circle_figure(title, run["by_file_indices"].get(key)),
+                    circle_figure(title, run["vendor"].get(vendor)),
+                    circle_figure(title, aligned.get(key)),
                 ]
             )
         tables.append(Table(head, rows))

@@ -290,9 +290,9 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         rows = [
             [
                 title,
-                circle_figure(by_file.get(key)),
-                circle_figure(run["vendor"].get(vendor)),
-                circle_figure(None if aligned is None else aligned.get(key)),
+                circle_figure(title, by_file.get(key)),
+                circle_figure(title, run["vendor"].get(vendor)),
+                circle_figure(title, None if aligned is None else aligned.get(key)),
             ]
             for title, key, vendor in _ROWS
         ]

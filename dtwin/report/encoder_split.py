@@ -16,6 +16,11 @@ _SHOWN = {"measured": "measured", "controller": "controller saw", "quasi_static"
 _COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=True))
 
 
+def tells(found: Mapping[str, Any] | None) -> bool:
+    """Return whether the controller saw anything of the error; one that reports what it commanded saw nothing."""
+    return found is not None and found["parts"]["controller"]["rms_um"] > 0.0
+
+
 def encoder_text(found: Mapping[str, Any]) -> str:
     """Return the split for the terminal. ``found``: ``encoder_split`` of a comparison."""
     head, rows = _cells(found)

@@ -82,30 +82,30 @@ def polar_figure(
                 hovertemplate="%{theta:z.1f}°<br>%{customdata:z.1f} µm<extra>" + name + "</extra>",
             )
         )
-    division = _round_factor(0.2 * radius_mm * 1000.0 / factor)
-    steps = np.arange(-3, 4) * division
-    rings = [step for step in steps if abs(step) * factor / 1000.0 <= _REACH * radius_mm]
-    corners = {"tickmode": "array", "tickvals": [0, 90, 180, 270]} if plane else {}
-    named = {"ticktext": [f"+{plane[0]}", f"+{plane[1]}", f"-{plane[0]}", f"-{plane[1]}"]} if plane else {}
-    figure.update_layout(
-        title=f"{title}, {division:g} µm per division",
-        polar={
-            "radialaxis": {
-                "range": [0.0, (1.0 + _REACH) * radius_mm],
-                "tickmode": "array",
-                "tickvals": [radius_mm + ring * factor / 1000.0 for ring in rings],
-                "ticktext": [f"{ring:+g}" if ring else "0" for ring in rings],
-                "tickfont": {"size": 10, "color": "#666666"},
-                "angle": 45,
-                "tickangle": 45,
-                "ticks": "",
-                "showline": False,
-            },
-            "angularaxis": {"rotation": 0, "direction": "counterclockwise", **corners, **named},
-        },
-    )
+    division, rings = polar_rings(radius_mm, factor)
+    figure.update_layout(title=f"{title}, {division:g} µm per division", polar=polar_axes(radius_mm, rings, plane))
     # Above the plot the legend would hide what stands at 90 degrees.
     return styled(figure).update_layout(legend={"y": -0.08, "yanchor": "top"})
+
+
+def polar_rings(radius_mm: float, magnification: float) -> tuple[float, dict[str, list[Any]]]:
+    """Return the µm of one division of a polar plot, and its rings with their names in µm."""
+    division = _round_factor(0.2 * radius_mm * 1000.0 / magnification)
+    steps = [step * division for step in range(-3, 4)]
+    rings = [step for step in steps if abs(step) * magnification / 1000.0 <= _REACH * radius_mm]
+    places = [radius_mm + ring * magnification / 1000.0 for ring in rings]
+    return division, {"tickvals": places, "ticktext": [f"{ring:+g}" if ring else "0" for ring in rings]}
+
+
+def polar_axes(radius_mm: float, rings: Mapping[str, Any], plane: str | None) -> dict[str, Any]:
+    """Return the layout of a polar plot with rings in µm; ``plane``: two axes, the first of which lies at 0 degrees."""
+    corners = {"tickmode": "array", "tickvals": [0, 90, 180, 270]} if plane else {}
+    named = {"ticktext": [f"+{plane[0]}", f"+{plane[1]}", f"-{plane[0]}", f"-{plane[1]}"]} if plane else {}
+    look = {"tickfont": {"size": 10, "color": "#666666"}, "angle": 45, "tickangle": 45, "ticks": "", "showline": False}
+    return {
+        "radialaxis": {"range": [0.0, (1.0 + _REACH) * radius_mm], "tickmode": "array", **rings, **look},
+        "angularaxis": {"rotation": 0, "direction": "counterclockwise", **corners, **named},
+    }
 
 
 def _start(angle_deg: Floats, drawn: Floats, colour: str) -> go.Scatterpolar:

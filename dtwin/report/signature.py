@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.library import campaign_instances
-from dtwin.physics.state import circular_state
+from dtwin.physics.state import State, circular_state
 from dtwin.schema import Direction, Floats, Plane, RunMeta
 
 RADIUS_MM, FEED_MM_MIN = 100.0, 3000.0
 """Circle on which signatures are drawn."""
 _ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
+_REACH_MM, _TURNS_RAD_S = 20.0, 2.0 * np.pi * 5.0
 _SIZE, _CIRCLE, _DRAWN, _POINTS = 300, 100, 28, 720
 _COLOURS = {"CCW": "#0072B2", "CW": "#D55E00"}
 _LOGGED = ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h", "setup_first_um", "setup_second_um")
@@ -42,11 +45,48 @@ def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
     return effect.name, {}
 
 
+def _along(effect: Effect) -> dict[str, Floats]:
+    """Return the error of the first parameter of an effect forward and reverse along an axis, each of shape (n,).
+
+    Of an effect that is seen in tones alone it is the error of one period of a sine. Curves that are zero are none.
+    """
+    if effect.on_spread or not {"linear", "sinusoidal"} & set(effect.kinds):
+        return {}
+    swings = "linear" not in effect.kinds
+    curves = {}
+    for way, sense in (("forward", 1.0), ("reverse", -1.0))[: 1 if swings else 2]:
+        phase = _angle()
+        at = _REACH_MM * (np.sin(phase) if swings else np.linspace(-1.0, 1.0, _POINTS))
+        speed = _REACH_MM * _TURNS_RAD_S * np.cos(phase) if swings else np.full(_POINTS, sense * FEED_MM_MIN / 60.0)
+        state = State(
+            kind="sinusoidal" if swings else "linear",
+            axes=("X",),
+            plane="",
+            position_mm={"X": at},
+            velocity_mm_s={"X": speed},
+            acceleration_mm_s2={"X": -at * _TURNS_RAD_S**2 if swings else np.zeros(_POINTS)},
+            sensitivity={"X": np.ones(_POINTS)},
+            since_reversal_s={"X": (_REACH_MM + sense * at) / (FEED_MM_MIN / 60.0)},
+            last_end={"X": np.full(_POINTS, -sense)},
+            angle_rad=phase,
+            radius_mm=_REACH_MM,
+            feed_mm_s=FEED_MM_MIN / 60.0,
+            direction=sense,
+            columns={name: np.ones(_POINTS) for name in _LOGGED},
+            geometry={"screw_pitch_mm": _REACH_MM / 2.0},
+        )
+        curves[way] = effect.columns(state, "X", effect.start_shape)[:, 0]
+    return curves if any(c.any() for c in curves.values()) else {}
+
+
 def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
-    """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed."""
+    """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed.
+
+    An effect that no circle shows is drawn along an axis, forward blue and reverse orange, or over a period of a tone.
+    """
     label, curves = _signature(effect, axis)
     if not curves:
-        return ""
+        return _line_svg(effect, _along(effect), width)
     largest = max(float(np.abs(c).max()) for c in curves.values())
     middle, angle = _SIZE / 2, _angle()
     # About one pixel as it is shown; small ones would hide their own shape.
@@ -63,6 +103,25 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
         parts.append(
             f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{wide:z.1f}"{dash}/>'
         )
+    return "".join([*parts, "</svg>"])
+
+
+def _line_svg(effect: Effect, curves: Mapping[str, Floats], width: int) -> str:
+    if not curves:
+        return ""
+    largest = max(float(np.abs(c).max()) for c in curves.values())
+    middle, across = _SIZE / 2, np.linspace(_SIZE / 2 - _CIRCLE, _SIZE / 2 + _CIRCLE, _POINTS)
+    wide = 1.5 * _SIZE / max(width, 100)
+    parts = [
+        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {effect.name} along an axis">',
+        f'<line x1="{across[0]}" x2="{across[-1]}" y1="{middle}" y2="{middle}" stroke="#999" stroke-dasharray="3 3"/>',
+    ]
+    for colour, (way, curve) in zip(_COLOURS.values(), curves.items(), strict=False):
+        path = " ".join(
+            f"{a:z.1f},{b:z.1f}" for a, b in zip(across, middle - 0.8 * _CIRCLE * curve / largest, strict=True)
+        )
+        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way == "reverse" else ""
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{wide:z.1f}"{dash}/>')
     return "".join([*parts, "</svg>"])
 
 

@@ -44,9 +44,9 @@ def micrometres(value: float | None) -> str:
     return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:z.3g}"
 
 
-def circle_figure(value: float | None) -> str:
-    """Return a figure of a circle: two decimals, four from 10 to 1000, as a radius in mm has; absent ones as a dash."""
-    return "-" if value is None else f"{value:z.4f}" if 10 < abs(value) < 1000 else f"{value:z.2f}"
+def circle_figure(title: str, value: float | None) -> str:
+    """Return a figure of a circle to a tenth of a micrometre, or of a mm/min; ``title`` ends with its unit; absent ones as a dash."""
+    return "-" if value is None else f"{value:z.{4 if title.endswith(', mm') else 1}f}"
 
 
 def decimals(uncertainty: float) -> int:

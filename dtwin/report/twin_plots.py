@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from dtwin.physics.effect import Effect
 from dtwin.physics.grid import Grid
 from dtwin.physics.gridding import CIRCLE
+from dtwin.physics.library import Library
+from dtwin.report.joint import title_of
 from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,
@@ -18,6 +21,8 @@ from dtwin.report.plots import (
     draw_line,
     floor_rings,
     magnification_for,
+    polar_axes,
+    polar_rings,
     say_no_floor,
     styled,
 )
@@ -39,6 +44,7 @@ def overlay_figure(
     floor_um: float | None = None,
     magnification: float | None = None,
     slider: bool = True,
+    plane: str | None = None,
 ) -> go.Figure:
     """Return a polar overlay whose magnification the reader chooses.
 
@@ -48,6 +54,7 @@ def overlay_figure(
     ``curves``, shape (360,): error over the angle by name, um, one value for each degree; NaN where not measured.
     ``magnification``: where it begins; chosen from the largest error when left out.
     ``slider``: whether the figure has a slider of its own; a page with a script needs none.
+    ``plane``: two axes, the first of which lies at 0 degrees.
     """
     largest = max((float(np.nanmax(np.abs(c))) for c in curves.values()), default=1.0)
     fitting = magnification or magnification_for(max(largest, 1e-3), radius_mm)
@@ -80,10 +87,7 @@ def overlay_figure(
     figure.update_layout(
         title=title,
         meta={"radius_mm": radius_mm, "magnification": fitting},
-        polar={
-            "radialaxis": {"range": [0.0, 1.5 * radius_mm], "showticklabels": False, "ticks": ""},
-            "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
-        },
+        polar=polar_axes(radius_mm, polar_rings(radius_mm, fitting)[1], plane),
         height=560,
     )
     if floor_um is not None and not math.isfinite(floor_um):
@@ -92,9 +96,10 @@ def overlay_figure(
         drawn = [*(values for _, values, _ in rings), *curves.values()]
         figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
     made = styled(figure)
-    # Room for a legend of two lines below the title.
-    made.update_layout(margin_t=125, title_y=0.98, title_yanchor="top")
-    return made
+    # The legend must not hide what stands at 90 degrees; below the plot there is room where no slider is.
+    if slider:
+        return made.update_layout(margin_t=125, title_y=0.98, title_yanchor="top", legend_y=1.05)
+    return made.update_layout(legend={"y": -0.08, "yanchor": "top"})
 
 
 def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, grid: Grid = CIRCLE) -> go.Figure:
@@ -220,17 +225,21 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up on
     return styled(figure)
 
 
-def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
-    """Return the effects that a diagnosis considered, as a mapping, by the error predicted after adding each."""
+def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> go.Figure:
+    """Return the effects that a diagnosis considered, as a mapping, by the error predicted after adding each.
+
+    ``library``: where their names in words are; that of dtwin without.
+    """
+    library = Library() if library is None else library
     rows = list(reversed(diagnosis["candidates"]))
-    names = [c.get("label", f"{c['effect']} {c['axis']}".strip()) for c in rows]
+    names = [title_of(c.get("label", f"{c['effect']} {c['axis']}".strip()), library) for c in rows]
     figure = go.Figure(
         go.Bar(
             x=[c["rms_after_um"] for c in rows],
             y=names,
             orientation="h",
             marker_color=[COLOURS["measured"] if c["in_group"] else "#BBBBBB" for c in rows],
-            text=[f"p {c['p_value']:.1g}" for c in rows],
+            text=[f"{micrometres(c['rms_after_um'])} µm" for c in rows],
             name="after adding",
         )
     )
@@ -270,9 +279,12 @@ def _dash_of(name: str) -> str:
 def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dict[str, Any]:
     steps = [
         {
-            "method": "restyle",
+            "method": "update",
             "label": f"{factor:g} x",
-            "args": [{"r": [_drawn(curve, radius_mm, factor) for curve in drawn]}],
+            "args": [
+                {"r": [_drawn(curve, radius_mm, factor) for curve in drawn]},
+                {f"polar.radialaxis.{name}": ticks for name, ticks in polar_rings(radius_mm, factor)[1].items()},
+            ],
         }
         for factor in (fitting * step for step in _STEPS)
     ]

@@ -14,7 +14,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
-from dtwin.report.encoder_split import encoder_section, encoder_text
+from dtwin.report.encoder_split import encoder_section, encoder_text, tells
 from dtwin.report.faults import faults, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
@@ -73,7 +73,7 @@ def parameter_table(twin: Twin) -> Table:
             (
                 term.label,
                 shape.name.removesuffix(f"_{shape.unit}").replace("_", " "),
-                number(term.shape[shape.name], 4),
+                f"about {number(term.shape[shape.name], 2)}",
                 shown_unit(shape.unit),
             )
             for shape in term.instance.effect.shapes
@@ -136,7 +136,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"in words: {result['headline']}",
         "largest:",
         *(f"  {place_words(place)}" for place in result["where"]),
-        *([encoder_text(result["encoder_split"])] if result["encoder_split"] else []),
+        *([encoder_text(result["encoder_split"])] if tells(result["encoder_split"]) else []),
         *(f"warning: {warning}" for warning in result["warnings"]),
     ]
     return "\n".join(lines)
@@ -300,7 +300,7 @@ def comparison_sections(comparison: Comparison, result: Mapping[str, Any]) -> li
         ),
         Section("Where it fails", [place_words(p) for p in result["where"]], [], [], [overview]),
         Section("The worst conditions", hint, [], [], figures),
-        *([encoder_section(seen)] if seen else []),
+        *([encoder_section(seen)] if tells(seen) else []),
     ]
 
 
@@ -308,7 +308,9 @@ def _overlay(obs: Observations, number: int, measured_um: Floats, left_um: Float
     condition = obs.conditions[number]
     curves = {"measured": measured_um, "predicted": measured_um - left_um, "residual": left_um}
     if obs.grid is CIRCLE:
-        return overlay_figure(curves, condition.radius_mm, title=str(condition), floor_um=floor_um)
+        return overlay_figure(
+            curves, condition.radius_mm, title=f"{condition}, µm", floor_um=floor_um, plane=condition.plane
+        )
     return along_figure(curves, title=str(condition), floor_um=floor_um, grid=obs.grid)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
 
@@ -72,7 +73,7 @@ def campaign_list(request: Request, find: str = "", page: int = 1) -> Response:
 
 
 @router.get("/campaigns/{name}")
-def campaign_page(request: Request, name: str, part: int = 0) -> Response:
+def campaign_page(request: Request, name: str, part: int | None = None) -> Response:
     """Show a campaign: its test sheet, its runs, and what can be done with it."""
     bench = bench_of(request)
     rows = bench.run_rows(name)
@@ -84,6 +85,8 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     sheet = campaign_sheet_of(bench, name, line.machine) if kind.offers("sheet") else None
     together = sheet["findings"] if sheet else []
     findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows, together))
+    if part is None:
+        part = _worst_part(sheet)
     shown = sheet["parts"][part] if sheet and 0 <= part < len(sheet["parts"]) else None
     return rendered(
         request,
@@ -92,6 +95,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         campaign=line,
         runs=rows,
         findings=findings,
+        worst=next((s for s in ("error", "warning") if any(f["severity"] == s for f in findings)), ""),
         kind=kind,
         instrument=campaign_of(rows).instrument,
         sheet=sheet,
@@ -105,6 +109,12 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
         suggested=fresh_name(line.machine, [twin.name for twin in twins]),
         fitted=[twin.name for twin in twins if name in twin.campaigns],
     )
+
+
+def _worst_part(sheet: Mapping[str, Any] | None) -> int:
+    """Return the condition that decided on the whole sheet; the first where nothing is decided."""
+    verdicts = [one["verdict"] for one in (sheet or {}).get("parts", ())]
+    return verdicts.index(sheet["verdict"]) if sheet and sheet["verdict"] in verdicts else 0
 
 
 @router.get("/api/campaigns/{name}/sheet/{part}")
@@ -137,6 +147,8 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
     bench = bench_of(request)
     row = _row(bench, name, run_id)
     kind = kind_named(row["kind"])
+    sheet = campaign_sheet_of(bench, name, row["machine"]) if kind.offers("sheet") else {"parts": []}
+    part = next((n for n, one in enumerate(sheet["parts"]) if run_id in one["runs"]), -1)
     return rendered(
         request,
         "run.html",
@@ -145,6 +157,9 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
         row=row,
         kind=kind,
         findings=findings_of(row),
+        sheet=sheet,
+        part=part,
+        shown=sheet["parts"][part] if part >= 0 else None,
         drawings=kind.drawings if kind.offers("drawings") else (),
     )
 

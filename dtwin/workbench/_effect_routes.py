@@ -46,6 +46,10 @@ def effect_list(request: Request, edit: str = "") -> Response:
         "effects.html",
         title="Effects",
         effects=library,
+        pictures=bench.cache.get(
+            ("signatures", *(e.regressors for e in library)),
+            lambda: {e.name: signature_svg(e, width=48) for e in library},
+        ),
         folder=bench.effects_path,
         errors=bench.effect_errors,
         own=[f.stem for f in bench.own_files()],
@@ -63,7 +67,7 @@ def effect_page(request: Request, name: str) -> Response:
         "effect.html",
         title=f"Effect {name}",
         effect=effect,
-        text=effect_text(effect),
+        facts=[line.partition(": ")[::2] for line in effect_text(effect).splitlines()[2:]],
         picture=signature_svg(effect),
     )
 

@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.local_time import local_day
-from dtwin.machine_record import EVENTS, keep_record, record_with, with_event, without_event
+from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
 from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
@@ -46,6 +46,33 @@ class NotedEvent(EventTold):
     """An event as it is noted; a command may have noted more than the page takes."""
 
     note: str = Field("", max_length=2000)
+
+
+class FactsTold(BaseModel):
+    """What is known of a machine; what is empty is not known."""
+
+    type: str = Field("", max_length=2000)
+    serial: str = Field("", max_length=2000)
+    chain: str = Field("", max_length=2000)
+    controller: str = Field("", max_length=2000)
+    instruments: str = Field("", max_length=2000)
+    notes: str = Field("", max_length=2000)
+
+
+class MachineTold(FactsTold):
+    """A machine that has no test yet."""
+
+    machine: str = Field(max_length=128)
+
+
+class AxisTold(BaseModel):
+    """An axis with lengths in mm; None where one is not known, and an axis without any is taken back."""
+
+    axis: str = Field(max_length=8, pattern=r"^[A-Za-z0-9]+$")
+    travel_mm: float | None = None
+    pitch_mm: float | None = None
+    low_mm: float | None = None
+    high_mm: float | None = None
 
 
 class SymbolTold(BaseModel):
@@ -88,6 +115,7 @@ def machine_page(request: Request, name: str) -> Response:
         overdue=_overdue(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
+        known_facts=FACTS,
         plans=planned_of(bench_of(request), name),
     )
 
@@ -194,6 +222,26 @@ def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
 def drop_event(request: Request, name: str, told: NotedEvent) -> JSONResponse:
     """Take back the note of an event."""
     return _noted(bench_of(request), name, "Note taken back for", without_event, told)
+
+
+@router.post("/api/machines")
+def add_machine(request: Request, told: MachineTold) -> JSONResponse:
+    """Add a machine before its first test; one that is there keeps what is known of it."""
+    facts = {key: value for key, value in told.model_dump(exclude={"machine"}).items() if value}
+    return _stated(bench_of(request), told.machine, "Record", facts)
+
+
+@router.post("/api/machines/{name}/facts")
+def tell_facts(request: Request, name: str, told: FactsTold) -> JSONResponse:
+    """State what is known of a machine."""
+    return _stated(bench_of(request), name, "Record", told.model_dump())
+
+
+@router.post("/api/machines/{name}/axis")
+def tell_axis(request: Request, name: str, told: AxisTold) -> JSONResponse:
+    """State what is known of an axis, or take it back."""
+    known = told.model_dump(exclude={"axis"}, exclude_none=True)
+    return _stated(bench_of(request), name, f"Axis {told.axis}", {"axes": {told.axis: known or None}})
 
 
 @router.post("/api/machines/{name}/tolerance/drop")

@@ -15,6 +15,8 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
+from dtwin.report.effect_groups import grouped
+from dtwin.report.joint import title_of
 from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
@@ -23,7 +25,7 @@ from dtwin.workbench._jobs import Job, Tell
 from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
-_WORDS = {
+VERDICTS = {
     "missing_effect": "An effect is missing",
     "ambiguous": "Several effects would explain it",
     "unknown_effect": "There is structure that no known effect explains",
@@ -61,8 +63,10 @@ _ENVIRONMENT.filters |= {
     "stated": stated,
     "unit": shown_unit,
     "unit_of_limit": unit_of_limit,
+    "grouped": grouped,
+    "titled": title_of,
 }
-_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
+_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
@@ -76,6 +80,7 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
         home=str(bench.home.root),
         shared=bench.access.shared,
         jobs=bench.jobs.unfinished(),
+        library=bench.library,
         **context,
     )
     return HTMLResponse(text, status)

@@ -186,6 +186,13 @@ def chosen_conditions(view: View, wanted: Sequence[int]) -> list[int]:
     return here or [int(np.argmax(np.nanmean(view.residual_um**2, axis=1)))]
 
 
+def both_ways(view: View, number: int) -> list[int]:
+    """Return a condition with the one that differs from it by its direction only."""
+    conditions = view.obs.conditions
+    shape = [(c.plane, c.radius_mm, c.feed_mm_min) for c in conditions]
+    return [number, *(other for other in range(len(shape)) if other != number and shape[other] == shape[number])]
+
+
 def overlay(view: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
     """Return curves by name.
 

@@ -16,9 +16,10 @@ from dtwin.kinds.volumetric import HeatTwins
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
-from dtwin.report.encoder_split import encoder_section
+from dtwin.report.encoder_split import encoder_section, tells
 from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, page
+from dtwin.report.joint import title_of
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
 from dtwin.report.twin_plots import (
@@ -39,6 +40,7 @@ from dtwin.workbench._experiment_files import experiment_documents, grids_of, pl
 from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, rendered
+from dtwin.workbench._report_head import diagnosed, head_section
 from dtwin.workbench._told_pages import told_page, told_sections
 
 _HARMONICS = 60
@@ -71,7 +73,7 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     whole = bench.twins.newest(name)
     machine = view.twin.machine
     campaigns = bench.campaigns_of(machine)
-    worst = reading.chosen_conditions(view, ())
+    worst = reading.both_ways(view, reading.chosen_conditions(view, ())[0])
     return rendered(
         request,
         "compare.html",
@@ -90,7 +92,7 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
         campaigns=campaigns,
         on=view.obs.campaign.name,
         kind=view.obs.grid.kind,
-        seen=encoder_section(split) if (split := view.result["encoder_split"]) else None,
+        seen=encoder_section(split) if tells(split := view.result["encoder_split"]) else None,
     )
 
 
@@ -113,7 +115,6 @@ def diagnose_page(request: Request, name: str) -> Response:
         twin=twin,
         diagnosis=diagnosis,
         grids=grids_of(experiment) if planned else [],
-        library=bench.library,
         found=found_table(diagnosis or {}),
         faults=faults(twin),
         missing=found_faults(diagnosis or {}, bench.library),
@@ -147,7 +148,7 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
         twin=newest,
         rungs=rungs,
         pair=(left, right),
-        effects=list(possible.values()),
+        effects=possible.values(),
         tables=[parameter_table(v) for v in (left, right)],
         mlflow=[
             mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"]) if r["mlflow"] else None
@@ -161,7 +162,7 @@ def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
-    sections = (_sections if isinstance(twin, Twin) else told_sections)(bench, name)
+    sections = [head_section(bench, twin), *(_sections if isinstance(twin, Twin) else told_sections)(bench, name)]
     made = page(
         f"Machine {twin.machine}: twin {name}",
         f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
@@ -218,9 +219,20 @@ def overlay(
         return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}", most=most))
     if grid is not CIRCLE:
         raise InputError("only circles are drawn as polar plots", code="page.unknown", where=name, got=grid.kind)
-    radius = view.obs.conditions[chosen[0]].radius_mm
+    first = view.obs.conditions[chosen[0]]
     factor = decimal(magnification, "the magnification") if magnification else None
-    return drawn(overlay_figure(curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False))
+    plane = first.plane if len({view.obs.conditions[c].plane for c in chosen}) == 1 else None
+    return drawn(
+        overlay_figure(
+            curves,
+            first.radius_mm,
+            title=f"{title}, µm",
+            floor_um=floor_um,
+            magnification=factor,
+            slider=False,
+            plane=plane,
+        )
+    )
 
 
 @router.get("/api/twins/{name}/runs")
@@ -266,7 +278,7 @@ def ranked(request: Request, name: str) -> Response:
     diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version)
     if diagnosis is None:
         raise InputError("the twin is not diagnosed yet", code="twin.undiagnosed", where=f"twin {name}")
-    return drawn(ranked_figure(_with_nan(diagnosis)))
+    return drawn(ranked_figure(_with_nan(diagnosis), bench.library))
 
 
 @router.get("/api/twins/{name}/signature")
@@ -278,8 +290,9 @@ def signature(request: Request, name: str, effect: str, condition: _Numbers = []
     view = reading.view(bench, name, on=labelled.get(effect, ""))
     taken = reading.taken_away_um(bench, view, effect)
     chosen = reading.chosen_conditions(view, condition)[0]
-    curves = {"residual": view.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
-    title = f"What {effect} would take away, {view.labels[chosen]}"
+    named = title_of(effect, bench.library)
+    curves = {"residual": view.residual_um[chosen], f"predicted: {named}": taken[chosen]}
+    title = f"What {named} would take away, {view.labels[chosen]}"
     floor_um = reading.floor_of(bench, view).um
     return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=view.obs.grid))
 
@@ -299,7 +312,7 @@ def _sections(bench: Bench, name: str) -> list[Section]:
     comparison = bench.twins.compare(name) if several else reading.view(bench, name).comparison
     report, compared = report_of(twin.as_dict()), comparison.as_dict()
     sections = [report.twin_section(twin), *report_of(compared).comparison_sections(comparison, compared)]
-    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    _, diagnosis = diagnosed(bench, twin)
     if diagnosis is not None:
         sections.append(report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis)))
     sections.append(report.history_section(bench.twins.history(name)))

@@ -168,10 +168,10 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     expect(page.get_by_role("heading", name="An effect is missing")).to_be_visible()
     _settled(page)
     expect(page.locator(".verdict")).to_contain_text("backlash X is missing")
-    expect(page.locator("#signature-plot")).to_contain_text("What backlash X would take away")
+    expect(page.locator("#signature-plot")).to_contain_text("What Backlash X would take away")
     page.screenshot(path=artifacts / "diagnose.png", full_page=True)
 
-    page.get_by_role("button", name="Add backlash X").first.click()
+    page.get_by_role("button", name="Add Backlash X").first.click()
     page.wait_for_url("**/twins/mill/versions")
     before, first, second = _heights(page)
     assert before > first > 1.5 * second
@@ -283,7 +283,7 @@ def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(pa
     page.get_by_role("button", name="Ingest").click()
     page.wait_for_url("**/campaigns/alone")
     expect(page.locator("tbody").get_by_text("CW", exact=True)).to_be_visible()
-    expect(page.get_by_text("a wrong feed, or a radius in another unit")).to_be_visible()
+    expect(page.get_by_text("a wrong feed, or a radius in another unit").first).to_be_visible()
 
     page.get_by_label("Field").fill("radius_mm")
     page.get_by_label("is", exact=True).fill("150")
@@ -443,7 +443,7 @@ def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(p
     # The page is a new one, whose buttons its script has not yet seen.
     _settled(page)
     page.locator("select[name=what]").select_option("crash")
-    page.get_by_label("note").fill("the vice")
+    page.get_by_label("note", exact=True).fill("the vice")
     page.get_by_role("button", name="Note it").click()
     expect(page.get_by_text("crash: the vice")).to_be_visible()
     _settled(page)
@@ -511,6 +511,9 @@ def test_the_report_is_one_file_that_needs_nothing_else(browser: Browser, bench:
     opened.on("request", lambda request: asked.append(request.url))
     opened.goto(path.as_uri())
     expect(opened.get_by_role("heading", name="Machine virtual-mill: twin mill")).to_be_visible()
+    # The verdict first, in the words of the shop, and of what test it is.
+    expect(opened.locator("section").first).to_contain_text("Scale mismatch, XY: ")
+    expect(opened.locator("section").first).to_contain_text("mill-backlash")
     expect(opened.locator(".js-plotly-plot").first).to_be_visible()
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
     expect(opened.locator(".modebar-btn").first).to_be_attached()

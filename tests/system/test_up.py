@@ -138,6 +138,9 @@ def _refuses_strangers(up: Up) -> None:
         opened.get_by_text(re.compile("Run a task or flow|Flow Runs")).first.wait_for(timeout=60_000)
         opened.goto(up.addresses["mlflow_enter"])
         opened.get_by_text("Registered Models").first.wait_for(timeout=60_000)
+        # Not behind an advertisement, nor in MLflow's mode for chat programs.
+        assert opened.get_by_role("dialog").count() == 0
+        assert opened.evaluate("localStorage['mlflow.workflowType_v1']") == '"machine_learning"'
     assert len(up.ask("/flow_runs/filter", {})) == before
 
 

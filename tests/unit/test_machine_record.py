@@ -23,6 +23,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import Event, MachineRecord, keep_record, read_record, tolerances_of, with_event
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series
+from dtwin.pipeline.planned_tests import draft_of
 from dtwin.tolerances import Limits
 from dtwin.twins.verbs import Twins
 
@@ -52,6 +53,19 @@ def test_what_is_told_stays_until_it_is_told_anew(home: Home) -> None:
     assert known.axes == {"X": {"travel_mm": 500.0, "pitch_mm": 10.0}}
     assert tolerances_of(home, "mill-a") == {"G(b)": Limits(None, 8.0), "Fmin(CW)": Limits(-5.0, 5.0)}
     assert [(e.on.isoformat(), e.what) for e in known.events] == [("2026-01-02", "repair"), ("2026-03-04", "crash")]
+
+
+def test_limits_of_an_axis_tell_its_travel_and_where_a_plan_begins(home: Home) -> None:
+    said("machine", "add", "mill-a", "--chain", "w-Y-X-b-Z-t", "--axis", "X:low_mm=-250,high_mm=250")
+    known = read_record(home, "mill-a")
+    assert known is not None
+    assert known.facts == {"chain": "w-Y-X-b-Z-t"}
+    assert known.reach == {"X": {"low_mm": -250.0, "high_mm": 250.0, "travel_mm": 500.0}}
+    plan = draft_of(home, "mill-a", "linear")["plan"]
+    assert (plan["axis_low"], plan["axis_high"]) == (-250.0, 250.0)
+    assert -250.0 < plan["start"] < plan["end"] < 250.0
+    with pytest.raises(InputError, match="not usable"):
+        keep_record(home, "mill-a", {"axes": {"Y": {"low_mm": 10.0, "high_mm": -10.0}}})
 
 
 def test_what_was_mistyped_is_taken_back(home: Home) -> None:

@@ -25,7 +25,10 @@ def _polar(run: Run, floor_um: Callable[[], float]) -> go.Figure:
 
 
 def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:
-    curves = {run.meta.run_id: _centred(run)}
+    angle, left_um = _centred(run)
+    # A clockwise run falls from 0: as every other picture, it is drawn over 0 to 360 degrees.
+    turns = np.ceil(max(-float(angle.min(initial=0.0)) - 1.0, 0.0) / 360.0)
+    curves = {run.meta.run_id: (angle + 360.0 * turns, left_um)}
     return error_figure(curves, title=_title(run), floor_um=floor_um())
 
 

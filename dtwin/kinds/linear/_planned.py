@@ -72,7 +72,7 @@ def draft(machine: str, axes: Mapping[str, Mapping[str, float]]) -> dict[str, An
 
 
 def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: int, runs: int) -> dict[str, Any]:
-    travel_mm = known.get("travel_mm", _TRAVEL_MM)
+    travel_mm, low_mm = known.get("travel_mm", _TRAVEL_MM), known.get("low_mm", 0.0)
     step = max(1.0, math.floor((travel_mm - 2.0 * _OVERSHOOT_MM) / intervals))
     stated: dict[str, Any] = {
         "name": f"{axis.lower()}-{intervals + 1}-targets",
@@ -80,15 +80,15 @@ def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: in
         "axis": axis,
         "axes": "XYZ",
         "unit": "mm",
-        "start": _OVERSHOOT_MM,
-        "end": _OVERSHOOT_MM + intervals * step,
+        "start": low_mm + _OVERSHOOT_MM,
+        "end": low_mm + _OVERSHOOT_MM + intervals * step,
         "step": step,
         "runs": runs,
         "dwell_s": 5.0,
         "feed_min": 1000.0,
         "overshoot": _OVERSHOOT_MM,
-        "axis_low": 0.0,
-        "axis_high": travel_mm,
+        "axis_low": low_mm,
+        "axis_high": low_mm + travel_mm,
         "pitch": known.get("pitch_mm", 0.0),
     }
     plan = linear_plan(stated, "the proposal")

@@ -85,10 +85,19 @@ async function draw(figure) {
 
 let magnification = null; // chosen by the reader; null follows the figure
 
+// Rings a round number of micrometres apart, as polar_rings draws them on the server.
+function ringsOf(radius, factor) {
+  const widest = (200 * radius) / factor;
+  const power = 10 ** Math.floor(Math.log10(widest));
+  const division = power * [5, 2, 1].find((m) => m * power <= widest * (1 + 1e-9));
+  return [-3, -2, -1, 0, 1, 2, 3].map((step) => step * division).filter((um) => Math.abs(um) * factor <= 400 * radius);
+}
+
 function magnify(canvas, factor) {
   const radius = canvas.layout.meta.radius_mm;
   const drawn = canvas.data.map((trace) => trace.customdata.map((um) => (um === null ? null : radius + (um * factor) / 1000)));
-  Plotly.restyle(canvas, { r: drawn });
+  const rings = ringsOf(radius, factor);
+  Plotly.update(canvas, { r: drawn }, { "polar.radialaxis.tickvals": rings.map((um) => radius + (um * factor) / 1000), "polar.radialaxis.ticktext": rings.map((um) => (um > 0 ? "+" : "") + Number(um.toPrecision(6))) });
   byId("magnification-text").value = String(Number(factor.toPrecision(3)));
   const slider = byId("magnification");
   slider.value = String(100 * Math.log10(factor / canvas.layout.meta.magnification));
@@ -248,6 +257,15 @@ const mine = JSON.parse(document.body.dataset.may), needed = JSON.parse(document
 function lacking(address) {
   const role = needed.find(([begin]) => new RegExp(`^${begin}`).test(address))[1];
   return mine.includes(role) ? "" : role;
+}
+
+// Names of machines, campaigns and twins are parts of addresses and files: what a keyboard gives is written so.
+const WRITTEN = { ä: "ae", ö: "oe", ü: "ue", Ä: "Ae", Ö: "Oe", Ü: "Ue", ß: "ss" };
+function watchNames() {
+  for (const field of all('input[pattern^="[A-Za-z0-9]["]')) {
+    field.title = "letters, digits and . _ + -, with a letter or digit first";
+    field.addEventListener("change", () => { field.value = field.value.trim().replace(/[äöüÄÖÜß]/g, (letter) => WRITTEN[letter]).replace(/\s+/g, "-"); });
+  }
 }
 
 function watchForms() {
@@ -568,6 +586,7 @@ async function fillMachine(row) {
       if (word === "changed") tag.title = found.changed;
       cell("decision").append(tag, " ");
     }
+    if (!found.last.decision) cell("decision").append(Object.assign(document.createElement("small"), { textContent: "no limits" }));
     if (words.length) row.dataset.order = Math.min(...words.map((word) => WORST.indexOf(word)));
   } catch (error) {
     cell("decision").textContent = error.message.split("\n")[0];
@@ -583,6 +602,7 @@ async function fillMachines() {
 
 document.addEventListener("DOMContentLoaded", async () => {
   watchForms();
+  watchNames();
   watchDrop();
   watchJobs();
   watchLive();

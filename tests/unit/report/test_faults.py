@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from defusedxml.ElementTree import fromstring
 
+from dtwin.kinds.volumetric import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
+from dtwin.report.effect_groups import grouped
 from dtwin.report.faults import size_of, sizes_of
+from dtwin.report.plots import polar_rings
 from dtwin.report.signature import signature_svg
 from dtwin.report.twins import found_table
 
@@ -67,7 +71,11 @@ def test_a_signature_is_drawn_for_both_directions() -> None:
         assert abs(int(np.argmax(step)) % (2 * quarter) - quarter) <= 2
     away = np.abs(np.arange(len(radii[0])) % (2 * quarter) - quarter) > 2
     assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
-    assert signature_svg(LIBRARY["stick_slip"]) == ""
+    # What no circle shows is drawn along an axis; only a spread has no picture.
+    assert [name for name, effect in LIBRARY.items() if not signature_svg(effect)] == ["stick_slip"]
+    worn = fromstring(signature_svg(LIBRARY["worn_screw"])).findall("polyline")
+    heights = [np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2)[:, 1] for c in worn]
+    assert np.allclose(heights[0] + heights[1], 300.0, atol=0.2)
 
 
 @pytest.mark.parametrize("names", [("cosine_2", "sine_2"), ("half_wave_2", "half_wave_5")])
@@ -87,3 +95,17 @@ def test_the_size_of_a_group_is_that_of_its_first_alone() -> None:
     )
     rows = found_table({"found": [[scale, inertia], [scale]]}).rows
     assert [row[2] for row in rows] == ["scale 45.70 ± 0.60 µm/m, if it is the first alone", "scale 45.70 ± 0.60 µm/m"]
+
+
+def test_every_effect_that_dtwin_ships_belongs_to_a_group_of_the_shop() -> None:
+    groups = dict(grouped([*Library().values(), *FAMILIES.values()]))
+    assert list(groups) == ["geometry", "drive", "dynamics", "heat", "instrument"]
+    mine = replace(Library()["backlash"], name="cable_chain")
+    assert grouped([mine]) == [("your own", [mine])]
+
+
+def test_rings_of_a_polar_plot_are_round_numbers_of_micrometres() -> None:
+    division, rings = polar_rings(100.0, 3000.0)
+    assert division == 5.0
+    assert rings["ticktext"] == ["-10", "-5", "0", "+5", "+10"]
+    assert rings["tickvals"] == pytest.approx([70.0, 85.0, 100.0, 115.0, 130.0])

@@ -232,11 +232,23 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     assert client.post("/api/twins", content=json.dumps(half)).status_code == 400
     told = [{"symbol": "H", "high_um": 3.0}, {"symbol": "G(CW)", "high_um": 4.0}]
     jobs = [client.post("/api/machines/mill-a/tolerance", json=one).json()["job"] for one in told]
+    axis = {"axis": "X", "low_mm": -250.0, "high_mm": 250.0, "travel_mm": None}
+    for address, body in (
+        ("/api/machines/mill-a/facts", {"serial": "7"}),
+        ("/api/machines/mill-a/axis", axis),
+        ("/api/machines", {"machine": "mill-b", "type": "Fräse"}),
+    ):
+        jobs.append(client.post(address, json=body).json()["job"])
+    assert client.post("/api/machines/mill-a/axis", json=axis | {"high_mm": -300.0}).status_code == 400
     let_go.set()
     deadline = time.monotonic() + 300.0
     while time.monotonic() < deadline and not all((job := bench.jobs.get(j)) and job.ended for j in jobs):
         time.sleep(0.01)
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
+    page = client.get("/machines/mill-a").text
+    assert "serial 7" in page
+    assert 'value="-250"' in page
+    assert "Fräse" in client.get("/machines").text
 
 
 def test_what_was_stated_of_a_machine_is_taken_back_and_of_no_machine_nothing_is_done(tmp_path: Path) -> None:
