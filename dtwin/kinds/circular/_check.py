@@ -19,8 +19,8 @@ _SAME_RADIUS = 0.01
 _MAX_DEVIATION_UM = 2_500.0
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
-# Share of squares that a straight line over the angle takes of no circle.
-_STRAIGHT = 0.9999
+# Share of squares that a straight line over the angle takes of no circle, over so much of it.
+_STRAIGHT, _STRAIGHT_DEG = 0.9999, 90.0
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 # Of run-in and run-out beside the turn that is evaluated.
@@ -133,7 +133,7 @@ def _reading(run: Run) -> list[Finding]:
         )
         findings.append(Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread}))
     angle = run.samples["angle_deg"]
-    if spread > 0.0 and np.ptp(angle) > 0.0 and np.corrcoef(angle, deviation)[0, 1] ** 2 > _STRAIGHT:
+    if spread > 0.0 and np.ptp(angle) > _STRAIGHT_DEG and np.corrcoef(angle, deviation)[0, 1] ** 2 > _STRAIGHT:
         said = f"deviations rise or fall evenly with the angle, by {spread:z.4g} µm: a column of angles or times, and no error of a circle"
         findings.append(Finding("reading.ramp", "error", said, {"spread_um": spread}))
     rate = run.meta.sample_rate_hz
