@@ -7,7 +7,7 @@ from mkdocs.structure.files import File, Files
 
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
-from dtwin.report.signature import FEED_MM_MIN, RADIUS_MM, signature_svg
+from dtwin.report.signature import signature_caption, signature_svg
 from dtwin.units import shown_unit
 
 
@@ -95,12 +95,4 @@ def _law(effect: Effect) -> str:
 def _signature(effect: Effect) -> str:
     """Draw the error round the circle, or along an axis, with what is drawn."""
     picture = signature_svg(effect)
-    caption = (
-        f"First parameter at R = {RADIUS_MM:g} mm, F = {FEED_MM_MIN:g} mm/min: counter-clockwise blue, "
-        "clockwise orange and dashed; dotted: the nominal circle."
-    )
-    if "linear" in effect.kinds and "circular" not in effect.kinds:
-        caption = "First parameter along an axis: forward blue, reverse orange and dashed; dotted: no error."
-    elif "circular" not in effect.kinds:
-        caption = "First parameter over one period of a tone; dotted: no error."
-    return f"{picture}\n\n*{caption}*" if picture else ""
+    return f"{picture}\n\n*{signature_caption(effect)}*" if picture else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from dtwin.physics.library import campaign_instances
 from dtwin.physics.state import State, circular_state
 from dtwin.schema import Direction, Floats, Plane, RunMeta
 
-RADIUS_MM, FEED_MM_MIN = 100.0, 3000.0
-"""Circle on which signatures are drawn."""
+# Circle on which signatures are drawn.
+_RADIUS_MM, _FEED_MM_MIN = 100.0, 3000.0
 _ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
 _REACH_MM, _TURNS_RAD_S = 20.0, 2.0 * np.pi * 5.0
 _SIZE, _CIRCLE, _DRAWN, _POINTS = 300, 100, 28, 720
@@ -37,8 +38,8 @@ def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
     for instance in sorted(wanted, key=lambda i: i.axis != axis):
         curves: dict[str, Floats] = {}
         for way in ways:
-            meta = RunMeta("r", plane=plane, direction=way, radius_mm=RADIUS_MM, feed_mm_min=FEED_MM_MIN)
-            state = circular_state(meta, angle, feed_mm_s=FEED_MM_MIN / 60.0, columns=columns, geometry=_ROBOT)
+            meta = RunMeta("r", plane=plane, direction=way, radius_mm=_RADIUS_MM, feed_mm_min=_FEED_MM_MIN)
+            state = circular_state(meta, angle, feed_mm_s=_FEED_MM_MIN / 60.0, columns=columns, geometry=_ROBOT)
             curves[way] = effect.columns(state, instance.axis, effect.start_shape)[:, 0]
         if any(c.any() for c in curves.values()):
             return instance.label, curves
@@ -46,43 +47,43 @@ def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
 
 
 def _along(effect: Effect) -> dict[str, Floats]:
-    """Return the error of the first parameter of an effect forward and reverse along an axis, each of shape (n,).
+    """Return the error of the first parameter of an effect on the way forth and back along an axis, each of shape (n,).
 
-    Of an effect that is seen in tones alone it is the error of one period of a sine. Curves that are zero are none.
+    The axis swings by a sine, one period; both are in the order of its position. Curves that are zero are none.
     """
-    if effect.on_spread or not {"linear", "sinusoidal"} & set(effect.kinds):
+    if effect.on_spread:
         return {}
-    swings = "linear" not in effect.kinds
-    curves = {}
-    for way, sense in (("forward", 1.0), ("reverse", -1.0))[: 1 if swings else 2]:
-        phase = _angle()
-        at = _REACH_MM * (np.sin(phase) if swings else np.linspace(-1.0, 1.0, _POINTS))
-        speed = _REACH_MM * _TURNS_RAD_S * np.cos(phase) if swings else np.full(_POINTS, sense * FEED_MM_MIN / 60.0)
-        state = State(
-            kind="sinusoidal" if swings else "linear",
-            axes=("X",),
-            plane="",
-            position_mm={"X": at},
-            velocity_mm_s={"X": speed},
-            acceleration_mm_s2={"X": -at * _TURNS_RAD_S**2 if swings else np.zeros(_POINTS)},
-            sensitivity={"X": np.ones(_POINTS)},
-            since_reversal_s={"X": (_REACH_MM + sense * at) / (FEED_MM_MIN / 60.0)},
-            last_end={"X": np.full(_POINTS, -sense)},
-            angle_rad=phase,
-            radius_mm=_REACH_MM,
-            feed_mm_s=FEED_MM_MIN / 60.0,
-            direction=sense,
-            columns={name: np.ones(_POINTS) for name in _LOGGED},
-            geometry={"screw_pitch_mm": _REACH_MM / 2.0},
-        )
-        curves[way] = effect.columns(state, "X", effect.start_shape)[:, 0]
-    return curves if any(c.any() for c in curves.values()) else {}
+    phase = _angle()
+    at, way = -_REACH_MM * np.cos(phase), np.sign(np.sin(phase))
+    state = State(
+        kind=effect.kinds[0],
+        axes=("X",),
+        plane="",
+        position_mm={"X": at},
+        velocity_mm_s={"X": _REACH_MM * _TURNS_RAD_S * np.sin(phase)},
+        acceleration_mm_s2={"X": -at * _TURNS_RAD_S**2},
+        sensitivity={"X": np.ones(_POINTS)},
+        since_reversal_s={"X": phase % np.pi / _TURNS_RAD_S},
+        last_end={"X": -way},
+        angle_rad=phase,
+        radius_mm=_REACH_MM,
+        feed_mm_s=_REACH_MM * _TURNS_RAD_S,
+        direction=1.0,
+        columns={name: np.ones(_POINTS) for name in _LOGGED},
+        geometry={"screw_pitch_mm": _REACH_MM / 2.0},
+    )
+    # Effects of sweeps take the direction from the state, those of tones from the speed of a whole period.
+    forth, back = (
+        effect.columns(replace(state, direction=sense), "X", effect.start_shape)[:, 0].reshape(2, -1)[half]
+        for half, sense in enumerate((1.0, -1.0))
+    )
+    return {"forward": forth, "reverse": back[::-1]} if forth.any() or back.any() else {}
 
 
 def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed.
 
-    An effect that no circle shows is drawn along an axis, forward blue and reverse orange, or over a period of a tone.
+    An effect that no circle shows is drawn along an axis that swings, forward blue, reverse orange and dashed.
     """
     label, curves = _signature(effect, axis)
     if not curves:
@@ -106,11 +107,22 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     return "".join([*parts, "</svg>"])
 
 
+def signature_caption(effect: Effect) -> str:
+    """Return what the picture of a signature shows."""
+    if _signature(effect)[1]:
+        return (
+            f"First parameter at R = {_RADIUS_MM:g} mm, F = {_FEED_MM_MIN:g} mm/min: counter-clockwise blue, "
+            "clockwise orange and dashed; dotted: the nominal circle."
+        )
+    return "First parameter along an axis that swings: forward blue, reverse orange and dashed; dotted: no error."
+
+
 def _line_svg(effect: Effect, curves: Mapping[str, Floats], width: int) -> str:
     if not curves:
         return ""
     largest = max(float(np.abs(c).max()) for c in curves.values())
-    middle, across = _SIZE / 2, np.linspace(_SIZE / 2 - _CIRCLE, _SIZE / 2 + _CIRCLE, _POINTS)
+    middle = _SIZE / 2
+    across = middle - _CIRCLE * np.cos(_angle()[: _POINTS // 2])
     wide = 1.5 * _SIZE / max(width, 100)
     parts = [
         f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {effect.name} along an axis">',
