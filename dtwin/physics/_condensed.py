@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,15 +48,32 @@ class Condensed:
 
     def columns(self, term: Term, *, keep: bool = True) -> Floats:
         """Return the whitened columns of a term, shape (m, k); ``keep``: it will be asked for again."""
-        rows, of = (
+        made = (
             self.candidates.harmonics(term)
             if keep
             else self.problem.obs.distinct_harmonics(term.instance, term.shape, keep=False)
         )
-        if len(rows) == len(self.root) < len(of) and self.problem.zero_weight == 1.0:
-            cells = (rows * self.problem.weights[:, None] * self.root[:, None, None]).reshape(-1, rows.shape[2])
-            return np.concatenate([cells, np.zeros((len(self.y) - len(cells), cells.shape[1]))])
-        return self._condensed(self.problem.weighted(rows, of))
+        return self.each([made]).T
+
+    def each(self, made: Sequence[tuple[Floats, Indices]]) -> Floats:
+        """Return whitened columns, one after the other, shape (columns, m). ``made``: as ``Candidates.harmonics`` gives them."""
+        out = np.empty((sum(rows.shape[2] for rows, _ in made), len(self.y)))
+        at = 0
+        for rows, of in made:
+            k = rows.shape[2]
+            part, at = out[at : at + k], at + k
+            if len(rows) == len(self.root) < len(of) and self.problem.zero_weight == 1.0:
+                cells = self._factors.size
+                np.multiply(rows.transpose(2, 0, 1), self._factors, out=part[:, :cells].reshape(k, *self._factors.shape))
+                part[:, cells:] = 0.0
+            else:
+                part[:] = self._condensed(self.problem.weighted(rows, of)).T
+        return out
+
+    @cached_property
+    def _factors(self) -> Floats:
+        """Weight of each coefficient of each condition, shape (conditions, n)."""
+        return np.outer(self.root, self.problem.weights)
 
     def given(self, terms: Iterable[Term]) -> Condensed:
         """Return the same with further effects known."""

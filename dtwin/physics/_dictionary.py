@@ -68,26 +68,27 @@ class Dictionary:
 
     def add(self, terms: Iterable[Term]) -> list[Entry]:
         """Take more effects in; those that nothing can be seen of are left out."""
-        every = [(term, self.campaign.columns(term)) for term in terms]
-        if not every:
+        terms = list(terms)
+        if not terms:
             return []
-        rows = np.concatenate([whitened.T for _, whitened in every])
+        made = [self.candidates.harmonics(term) for term in terms]
+        rows = self.campaign.each(made)
         size = np.sqrt(_squares(rows))
         rows /= np.where(size > 0.0, size, 1.0)[:, None]
         basis = self.campaign.basis
         rows -= (rows @ basis) @ basis.T
-        number = np.repeat(np.arange(len(every)), [whitened.shape[1] for _, whitened in every])
-        seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term, _ in every])[number])
-        many = np.bincount(number[seen], minlength=len(every))
+        number = np.repeat(np.arange(len(terms)), [columns.shape[2] for columns, _ in made])
+        seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term in terms])[number])
+        many = np.bincount(number[seen], minlength=len(terms))
         ends = len(self._right) + np.cumsum(many)
         several = self.problem.obs.several_speeds
         new = [
             Entry(term, slice(int(end - k), int(end)), int(k) + len(term.instance.effect.refined_shapes(several)))
-            for (term, _), k, end in zip(every, many, ends, strict=True)
+            for term, k, end in zip(terms, many, ends, strict=True)
             if k
         ]
         if new:
-            self._append(rows[seen])
+            self._append(rows if seen.all() else rows[seen])
             for at, entry in enumerate(new, start=len(self.entries)):
                 self._numbers.setdefault(entry.label, []).append(at)
             self.entries += new

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import re
 import subprocess
 import sys
@@ -20,11 +19,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dtwin.config import Home, quiet_environment
+from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import StoreError
 from dtwin.locks import locked
-from dtwin.shared_documents import following
 
 if TYPE_CHECKING:
     from dtwin.train.registry import Registry
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
 _VERSION = re.compile(r"v(\d{3,})\.json")
 _PLACE = ("parent_run_id", "run_id", "model", "model_version")
 _HINT = "dtwin repair writes it again"
-_POLITE = 10
 _children: list[subprocess.Popen[bytes]] = []
 
 
@@ -106,7 +103,7 @@ def _still_waiting(paths: Iterable[Path]) -> list[_Waiting]:
 def _waiting_at(path: Path) -> _Waiting | None:
     """Return a version if MLflow does not have it, or not its newest diagnosis."""
     receipt = _known(path)
-    if "model_version" in receipt and receipt.get("diagnosis", "") == _sha256(_verdict(path)):
+    if "model_version" in receipt and receipt.get("diagnosis", "") == _sha256(diagnosis_path(path)):
         return None
     return _Waiting(path, receipt.get("failed", ""))
 
@@ -131,11 +128,12 @@ def waiting_text(left: Sequence[_Waiting]) -> str:
     return said + more + told
 
 
-def log_soon(home: Home, name: str, *, at_once: bool) -> None:
+def log_soon(home: Home, name: str, *, at_once: bool, ahead: bool = False) -> None:
     """Have what waits logged by a process that outlives this one, or ``at_once`` by this one.
 
     ``name``: the twin that has something new.
     ``at_once``: wait for it.
+    ``ahead``: the process diagnoses the new version before; nothing is done ahead ``at_once``.
     """
     if at_once:
         left = [item for item in log_waiting(home) if item.path.parent.name == name]
@@ -148,13 +146,13 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
                 hint="dtwin repair tries again",
             )
         return
-    if find_spec("mlflow") is None:
+    if find_spec("mlflow") is None and not ahead:
         return
     # Asked for their end, or they would stay as zombies of a long-lived workbench.
     _children[:] = [child for child in _children if child.poll() is None]
     _children.append(
         subprocess.Popen(
-            [sys.executable, "-P", "-m", "dtwin.twins.registration", str(home.root)],
+            [sys.executable, "-P", "-m", "dtwin.twins.background", str(home.root), *([name] if ahead else [])],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -215,7 +213,7 @@ def _log(registry: Registry, path: Path) -> None:
         document = read_document(path)
         place = log_twin(registry, document, digest, description=_description(document), parent=_parent(path))
         _keep(path, {**place, "version": digest})
-    file = _verdict(path)
+    file = diagnosis_path(path)
     noted = _sha256(file)
     if noted:
         note_diagnosis(registry, place["model"], place["model_version"], read_document(file))
@@ -269,7 +267,8 @@ def _receipt(path: Path) -> Path:
     return path.with_suffix(".mlflow.json")
 
 
-def _verdict(path: Path) -> Path:
+def diagnosis_path(path: Path) -> Path:
+    """Return the file of the diagnosis of a version. ``path``: file of the version."""
     return path.with_suffix(".diagnosis.json")
 
 
@@ -292,14 +291,8 @@ def _lock(home: Home, name: str) -> Path:
     return home.root / "locks" / f"twins-to-mlflow.{name}.lock"
 
 
-def _main(root: Path) -> None:
+def log_next(home: Home) -> None:
     """Log what waits, unless another process that has not begun yet will see the same."""
-    home = Home(root)
-    with following(home):
-        _log_next(home)
-
-
-def _log_next(home: Home) -> None:
     if not _something_waits(home):
         return
     with contextlib.ExitStack() as held:
@@ -308,9 +301,3 @@ def _log_next(home: Home) -> None:
                 return
             held.enter_context(locked(_lock(home, "logging"), wait=True))
         _log_all(home)
-
-
-if __name__ == "__main__":
-    os.nice(_POLITE)
-    quiet_environment()
-    _main(Path(sys.argv[1]))

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
-from dtwin.twins.registration import log_soon, place_of, version_name, version_number, version_paths
+from dtwin.twins.registration import diagnosis_path, log_soon, place_of, version_name, version_number, version_paths
 
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""
@@ -131,10 +131,11 @@ class TwinShelf:
             )
         return max(numbers, default=0) + 1
 
-    def store(self, document: Mapping[str, Any]) -> None:
+    def store(self, document: Mapping[str, Any], *, ahead: bool = False) -> None:
         """Write the file of a version, and have it logged in MLflow.
 
         ``document``: ``as_dict`` of the twin.
+        ``ahead``: have it diagnosed in the background.
         Raises ``InputError`` when another process made this version meanwhile.
         """
         name, version, at_once = document["twin"], document["version"], self.home.mlflow_at_once
@@ -149,8 +150,8 @@ class TwinShelf:
                     where=f"twin {name} version {version}",
                     hint="run this again: it takes the new version as its base",
                 )
-            write_document(self._file(document, ".json"), unique, "the twin")
-        self._tell(name, at_once=at_once)
+            write_document(self._file(document), unique, "the twin")
+        self._tell(name, at_once=at_once, ahead=ahead)
 
     def can_keep(self, name: str) -> bool:
         """Whether what is found out of a twin can be written here."""
@@ -160,7 +161,7 @@ class TwinShelf:
         """Write a diagnosis beside its version, and have its verdict noted in MLflow; nothing in a home that can only be read."""
         if self.can_keep(document["twin"]):
             at_once = self.home.mlflow_at_once
-            write_document(self._file(document, ".diagnosis.json"), document, "the twin")
+            write_document(diagnosis_path(self._file(document)), document, "the twin")
             self._tell(document["twin"], at_once=at_once)
 
     def history(self, name: str) -> list[dict[str, Any]]:
@@ -172,7 +173,7 @@ class TwinShelf:
         out = []
         for path in version_paths(folder):
             document = read_document(path)
-            diagnosis = path.with_suffix(".diagnosis.json")
+            diagnosis = diagnosis_path(path)
             verdict = read_document(diagnosis) if diagnosis.exists() else {}
             group = [_label(c) for c in verdict.get("candidates", []) if c["in_group"]]
             out.append(
@@ -213,13 +214,13 @@ class TwinShelf:
     def _numbers(self, name: str) -> Sequence[int]:
         return [version_number(p) for p in version_paths(self.root / name)]
 
-    def _file(self, document: Mapping[str, Any], ending: str) -> Path:
-        return self.root / document["twin"] / f"{version_name(document['version'])}{ending}"
+    def _file(self, document: Mapping[str, Any]) -> Path:
+        return self.root / document["twin"] / f"{version_name(document['version'])}.json"
 
-    def _tell(self, name: str, *, at_once: bool) -> None:
+    def _tell(self, name: str, *, at_once: bool, ahead: bool = False) -> None:
         # Before MLflow is told: another computer may have made the same version.
         follow_shared(self.home)
-        log_soon(self.home, name, at_once=at_once)
+        log_soon(self.home, name, at_once=at_once, ahead=ahead)
 
 
 def kind_of(home: Home, name: str) -> str:

@@ -10,6 +10,7 @@ from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
+from dtwin.locks import take
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.diagnose import diagnose
@@ -24,6 +25,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.schema import require_name
+from dtwin.twins._kept_diagnosis import MADE_FROM, is_built_in, kept_diagnosis, made_from
 from dtwin.twins._learned import WithLearned
 from dtwin.twins._recorded import with_record
 from dtwin.twins._stored import twin_from
@@ -134,22 +136,34 @@ class Twins(TwinShelf):
         return twin, budget(twin, obs)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
-        """Find out what a twin lacks."""
-        twin = self.newest(name)
+        """Find out what a twin lacks; what was found out before, of the same version by the same code, is read again."""
+        document, path = self.newest_document(name)
+        twin = with_record(self.home, twin_from(document, self.library, str(path)))
         loaded = self._load(twin.campaigns)
         for one in loaded:
             require_same_machine(name, twin.machine, one.obs.campaign.name, one.obs.campaign.machine)
         if isinstance(twin, SeveralTwin):
-            diagnosis: Diagnosis = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
-        else:
-            obs = loaded[0].obs
-            diagnosis = diagnose(obs, twin.terms, self.library, seed=seed)
-            diagnosis = replace(diagnosis, next_experiment=next_experiment(obs, twin.terms, diagnosis, self.library))
-        diagnosis = replace(diagnosis, told=tuple(line for one in loaded for line in data_lines(one.data)))
-        document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
-        document |= diagnosis.as_dict()
-        self.store_diagnosis(document)
-        return twin, diagnosis
+            several = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
+            return twin, self._keep(twin, several, loaded)
+        (alone,) = loaded
+        check_sum = made_from(path, alone, self.library, seed)
+        # Another process may be at it.
+        with path.open() as version:
+            take(version, wait=True)
+            kept = kept_diagnosis(path, check_sum)
+            if kept is not None:
+                return twin, kept
+            found = diagnose(alone.obs, twin.terms, self.library, seed=seed)
+            found = replace(found, next_experiment=next_experiment(alone.obs, twin.terms, found, self.library))
+            return twin, self._keep(twin, found, loaded, {MADE_FROM: check_sum})
+
+    def _keep(
+        self, twin: Twin, found: Diagnosis, loaded: Sequence[Loaded], about: Mapping[str, str] | None = None
+    ) -> Diagnosis:
+        found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
+        document = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign, **(about or {})}
+        self.store_diagnosis(document | found.as_dict())
+        return found
 
     def add(
         self, name: str, effect: str, axis: str = "", *, shape: Mapping[str, float] | None = None, refine: bool = True
@@ -173,7 +187,19 @@ class Twins(TwinShelf):
             When the twin has it already.
         """
         twin = self.newest(name)
-        loaded = self._load(twin.campaigns)
+        return self._added(twin, self._load(twin.campaigns), effect, axis, shape, refine=refine)
+
+    def _added(
+        self,
+        twin: Twin,
+        loaded: Sequence[Loaded],
+        effect: str,
+        axis: str,
+        shape: Mapping[str, float] | None,
+        *,
+        refine: bool,
+        ahead: bool = True,
+    ) -> Twin:
         new = [replace(term, shape={**term.shape, **(shape or {})}) for term in self._terms([effect], loaded, axis)]
         # To several campaigns names of one cause are one effect.
         there = {key_of(term) for term in twin.terms} if len(loaded) > 1 else set()
@@ -181,7 +207,8 @@ class Twins(TwinShelf):
         if not fresh:
             raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)
-        return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}", refine=refine)
+        terms = [*twin.terms, *fresh]
+        return self._store(twin.name, loaded, terms, f"add {added}", refine=refine, ahead=ahead)
 
     def remove(self, name: str, effect: str, axis: str = "") -> Twin:
         """Take an effect out, refit, and store the new version; it is refused when the twin does not have it."""
@@ -215,13 +242,15 @@ class Twins(TwinShelf):
         """
         made: list[Twin] = []
         groups: list[tuple[str, ...]] = []
-        _, said = self.diagnose(name, seed=seed)
+        twin, said = self.diagnose(name, seed=seed)
+        loaded = self._load(twin.campaigns)
         large = said.found
         while large and len(made) < _MOST_RUNGS:
             for number, group in enumerate(large, start=1):
                 first, last = group[0], number == len(large)
                 # The diagnosis refined the shapes of all that it found together: once more is enough.
-                made.append(self.add(name, first.effect, first.axis, shape=first.shape, refine=last))
+                twin = self._added(twin, loaded, first.effect, first.axis, first.shape, refine=last, ahead=False)
+                made.append(twin)
                 groups.append(tuple(suspect.label for suspect in group))
             _, said = self.diagnose(name, seed=seed)
             large = said.foretelling
@@ -255,6 +284,7 @@ class Twins(TwinShelf):
         *,
         robust: bool = False,
         refine: bool = True,
+        ahead: bool = True,
     ) -> Twin:
         version = self.next_version(name, loaded[0].obs.campaign.machine)
         if len(loaded) > 1:
@@ -265,5 +295,5 @@ class Twins(TwinShelf):
             (one,) = loaded
             fitted = fit(one.obs, terms, robust=robust, refine=refine)
             twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
-        self.store(twin.as_dict())
+        self.store(twin.as_dict(), ahead=ahead and len(loaded) == 1 and is_built_in(self.library))
         return with_record(self.home, twin)

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.cli import app
 from dtwin.config import Home
+from dtwin.documents import finite
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
@@ -26,6 +27,7 @@ from dtwin.train.symbolic import OperonEngine
 from dtwin.twins.confirm import confirm, interventions
 from dtwin.twins.learn import learn_formula, learn_law, learn_map
 from dtwin.twins.measured import load
+from dtwin.twins.registration import diagnosis_path
 from dtwin.twins.verbs import Twins
 
 pytestmark = pytest.mark.system
@@ -191,6 +193,39 @@ def test_mlflow_follows_in_the_background_and_in_order(twins: Twins, monkeypatch
     assert shown == ["fit", "add backlash X", "remove backlash"]
     numbers = [r["mlflow"]["model_version"] for r in twins.history("fast")]
     assert numbers == ["1", "2", "3"]
+    # It was diagnosed ahead, and MLflow was told of that too.
+    assert diagnosis_path(twins.newest_document("fast")[1]).exists()
+    assert max(found, key=lambda v: int(v.version)).tags["verdict"] == "missing_effect"
+
+
+def test_a_diagnosis_is_read_again_until_something_changes(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    twins.fit("mill-march", ["centre_offset"], "kept")
+    _, first = twins.diagnose("kept")
+    path = twins.newest_document("kept")[1]
+    asked: list[int] = []
+
+    def made(*args: Any, seed: int) -> Any:
+        asked.append(seed)
+        return first
+
+    monkeypatch.setattr("dtwin.twins.verbs.diagnose", made)
+    _, again = twins.diagnose("kept")
+    assert not asked
+    assert again.found == first.found
+    assert finite(again.as_dict()) == finite(first.as_dict())
+    twins.diagnose("kept", seed=1)
+    assert asked == [1]
+    diagnosis_path(path).write_text("{", encoding="utf-8")
+    twins.diagnose("kept", seed=1)
+    twins.diagnose("kept", seed=1)
+    assert asked == [1, 1]
+    run = str(Lake(twins.home.lake).runs("mill-march")[0]["run_id"])
+    leave_out(Lake(twins.home.lake), "mill-march", [run], "a cable touched the bar")
+    twins.diagnose("kept", seed=1)
+    assert asked == [1, 1, 1]
+    monkeypatch.setattr("dtwin.twins._kept_diagnosis._code", lambda: b"another version")
+    twins.diagnose("kept", seed=1)
+    assert asked == [1, 1, 1, 1]
 
 
 def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:

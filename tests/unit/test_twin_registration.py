@@ -289,7 +289,7 @@ def test_one_process_logs_and_one_at_most_stands_in_line(shelf: TwinShelf) -> No
     with locked(twin_registration._lock(shelf.home, "next")) as mine:
         assert mine
         # Would wait for ever if it took its place behind the other.
-        twin_registration._main(shelf.home.root)
+        twin_registration.log_next(shelf.home)
     assert labels(shelf.home) == ["l v001"]
 
 

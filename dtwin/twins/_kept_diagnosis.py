@@ -1,0 +1,123 @@
+"""Diagnoses that are kept beside the versions of twins, and read again while nothing has changed that they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import dtwin
+from dtwin.documents import read_document
+from dtwin.errors import StoreError
+from dtwin.physics._law_search import ScalingLaw
+from dtwin.physics._laws import LawTest
+from dtwin.physics._screen import Channel
+from dtwin.physics.diagnosis import Diagnosis, Spread, Suspect, Unresolved
+from dtwin.physics.effect import Effect
+from dtwin.physics.fit import Estimate
+from dtwin.physics.observations import Observations
+from dtwin.physics.twin import data_lines
+from dtwin.twins.measured import Loaded
+from dtwin.twins.registration import diagnosis_path
+
+MADE_FROM = "made_from"
+"""Where a stored diagnosis says what it was made from."""
+_PACKAGE = Path(str(dtwin.__file__)).parent
+_DIAGNOSING = ("physics/**/*.py", "kinds/**/*.py", "statistics.py", "kinematics.py")
+
+
+def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: int) -> str:
+    """Return a check sum of all that a diagnosis depends on; empty with effects of others, whose code is not known.
+
+    ``path``: file of the twin's version.
+    ``loaded``: what it was fitted to.
+    ``library``: effects that may be missing.
+    """
+    if not is_built_in(library):
+        return ""
+    digest = hashlib.sha256(path.read_bytes())
+    for part in (*_parts(loaded.obs), repr((data_lines(loaded.data), sorted(library), seed)).encode(), _code()):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def is_built_in(library: Mapping[str, Effect]) -> bool:
+    """Tell whether all effects are dtwin's own."""
+    return all(effect.regressors.__module__.startswith(f"{dtwin.__name__}.") for effect in library.values())
+
+
+def kept_diagnosis(path: Path, check_sum: str) -> Diagnosis | None:
+    """Return the diagnosis of a twin's version; None when none is kept, it is damaged, or was made from something else.
+
+    ``path``, ``check_sum``: as ``made_from`` takes and gives them.
+    """
+    file = diagnosis_path(path)
+    try:
+        document = read_document(file) if check_sum and file.exists() else {}
+    except StoreError:
+        return None
+    return _diagnosis(document) if document.get(MADE_FROM) == check_sum else None
+
+
+def _parts(obs: Observations) -> Iterator[bytes]:
+    """Yield what was measured, and what is said of it."""
+    for values in (obs.y_um, obs.mask, obs.condition_of, obs.setup_of, obs.run_of, obs.feed_mm_s, obs.grid.points):
+        yield values.tobytes()
+    for row in obs.columns:
+        for name, value in sorted(row.items()):
+            yield name.encode() + np.asarray(value).tobytes()
+    yield repr((obs.grid.kind, obs.campaign, obs.runs, obs.conditions, obs.setups)).encode()
+
+
+@cache
+def _code() -> bytes:
+    """Return a check sum of the code that diagnoses, and of the versions of what it computes with."""
+    digest = hashlib.sha256(f"{version('numpy')} {version('scipy')}".encode())
+    for file in sorted(file for part in _DIAGNOSING for file in _PACKAGE.glob(part)):
+        digest.update(file.read_bytes())
+    return digest.digest()
+
+
+def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:
+    """Return a diagnosis from what its ``as_dict`` gave; null in place of a number is NaN."""
+    unresolved, spread = document["unresolved"], document["variance"]
+    return Diagnosis(
+        verdict=document["verdict"],
+        headline=document["headline"],
+        floor_kind=document["floor_kind"],
+        **_numbers(document, "residual_rms_um", "systematic_rms_um", "noise_floor_um", "lack_of_fit_p"),
+        suspects=tuple(_suspect(entry) for entry in document["candidates"]),
+        found=tuple(tuple(_suspect(entry) for entry in group) for group in document["found"]),
+        unresolved=None
+        if unresolved is None
+        else Unresolved(
+            **{**unresolved, **_numbers(unresolved, "share", "p_value"), "where": tuple(unresolved["where"])}
+        ),
+        where=tuple(document["where"]),
+        channels=tuple(Channel(**{**c, "instead": tuple(c["instead"])}) for c in document["channels"]),
+        laws=tuple(ScalingLaw(**{k: v for k, v in law.items() if k != "equation"}) for law in document["laws"]),
+        closest=document["closest"],
+        invisible=tuple(document["invisible"]),
+        untestable=document["untestable"],
+        outlier_runs=tuple(document["outlier_runs"]),
+        told=tuple(document["told"]),
+        spread=Spread(tuple(spread["depends_on"]), spread["p_value"]) if spread else None,
+        next_experiment=document["next_experiment"],
+    )
+
+
+def _suspect(entry: Mapping[str, Any]) -> Suspect:
+    tuples = {name: tuple(entry[name]) for name in ("confounded_with", "tested", "untested")}
+    laws = tuple(LawTest(law["variable"], **_numbers(law, "p_value", "shift", "uncertainty")) for law in entry["laws"])
+    sizes = tuple(Estimate(**{**size, **_numbers(size, "value", "uncertainty")}) for size in entry["sizes"])
+    numbers = _numbers(entry, "rms_after_um", "cv_gain", "p_value", "share")
+    return Suspect(**{**entry, **numbers, **tuples, "laws": laws, "sizes": sizes})
+
+
+def _numbers(entry: Mapping[str, Any], *names: str) -> dict[str, float]:
+    return {name: float("nan") if entry[name] is None else entry[name] for name in names}

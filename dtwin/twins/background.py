@@ -1,0 +1,43 @@
+"""What a process in the background does when a twin has a new version: it diagnoses it ahead, and tells MLflow.
+
+Who fits a twin asks next what it lacks: the answer is kept then, or on its way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+
+from dtwin.config import Home, quiet_environment
+from dtwin.errors import DtwinError
+from dtwin.shared_documents import following
+from dtwin.twins.registration import log_next
+
+# Nobody waits for MLflow.
+_POLITE = 10
+
+
+def _main(root: Path, names: list[str]) -> None:
+    home = Home(root)
+    with following(home):
+        for name in names:
+            _diagnose(home, name)
+        os.nice(_POLITE)
+        log_next(home)
+
+
+def _diagnose(home: Home, name: str) -> None:
+    """Diagnose the newest version; whoever asks for it meets the same error and is told."""
+    from dtwin.twins.verbs import Twins
+
+    # What is kept is logged by this process.
+    os.environ["DTWIN_MLFLOW"] = "now"
+    with contextlib.suppress(DtwinError):
+        Twins(home).diagnose(name)
+
+
+if __name__ == "__main__":
+    quiet_environment()
+    _main(Path(sys.argv[1]), sys.argv[2:])
