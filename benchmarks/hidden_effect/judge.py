@@ -133,7 +133,7 @@ def discovered(
 ) -> Iterator[tuple[list[list[str]], list[Term], Diagnosis]]:
     """Yield all groups that ``dtwin twin discover`` has named from nothing after each round, their terms, and the diagnosis.
 
-    ``found``: the first diagnosis. What a later one finds must foretell conditions that are left out.
+    ``found``: the first diagnosis.
     """
     large = found.found
     groups = [[s.label for s in group] for group in large]
@@ -141,7 +141,7 @@ def discovered(
     yield groups, terms, found
     while large and len(groups) < RUNGS:
         found = diagnose(obs, terms, LIBRARY, seed=number)
-        large = found.foretelling
+        large = found.to_add([term.label for term in terms], several_speeds=obs.several_speeds)
         groups = [*groups, *([s.label for s in group] for group in large)]
         terms = _with_added(obs, terms, large) if large else terms
         yield groups, terms, found

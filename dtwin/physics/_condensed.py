@@ -64,7 +64,9 @@ class Condensed:
             part, at = out[at : at + k], at + k
             if len(rows) == len(self.root) < len(of) and self.problem.zero_weight == 1.0:
                 cells = self._factors.size
-                np.multiply(rows.transpose(2, 0, 1), self._factors, out=part[:, :cells].reshape(k, *self._factors.shape))
+                np.multiply(
+                    rows.transpose(2, 0, 1), self._factors, out=part[:, :cells].reshape(k, *self._factors.shape)
+                )
                 part[:, cells:] = 0.0
             else:
                 part[:] = self._condensed(self.problem.weighted(rows, of)).T

@@ -23,8 +23,8 @@ _NEAR = 0.3
 _GROUP_P = 0.05
 # The shape of the top effect was chosen among many: what has fewer numbers is not ruled out so soon.
 _SIMPLER_P = 0.01
-# At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it.
-_AFTER_A_REVERSAL = {"reversal_spike", "reversal_ringing", "structural_resonance"}
+AFTER_A_REVERSAL = {"reversal_spike", "reversal_ringing", "structural_resonance"}
+"""At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it."""
 _AS_GOOD = 0.9
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
@@ -191,7 +191,7 @@ def _as_good(problem: Problem, top: Candidate, other: Candidate) -> bool:
 def _is_like(top: Candidate, other: Candidate) -> bool:
     """Tell whether two effects are what follows a reversal of one axis."""
     first, second = top.term.instance, other.term.instance
-    return {first.effect.name, second.effect.name} <= _AFTER_A_REVERSAL and first.axis == second.axis
+    return {first.effect.name, second.effect.name} <= AFTER_A_REVERSAL and first.axis == second.axis
 
 
 def _sets(
@@ -263,10 +263,12 @@ def beside_a_part(
     """Return each effect that at one speed is, together with a part of an effect, exactly that effect.
 
     The oval of a mode is that of a scale; what rings may then be another mode, or how far the law of a spike is off.
-    Nothing where what follows the reversals is enough without an oval.
+    Nothing where what follows the reversals is enough without an oval, or the group has an oval.
     """
     effect, axis = top.term.instance.effect, top.term.instance.axis
-    if problem.obs.several_speeds or not effect.at_one_speed or any(_is_like(top, c) for c in group[1:]):
+    if problem.obs.several_speeds or not effect.at_one_speed:
+        return ()
+    if any(_is_like(top, c) or not c.term.instance.effect.shapes for c in group[1:]):
         return ()
     label = f"{effect.at_one_speed} {axis}"
     part = [Term(i, top.term.shape) for i in candidates.instances if i.label == label]

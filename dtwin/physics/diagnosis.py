@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from dtwin.physics._law_search import ScalingLaw
 from dtwin.physics._laws import LawTest
+from dtwin.physics._rivals import AFTER_A_REVERSAL
 from dtwin.physics._screen import Channel
 from dtwin.physics.fit import Estimate
 
@@ -124,6 +125,8 @@ class Spread:
         return {"depends_on": list(self.depends_on), "p_value": self.p_value}
 
 
+_INEXACT = ("friction", "reversal_spike", "reversal_ringing")
+
 LEAST_GAIN = 0.25
 """What a second diagnosis finds may be how far the laws of what the first one found are off.
 
@@ -200,10 +203,20 @@ class Diagnosis:
         """Members of the reported group, best first."""
         return tuple(suspect for suspect in self.suspects if suspect.in_group)
 
-    @property
-    def foretelling(self) -> tuple[tuple[Suspect, ...], ...]:
-        """The groups found whose effect foretells ``LEAST_GAIN`` of what is left where it was not fitted."""
-        return tuple(group for group in self.found if group[0].cv_gain >= LEAST_GAIN)
+    def to_add(self, labels: Collection[str], *, several_speeds: bool) -> tuple[tuple[Suspect, ...], ...]:
+        """Return the groups that a later diagnosis may add by itself to a twin with effects of these labels.
+
+        What may be how far the laws of those are off stays in its last word. A group must foretell ``LEAST_GAIN`` of what
+        is left where it was not fitted. At one speed, what follows the reversals of an axis is also what the law of
+        friction or of a spike of that axis leaves there.
+        """
+        follows = set() if several_speeds else AFTER_A_REVERSAL
+        inexact = {label.partition(" ")[2] for label in labels if label.partition(" ")[0] in _INEXACT}
+        return tuple(
+            group
+            for group in self.found
+            if group[0].cv_gain >= LEAST_GAIN and not (group[0].effect in follows and group[0].axis in inexact)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

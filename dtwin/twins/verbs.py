@@ -228,8 +228,7 @@ class Twins(TwinShelf):
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found that is clear enough.
 
-        What a later round finds must foretell conditions that are left out, as :attr:`Diagnosis.foretelling` says. What
-        does so less stays in the last word.
+        Of what a later round finds, only what :meth:`Diagnosis.to_add` says is added; the rest stays in the last word.
 
         Returns
         -------
@@ -253,7 +252,7 @@ class Twins(TwinShelf):
                 made.append(twin)
                 groups.append(tuple(suspect.label for suspect in group))
             _, said = self.diagnose(name, seed=seed)
-            large = said.foretelling
+            large = said.to_add(twin.labels, several_speeds=any(one.obs.several_speeds for one in loaded))
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> Twin:
