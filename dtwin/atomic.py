@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import stat
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from threading import get_ident
@@ -64,6 +66,20 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def read_toml(path: Path, max_bytes: int) -> dict[str, Any]:
+    """Return what a TOML file states.
+
+    Raises ``OSError`` when it cannot be read; ``ValueError`` when it is larger, no plain file, or no TOML; ``RecursionError``.
+    """
+    state = path.stat()
+    if not stat.S_ISREG(state.st_mode):
+        # A pipe would never end.
+        raise ValueError("no plain file")
+    if state.st_size > max_bytes:
+        raise ValueError(f"more than {max_bytes} bytes")
+    return tomllib.loads(path.read_text(encoding="utf-8-sig"))
 
 
 def write_toml(path: Path, content: Mapping[str, Any], what: str) -> Path:

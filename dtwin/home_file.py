@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import stat
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from dtwin.atomic import read_toml
 from dtwin.errors import InputError
 
 HOME_FILE = "home.toml"
@@ -84,18 +83,13 @@ def read_home_file(root: Path) -> HomeFile:
         state = path.stat()
     except OSError:
         return HomeFile()
-    if not stat.S_ISREG(state.st_mode):
-        # A pipe would never end.
-        raise _refused(str(path), "no plain file", "a TOML file")
     return _read(path, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=16)
-def _read(path: Path, _changed: int, size: int) -> HomeFile:
+def _read(path: Path, _changed: int, _size: int) -> HomeFile:
     try:
-        if size > _MAX_BYTES:
-            raise ValueError(f"more than {_MAX_BYTES} bytes")
-        stated = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        stated = read_toml(path, _MAX_BYTES)
     except (OSError, ValueError, RecursionError) as error:
         raise _refused(str(path), str(error)[:120], "a TOML file") from error
     return home_file_of(stated, str(path))

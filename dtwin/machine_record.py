@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,7 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from dtwin.atomic import make_folder, write_toml
+from dtwin.atomic import make_folder, read_toml, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
@@ -84,9 +83,7 @@ def read_record(home: Home, machine: str) -> MachineRecord | None:
     """
     path = record_file(home, machine)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"more than {_MAX_BYTES} bytes")
-        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+        stated = read_toml(path, _MAX_BYTES)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as error:

@@ -8,7 +8,6 @@ import json
 import os
 import pwd
 import secrets
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -17,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from dtwin.atomic import sync, write_toml
+from dtwin.atomic import read_toml, sync, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
@@ -80,9 +79,7 @@ def read_people(home: Home) -> People:
     """Return who is known; nobody without the file. Raises ``InputError`` when the file is not usable."""
     path = home.root / _FILE
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"more than {_MAX_BYTES} bytes")
-        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+        stated = read_toml(path, _MAX_BYTES)
         second = stated.pop("second_person", False)
         people = stated.pop("people", {})
         if stated or not isinstance(second, bool) or not isinstance(people, dict):

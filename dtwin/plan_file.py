@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from dtwin.atomic import read_toml
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind, Planned
 from dtwin.kinds.registry import kind_named, kind_names, kinds
@@ -29,15 +29,13 @@ def read_plan_file(path: Path) -> dict[str, Any]:
     Raises ``InputError`` when it cannot be read, or is no TOML.
     """
     try:
-        # A device has no end.
-        if not path.is_file() or path.stat().st_size > _MAX_BYTES:
-            said = "more than a plan holds" if path.is_file() else "no such file"
-            raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=said)
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return read_toml(path, _MAX_BYTES)
     except OSError as error:
         raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=error.strerror) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)[:200]
+        ) from error
 
 
 def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from dtwin.config import Home
@@ -20,7 +21,7 @@ def in_lake(home: Home, campaign: str) -> str:
             folder = open_campaign(Path(campaign)).campaign
             if folder.name == campaign:
                 Lake(home.lake).require_same_statements(folder)
-    elif Path(campaign).exists():
+    elif os.path.exists(campaign):  # noqa: PTH110 - False, too, where a name is too long for a path
         # Readers of every kind, and numba: not for a campaign that is there.
         from dtwin.acquire.ingest import ingest
 

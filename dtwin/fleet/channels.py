@@ -7,7 +7,6 @@ import os
 import smtplib
 import ssl
 import threading
-import tomllib
 import urllib.request
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 from urllib.parse import urlsplit
 
+from dtwin.atomic import read_toml
 from dtwin.config import Home
 from dtwin.errors import DeviceError, InputError
 from dtwin.own_address import NoRedirection, names_this_computer
@@ -143,9 +143,7 @@ def channels_of(home: Home) -> list[Channel]:
     """
     path = alerts_file(home)
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"more than {_MAX_BYTES} bytes")
-        stated = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        stated = read_toml(path, _MAX_BYTES)
     except FileNotFoundError:
         return []
     except (OSError, ValueError, RecursionError) as error:
