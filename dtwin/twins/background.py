@@ -12,6 +12,7 @@ from pathlib import Path
 
 from dtwin.config import Home, quiet_environment
 from dtwin.errors import DtwinError
+from dtwin.locks import locked
 from dtwin.shared_documents import following
 from dtwin.twins.registration import log_next
 
@@ -29,13 +30,17 @@ def _main(root: Path, names: list[str]) -> None:
 
 
 def _diagnose(home: Home, name: str) -> None:
-    """Diagnose the newest version; whoever asks for it meets the same error and is told."""
+    """Diagnose the newest version; whoever asks for it meets the same error and is told.
+
+    One process of a home does so at a time: where many twins are fitted one after the other, most are diagnosed when asked.
+    """
     from dtwin.twins.verbs import Twins
 
     # What is kept is logged by this process.
     os.environ["DTWIN_MLFLOW"] = "now"
-    with contextlib.suppress(DtwinError):
-        Twins(home).diagnose(name)
+    with locked(home.root / "locks" / "diagnosis-ahead.lock") as mine, contextlib.suppress(DtwinError):
+        if mine:
+            Twins(home).diagnose(name)
 
 
 if __name__ == "__main__":
