@@ -56,10 +56,13 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
         lines.append(
             f"of {micrometres(before)} µm RMS that repeats agree on, {micrometres(left)} µm are left ({share:z.0f} %)"
         )
-    small = [f"{one['effect']} {one['axis']}".strip() for one, *_ in last.get("found", ())]
-    if small:
-        said = f"foretells less than {100.0 * least_gain:z.0f} % of what is left on conditions left out, as laws may be off"
-        lines.append(f"not added: {', '.join(small)}: {said}")
+    small = (
+        f"foretells less than {100.0 * least_gain:z.0f} % of what is left on conditions left out, as laws may be off"
+    )
+    beside = "at one speed, friction or a spike of that axis may leave the same, as laws may be off"
+    for one, *_ in last.get("found", ()):
+        why = small if (one["cv_gain"] or 0.0) < least_gain else beside
+        lines.append(f"not added: {one['effect']} {one['axis']}".rstrip() + f": {why}")
     return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
 
 

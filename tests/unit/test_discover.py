@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import cast
 
 from dtwin.config import Home
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.library import Library
 from dtwin.physics.twin import Twin
 from dtwin.report.twin_of_kind import discovery_text
+from dtwin.twins.measured import Loaded
 from dtwin.twins.verbs import Twins
 
 START_UM = 7.2
@@ -36,9 +39,10 @@ def _found(effect: str, axis: str, gain: float) -> tuple[Suspect, ...]:
 class _Told(Twins):
     """Twins whose diagnoses are told."""
 
-    def __init__(self, home: Home, *rounds: tuple[tuple[Suspect, ...], ...]) -> None:
+    def __init__(self, home: Home, *rounds: tuple[tuple[Suspect, ...], ...], several_speeds: bool = True) -> None:
         super().__init__(home, Library())
         self._rounds = list(rounds)
+        self._several_speeds = several_speeds
         self.added: list[str] = []
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
@@ -53,11 +57,17 @@ class _Told(Twins):
             lack_of_fit_p=0.001,
             found=found,
         )
-        return cast("Twin", None), said
+        return self._twin(), said
 
-    def add(self, name: str, effect: str, axis: str = "", **_: Any) -> Twin:
+    def _load(self, campaigns: Sequence[str]) -> list[Loaded]:
+        return [cast("Loaded", SimpleNamespace(obs=SimpleNamespace(several_speeds=self._several_speeds)))]
+
+    def _added(self, twin: Twin, loaded: object, effect: str, axis: str, *_: object, **__: object) -> Twin:
         self.added.append(f"{effect} {axis}".rstrip())
-        return cast("Twin", None)
+        return self._twin()
+
+    def _twin(self) -> Twin:
+        return cast("Twin", SimpleNamespace(campaigns=("c",), labels=tuple(self.added)))
 
 
 def test_what_a_later_round_finds_must_foretell_conditions_left_out(tmp_path: Path) -> None:
@@ -72,6 +82,21 @@ def test_what_a_later_round_finds_must_foretell_conditions_left_out(tmp_path: Pa
     assert twins.added == ["squareness XY", "backlash X", "lateral_play Y", "cyclic_error X"]
     assert len(made) == len(groups) == 4
     assert [group[0].label for group in said.found] == ["lateral_play_taper X", "reversal_ringing X"]
+
+
+def test_at_one_speed_what_follows_a_reversal_may_be_how_far_the_law_of_friction_is_off(tmp_path: Path) -> None:
+    rounds = (
+        (_found("friction", "X", 0.9), _found("backlash", "Y", 0.9)),
+        (_found("reversal_ringing", "X", 0.4), _found("structural_resonance", "Y", 0.4)),
+        (_found("reversal_ringing", "X", 0.4),),
+    )
+    twins = _Told(Home(tmp_path), *rounds, several_speeds=False)
+    _, _, said = twins.discover("t")
+    assert twins.added == ["friction X", "backlash Y", "structural_resonance Y"]
+    assert [group[0].label for group in said.found] == ["reversal_ringing X"]
+    told = _Told(Home(tmp_path), *rounds, ())
+    told.discover("t")
+    assert told.added[2:] == ["reversal_ringing X", "structural_resonance Y", "reversal_ringing X"]
 
 
 def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
