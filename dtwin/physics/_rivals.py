@@ -266,25 +266,24 @@ def beside_a_part(
     Nothing where what follows the reversals is enough without an oval, or the group has an oval.
     """
     effect, axis = top.term.instance.effect, top.term.instance.axis
-    if problem.obs.several_speeds or not effect.at_one_speed:
-        return ()
-    if any(_is_like(top, c) or not c.term.instance.effect.shapes for c in group[1:]):
+    if problem.obs.several_speeds or not effect.at_one_speed or any(_is_like(top, c) for c in group[1:]):
         return ()
     label = f"{effect.at_one_speed} {axis}"
     part = [Term(i, top.term.shape) for i in candidates.instances if i.label == label]
     given = candidates.given(problem, part)
     if not candidates.visible(given, top.term).shape[1]:
         return ()
-    have = {c.term.label for c in group}
-    out = []
-    for instance in candidates.instances:
-        term = Term(instance, {})
-        if instance.effect.shapes or instance.label in have or not candidates.visible(given, term).shape[1]:
-            continue
-        other = candidates.tested_term(problem, term, level)
-        if other is not None and not candidates.visible(candidates.given(given, [term]), top.term).shape[1]:
-            out.append(other)
-    return tuple(out)
+    simple = [Term(instance, {}) for instance in candidates.instances if not instance.effect.shapes]
+    ovals = [
+        term
+        for term in simple
+        if candidates.visible(given, term).shape[1]
+        and not candidates.visible(candidates.given(given, [term]), top.term).shape[1]
+    ]
+    if {term.label for term in ovals} & {c.term.label for c in group}:
+        return ()
+    tested = (candidates.tested_term(problem, term, level) for term in ovals)
+    return tuple(candidate for candidate in tested if candidate is not None)
 
 
 def refined_candidate(
