@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
@@ -11,6 +12,7 @@ from dtwin.serve.export_plc import NOT_RUN
 
 # Controls read ASCII, or one of many other alphabets.
 _UNSAFE = re.compile(r"[^\w .,:+\-/^]", re.ASCII)
+_SMALL = 0.1
 
 
 def commented(said: Sequence[str], first: str, last: str) -> str:
@@ -41,9 +43,15 @@ def said_of(bundle: Bundle, version: str, state: str) -> list[str]:
         meaning = "predicted error, apply with its sign changed" if o.role == "error" else "correction"
         lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")
     lines.append("inputs in this order, valid in these ranges, outside of which nothing may be corrected:")
-    lines += [f"  {i.name}, {i.unit}: {i.low!r} to {i.high!r}" for i in bundle.inputs]
+    lines += [f"  {i.name}, {i.unit}: {_range(i.low, i.high)}" for i in bundle.inputs]
     lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
     return _safe(lines)
+
+
+def _range(low: float, high: float) -> str:
+    """Return a range in five digits of its larger end: the margin that a box has for rounding is none of the measurement."""
+    digits = 4 - math.floor(math.log10(max(abs(low), abs(high), _SMALL)))
+    return " to ".join(f"{round(end, digits):z.10g}" for end in (low, high))
 
 
 def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
