@@ -112,6 +112,8 @@ class Registry:
             name,
             f"Correction of the machine {report.machine}. Versions are served only "
             "after `dtwin promote`; an alias moved by hand has no effect.",
+            machine=report.machine,
+            holds="correction",
         )
         created = self.client.create_model_version(
             name,
@@ -123,12 +125,15 @@ class Registry:
         self.client.set_registered_model_alias(name, "candidate", created.version)
         return self.version(report.machine, str(created.version))
 
-    def ensure_model(self, name: str, description: str) -> None:
-        """Make a registered model unless it is there."""
+    def ensure_model(self, name: str, description: str, *, machine: str, holds: str) -> None:
+        """Make a registered model unless it is there.
+
+        ``machine``, ``holds``: tags by which people filter: whose it is, and ``twin`` or ``correction``.
+        """
         try:
             self.client.get_registered_model(name)
         except MlflowException:
-            self.client.create_registered_model(name, description=description)
+            self.client.create_registered_model(name, {"machine": machine, "holds": holds}, description)
 
     def version(self, machine: str, wanted: str) -> RegisteredVersion:
         """Return a version by number or alias.
@@ -288,13 +293,18 @@ class Registry:
         self.log_files(run_id, files)
 
     def log(
-        self, run_id: str, params: Mapping[str, Any], metrics: Mapping[str, float], tags: Mapping[str, str]
+        self,
+        run_id: str,
+        params: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        tags: Mapping[str, str],
+        step: int = 0,
     ) -> None:
-        """Log parameters, metrics and tags of a run."""
+        """Log parameters, metrics and tags of a run; ``step``: place of the metrics on the axis of their chart."""
         now = int(time.time() * 1000)
         self.client.log_batch(
             run_id,
-            metrics=[Metric(k, float(v), now, 0) for k, v in metrics.items() if v == v],
+            metrics=[Metric(k, float(v), now, step) for k, v in metrics.items() if v == v],
             params=[Param(k, str(v)[:500]) for k, v in params.items()],
             tags=[RunTag(k, v) for k, v in tags.items()],
         )

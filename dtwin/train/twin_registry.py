@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -37,7 +38,11 @@ def log_twin(
         with registry.open_run(f"{name} v{document['version']}: {document['action']}", tags) as run_id:
             registry.log(run_id, _params(document), _figures(document), {})
             registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
-    registry.ensure_model(name, f"Versions of the twin {document['twin']}, one for each rung.")
+            # The twin's own run shows them over its versions, unless somebody deleted it.
+            with contextlib.suppress(MlflowException):
+                registry.log(parent, {}, _figures(document), {}, document["version"])
+    about = f"Versions of the twin {document['twin']}, one for each rung."
+    registry.ensure_model(name, about, machine=document["machine"], holds="twin")
     versions = client.search_model_versions(f"run_id='{run_id}'")
     created = next(iter(versions), None) or client.create_model_version(
         name,

@@ -171,7 +171,10 @@ def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None
         assert run.data.metrics["rms_after_um"] == pytest.approx(rung["rms_after_um"])
         version = client.get_model_version("twin-logged", rung["mlflow"]["model_version"])
         assert version.tags["twin_version"] == str(rung["version"])
-    assert len(parents) == 1
+    (parent,) = parents
+    shown = client.get_metric_history(parent, "rms_after_um")
+    assert [(m.step, m.value) for m in shown] == [(r["version"], pytest.approx(r["rms_after_um"])) for r in rungs]
+    assert client.get_registered_model("twin-logged").tags == {"machine": "mill-a", "holds": "twin"}
     first = client.get_model_version("twin-logged", rungs[0]["mlflow"]["model_version"])
     assert (first.tags["verdict"], first.tags["group"]) == ("missing_effect", "backlash X")
 

@@ -70,7 +70,7 @@ def kill_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
 
 
 def versions(registry: Registry, machine: str, count: int) -> list[RegisteredVersion]:
-    registry.ensure_model(model_name(machine), "a correction")
+    registry.ensure_model(model_name(machine), "a correction", machine=machine, holds="correction")
     with registry.open_run("r", {}) as run:
         pass
     for _ in range(count):

@@ -15,9 +15,11 @@ from dtwin.train.registry import Registry, model_name
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     registry = Registry(Home(tmp_path_factory.mktemp("plant")))
-    registry.ensure_model("twin-a", "a twin, not a machine's correction")
+    registry.ensure_model("twin-a", "a twin, not a machine's correction", machine="a", holds="twin")
     for number in range(120):
-        registry.ensure_model(model_name(f"m{number:03d}"), "a correction")
+        registry.ensure_model(
+            model_name(f"m{number:03d}"), "a correction", machine=f"m{number:03d}", holds="correction"
+        )
     return registry
 
 
