@@ -17,8 +17,8 @@ from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric import HeatTwins
     from dtwin.physics.twin import Twin
+    from dtwin.twins.of_kind import AnyTwins
     from dtwin.twins.verbs import Twins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
@@ -89,14 +89,13 @@ def compare_twin(
     Runs with the controller's positions (cmd_x_mm, act_x_mm ...) are split into what the
     controller saw, quasi-static and dynamic error.
     """
-    from dtwin.kinds.volumetric import HeatComparison
     from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.encoder_comparison import cutoff_of, no_controller_columns
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
     comparison = _twins_with(name, effects_path).compare(name, campaign)
-    result = comparison.as_dict() if isinstance(comparison, HeatComparison) else comparison.as_dict(cutoff)
+    result = comparison.as_dict(cutoff)
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
     if html is not None:
@@ -386,7 +385,7 @@ def _twins(paths: list[Path] | None) -> Twins:
     return Twins(home(), library_with(paths))
 
 
-def _twins_with(name: str, paths: list[Path] | None) -> Twins | HeatTwins:
+def _twins_with(name: str, paths: list[Path] | None) -> AnyTwins:
     from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)

@@ -39,8 +39,7 @@ from dtwin.twins.of_kind import fit_twin, twins_with
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from dtwin.kinds.volumetric import HeatTwins
-    from dtwin.twins.verbs import Twins
+    from dtwin.twins.of_kind import AnyTwins
 
 _TOLD = ("plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign")
 _RUN_COLUMNS = (
@@ -313,7 +312,7 @@ class OpenHome:
             )
         return drawings[wanted].draw(loaded, lambda: self._floor_um(campaign))
 
-    def _twins(self, name: str) -> Twins | HeatTwins:
+    def _twins(self, name: str) -> AnyTwins:
         require_text(name, "a twin")
         return twins_with(self.home, self._library, name)
 

@@ -169,10 +169,10 @@ def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Fl
     left = (part.problem.y - part.columns @ (to_own @ x)).reshape(obs.n_rows, obs.n_bins)
     if noise is None:
         # Nothing was repeated: what is left counts as noise of whole runs.
-        runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, left))
+        runs = by_run(obs, np.einsum("nqk,nq->nk", influence, left))
         return np.asarray((runs**2).sum(axis=0)), float(max(len(runs) - 1, 1))
     deviation, count = within_condition(left, obs.condition_of)
-    runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
+    runs = by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
     clustered = (runs**2).sum(axis=0) * obs.n_rows / (count > 1).sum()
     level, misses = part.noise_level
     of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
@@ -188,7 +188,8 @@ def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Fl
     return variance, dof
 
 
-def _by_run(obs: Observations, scores: Floats) -> Floats:
+def by_run(obs: Observations, scores: Floats) -> Floats:
+    """Return the sums of scores of rows (n, k) over runs, shape (runs, k)."""
     runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
     np.add.at(runs, obs.run_of, scores)
     return runs

@@ -100,7 +100,7 @@ def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[
         groups = dict(fitted.pool.groups)
         mine = _with_term(fitted.pool, worst.term)
         new = 1 + max(groups.values(), default=0)
-        moved = worst.side if _stays(mine - worst.side, worst.side, started) else mine - worst.side
+        moved = worst.side if stays(mine - worst.side, worst.side, started) else mine - worst.side
         groups |= {(c, worst.term): new for c in moved}
         found.append(replace(_told(worst, fitted.pool, mine, started), rivals=_rivals(fitted.pool, worst)))
         fitted = regrouped(fitted, groups)
@@ -140,7 +140,7 @@ def _with_term(pool: Pool, term: int) -> _Side:
     )
 
 
-def _stays(rest: _Side, side: _Side, started: Sequence[str]) -> bool:
+def stays(rest: _Side, side: _Side, started: Sequence[str]) -> bool:
     """Tell whether the rest keeps the common value: the larger side does, and of equal ones the newer."""
     if len(rest) != len(side):
         return len(rest) > len(side)
@@ -316,7 +316,7 @@ def _told(worst: _Tested, pool: Pool, mine: _Side, started: Sequence[str]) -> Co
     parameter = effect.parameters[worst.parameter]
     name = [part.obs.campaign.name for part in pool.parts]
     rest = _leaned_on(worst.term, mine, pool) - worst.side - worst.beyond
-    since, what = _since(worst.side, rest, started)
+    since, what = since_when(worst.side, rest, started)
     pair = {term.instance.axis, *(pool.terms[t].instance.axis for t in worst.beside)}
     plane = next((plane for plane, axes in AXES_OF.items() if set(axes) == pair), None)
     return Contradiction(
@@ -346,7 +346,7 @@ def _leaned_on(term: int, mine: _Side, pool: Pool) -> _Side:
     return mine.union(*(_with_term(pool, mate) for mate in mates))
 
 
-def _since(side: _Side, rest: _Side, started: Sequence[str]) -> tuple[str, What]:
+def since_when(side: _Side, rest: _Side, started: Sequence[str]) -> tuple[str, What]:
     """Return the first day with another value, and whether it stayed."""
     mine, theirs = sorted(started[c] for c in side), sorted(started[c] for c in rest)
     if not mine[0] or not theirs[0]:

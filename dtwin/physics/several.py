@@ -253,14 +253,14 @@ def _solved(pool: Pool) -> SeveralFit:
     wide = spread(pool.parts, maps, solution.x, inverse).expanded
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     fits = tuple(
-        _as_seen(part, solution.x[own], wide[own], hidden[own])
+        as_seen(part, solution.x[own], wide[own], hidden[own])
         for part, own in zip(pool.parts, (to_own.argmax(axis=1) for to_own in maps), strict=True)
     )
     return SeveralFit(
         pool=pool,
         fits=fits,
         terms=pool.terms,
-        estimates=tuple(_of_machine(pool, fits)),
+        estimates=tuple(of_machine(pool, fits)),
         weights=tuple(part.weight for part in pool.parts),
         rank=solution.rank,
         n_columns=len(meaning),
@@ -269,7 +269,8 @@ def _solved(pool: Pool) -> SeveralFit:
     )
 
 
-def _as_seen(part: Part, x: Floats, wide: Floats, hidden: NDArray[np.bool_]) -> Fit:
+def as_seen(part: Part, x: Floats, wide: Floats, hidden: NDArray[np.bool_]) -> Fit:
+    """Return a common fit as one campaign sees it; ``x``, ``wide``, ``hidden``, shape (k,): of its own parameters, set-ups first."""
     obs, noise, n = part.obs, part.problem.noise, part.obs.n_setup
     left = residual_um(obs, part.columns, x)
     return Fit(
@@ -295,7 +296,7 @@ def estimates_in(fitted: Fit, term: Term) -> list[Estimate]:
     return [e for e in fitted.estimates if (e.effect, e.axis) == where]
 
 
-def _of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
+def of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
     """Return the parameters of the machine: shared ones once, from the campaigns that most agree on."""
     out: list[Estimate] = []
     for number, term in enumerate(pool.terms):

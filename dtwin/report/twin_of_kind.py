@@ -73,6 +73,10 @@ def said_by_runs(findings: Sequence[Mapping[str, Any]]) -> str:
 
 def report_of(document: Mapping[str, Any]) -> TwinReport:
     """Return what tells a twin, a comparison or a diagnosis, by what its ``as_dict`` gives."""
+    if "members" in document:
+        from dtwin.report import machine_twin
+
+        return machine_twin
     if "campaigns" in document:
         from dtwin.report import several
 

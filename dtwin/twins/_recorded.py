@@ -35,9 +35,16 @@ def with_record(home: Home, twin: Twin) -> Twin:
     """Return a twin whose contradictions say what the record of its machine, as it is now, holds of their days."""
     if not isinstance(twin, SeveralTwin) or not twin.contradictions:
         return twin
-    events = events_of(home, twin.machine)
     started = {part.campaign: str(about["started"]) for part, about in zip(twin.parts, twin.about, strict=True)}
-    return replace(twin, contradictions=tuple(_recorded(one, started, events) for one in twin.contradictions))
+    return replace(twin, contradictions=recorded(home, twin.machine, started, twin.contradictions))
+
+
+def recorded(
+    home: Home, machine: str, started: Mapping[str, str], contradictions: Sequence[Contradiction]
+) -> tuple[Contradiction, ...]:
+    """Return contradictions with what the record of their machine holds of their days; ``started``: of each campaign."""
+    events = events_of(home, machine) if contradictions else ()
+    return tuple(_recorded(one, started, events) for one in contradictions)
 
 
 def _recorded(one: Contradiction, started: Mapping[str, str], events: Sequence[Event]) -> RecordedContradiction:

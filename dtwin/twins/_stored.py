@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from dtwin.errors import InputError, StoreError
@@ -13,6 +14,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import FORMAT, Twin, ValidityBox
 
+_CONTRADICTION = tuple(field.name for field in fields(Contradiction))
 _ABOUT = ("kind", "started", "weight")
 
 
@@ -25,13 +27,15 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
         **vars(twin),
         parts=tuple(_twin_from(entry["part"], library, where) for entry in document["campaigns"]),
         about=tuple({name: entry[name] for name in _ABOUT} for entry in document["campaigns"]),
-        contradictions=tuple(
-            Contradiction(
-                **{**entry, **{name: tuple(entry.get(name, ())) for name in ("campaigns", "others", "rivals")}}
-            )
-            for entry in document["contradictions"]
-        ),
+        contradictions=contradictions_from(document),
     )
+
+
+def contradictions_from(document: Mapping[str, Any]) -> tuple[Contradiction, ...]:
+    """Return the contradictions that a twin stores."""
+    lists = ("campaigns", "others", "rivals")
+    every = ({**entry, **{name: tuple(entry.get(name, ())) for name in lists}} for entry in document["contradictions"])
+    return tuple(Contradiction(**{name: one[name] for name in _CONTRADICTION}) for one in every)
 
 
 def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:

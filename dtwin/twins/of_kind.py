@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -11,6 +11,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
+from dtwin.twins.machine_twin import MACHINE, MachineTwin
+from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.several import require_together
 from dtwin.twins.shelf import kind_of
 
@@ -20,14 +22,18 @@ if TYPE_CHECKING:
     from dtwin.twins.verbs import Twins
 
 
-def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | HeatTwins:
+AnyTwins: TypeAlias = "Twins | HeatTwins | MachineTwins"
+"""Twins of a home, of one kind of campaign or of several."""
+AnyTwin: TypeAlias = "Twin | HeatTwin | MachineTwin"
+
+
+def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> AnyTwins:
     """Return the twins among which one of that name is, or would be."""
-    return kind_named(kind_of(home, name)).twins(home, library)
+    kind = kind_of(home, name)
+    return MachineTwins(home, library) if kind == MACHINE else kind_named(kind).twins(home, library)
 
 
-def twins_for(
-    home: Home, library: Mapping[str, Effect], campaigns: Sequence[str]
-) -> tuple[Twins | HeatTwins, list[str]]:
+def twins_for(home: Home, library: Mapping[str, Effect], campaigns: Sequence[str]) -> tuple[AnyTwins, list[str]]:
     """Return the twins that suit campaigns, and the names of the campaigns in the lake.
 
     ``campaigns``: names in the lake, or files or folders, which are ingested first.
@@ -41,6 +47,9 @@ def twins_for(
     known = [Lake(home.lake).campaign(name) for name in names]
     if len(known) > 1:
         require_together([(c.name, c.machine, c.kind) for c in known])
+        # Tests of a path have one fit; others agree with them.
+        if not all(kind_named(c.kind).offers("rows") for c in known):
+            return MachineTwins(home, library), names
     return kind_named(known[0].kind).twins(home, library), names
 
 
@@ -52,19 +61,17 @@ def fit_twin(
     name: str,
     *,
     robust: bool = False,
-) -> tuple[Twins | HeatTwins, Twin | HeatTwin]:
+) -> tuple[AnyTwins, AnyTwin]:
     """Fit a twin to campaigns of a machine, one or several, as :func:`twins_for` takes them; return it with its twins."""
     twins, names = twins_for(home, library, campaigns)
     if len(names) == 1:
         return twins, twins.fit(names[0], effects, name, robust=robust)
-    # Those that can be fitted together are tests of a path.
-    from dtwin.twins.verbs import Twins
-
-    paths = Twins(home, library)
-    return paths, paths.fit(names, effects, name, robust=robust)
+    # Only twins of one campaign are not of several.
+    several = cast("Twins | MachineTwins", twins)
+    return several, several.fit(names, effects, name, robust=robust)
 
 
-def every_shelf(home: Home) -> list[Twins | HeatTwins]:
+def every_shelf(home: Home) -> list[AnyTwins]:
     """Return all twins of a home: those of tests of a path, and kind by kind those of others."""
-    shelves = [kind.twins(home, None) for kind in kinds() if kind.offers("twins")]
+    shelves = [*(kind.twins(home, None) for kind in kinds() if kind.offers("twins")), MachineTwins(home)]
     return list({shelf.kind: shelf for shelf in shelves}.values())

@@ -7,7 +7,6 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.lake.store import Lake
-from dtwin.physics.twin import Twin
 from dtwin.report.twin_of_kind import report_of
 from dtwin.twins.of_kind import every_shelf
 
@@ -45,7 +44,7 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
     for twins in every_shelf(home):
         for name in twins.names():
             twin = twins.newest(name)
-            of_twin = twin.campaigns if isinstance(twin, Twin) else (twin.campaign,)
+            of_twin = twin.campaigns
             if twin.machine != machine or all(lake.campaign(own).kind != kind for own in of_twin):
                 continue
             if campaign in of_twin:

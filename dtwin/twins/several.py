@@ -79,7 +79,7 @@ def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:
     """Refuse campaigns that cannot have one twin.
 
     ``campaigns``: name, machine and kind of each.
-    Raises ``InputError`` when one is named twice, they are of several machines, or of a kind whose runs are on no grid.
+    Raises ``InputError`` when one is named twice, they are of several machines, or of a kind that has no twins.
     """
     names = [name for name, _, _ in campaigns]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -94,17 +94,16 @@ def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:
             got=", ".join(f"{name} of {machine}" for name, machine, _ in campaigns),
             hint="fit a twin to the campaigns of each",
         )
-    on_grids = [kind.name for kind in kinds() if kind.offers("rows")]
+    with_twins = [kind.name for kind in kinds() if kind.offers("twins")]
     for name, _, kind in campaigns:
-        if kind not in on_grids:
+        if kind not in with_twins:
             raise InputError(
-                "a campaign of this kind has no twin together with others: its runs are on no grid along a path, on which "
-                "one least squares could hold them beside the rest",
+                "a campaign of this kind has no twin",
                 code="twin.not_together",
                 where=name,
                 got=kind,
-                allowed=", ".join(on_grids),
-                hint=f"dtwin twin fit {name} fits it alone, where its kind has twins",
+                allowed=", ".join(with_twins),
+                hint=f"leave out {name}",
             )
 
 

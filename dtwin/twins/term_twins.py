@@ -9,7 +9,9 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.physics.agreed import Sizes
 from dtwin.schema import require_name
+from dtwin.twins._term_member import TermMember
 from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
 
@@ -22,6 +24,8 @@ class _Measured(Protocol):
     def campaign(self) -> str: ...
     @property
     def machine(self) -> str: ...
+    @property
+    def data(self) -> Mapping[str, Any]: ...
 
 
 T = TypeVar("T")
@@ -48,6 +52,11 @@ class TermTwin(Generic[T]):
         """Return the twin that was stored."""
         head = {key: document[key] for key in ("version", "machine", "campaign", "action", "figures")}
         return cls(name=document["twin"], terms=terms, document=document, **head)
+
+    @property
+    def campaigns(self) -> tuple[str, ...]:
+        """Campaigns that it was fitted to."""
+        return (self.campaign,)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -97,8 +106,32 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         """Return what a twin of these terms lacks."""
 
     @abstractmethod
-    def fitted(self, loaded: L, terms: Sequence[T]) -> Mapping[str, Any]:
+    def possible(self, loaded: L) -> Sequence[T]:
+        """Return every term that a campaign may tell."""
+
+    @abstractmethod
+    def cause(self, loaded: L, term: T) -> tuple[str, str] | None:
+        """Return what of the machine a term measures, and on which axis; None where it belongs to the campaign."""
+
+    @abstractmethod
+    def sizes(self, loaded: L, terms: Sequence[T]) -> Sizes:
+        """Fit terms to a campaign."""
+
+    @abstractmethod
+    def told(self, loaded: L, terms: Sequence[T], sizes: Sizes) -> Mapping[str, Any]:
         """Return what is stored of a fit: ``effects``, ``parameters``, ``figures`` and what else the kind needs."""
+
+    @abstractmethod
+    def against(self, twin: W, campaign: str) -> Any:
+        """Compare a twin with measurements."""
+
+    @abstractmethod
+    def readings(self, loaded: L) -> int:
+        """Return how many readings a campaign has."""
+
+    def members(self, campaigns: Sequence[str]) -> Sequence[TermMember]:
+        """Return campaigns of the lake as parts of a twin of several kinds, each by itself."""
+        return [TermMember(self, campaign) for campaign in campaigns]
 
     @abstractmethod
     def stored(self, document: Mapping[str, Any]) -> W:
@@ -114,6 +147,11 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
             raise InputError(f"a twin of {self.named} has no robust fit", code="twin.robust", hint=self.no_robust)
         loaded = self.loaded(campaign)
         return self._store(name, loaded, self.joined(loaded, (), self.asked(loaded, effects, "")), "fit")
+
+    def compare(self, name: str, campaign: str | None = None) -> Any:
+        """Compare a twin with measurements, those of its fit without a campaign."""
+        twin = self.newest(name)
+        return self.against(twin, campaign or twin.campaign)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[W, D]:
         """Find out what a twin lacks; nothing here is random."""
@@ -165,13 +203,15 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         return diagnosis
 
     def _store(self, name: str, loaded: L, terms: Sequence[T], action: str) -> W:
-        of = {key: getattr(loaded, key) for key in ("machine", "campaign", "data")}
-        head = {
-            "format": self.form,
-            "kind": self.named,
-            "twin": name,
-            "version": self.next_version(name, of["machine"]),
-        }
-        document = {**head, **of, "action": action, **self.fitted(loaded, terms)}
+        version = self.next_version(name, loaded.machine)
+        document = self.made(loaded, terms, self.sizes(loaded, terms), name=name, version=version, action=action)
         self.store(document)
         return self.stored(document)
+
+    def made(
+        self, loaded: L, terms: Sequence[T], sizes: Sizes, *, name: str, version: int, action: str
+    ) -> dict[str, Any]:
+        """Return what is stored of a version, with these sizes."""
+        head = {"format": self.form, "kind": self.named, "twin": name, "version": version}
+        of = {key: getattr(loaded, key) for key in ("machine", "campaign", "data")}
+        return {**head, **of, "action": action, **self.told(loaded, terms, sizes)}

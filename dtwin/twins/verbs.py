@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -27,6 +28,7 @@ from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_u
 from dtwin.schema import require_name
 from dtwin.twins._kept_diagnosis import MADE_FROM, is_built_in, kept_diagnosis, made_from
 from dtwin.twins._learned import WithLearned
+from dtwin.twins._path_member import PathMember
 from dtwin.twins._recorded import with_record
 from dtwin.twins._stored import twin_from
 from dtwin.twins.measured import Comparison, Loaded, load
@@ -94,7 +96,7 @@ class Twins(TwinShelf):
         if isinstance(twin, SeveralTwin) and campaign is None:
             loaded = self._load(twin.campaigns)
             return SeveralComparison(twin, tuple(self.compared(twin, one) for one in loaded))
-        return self.compared(twin, load(self.home, campaign or twin.campaign))
+        return self.against(twin, campaign or twin.campaign)
 
     def compared(self, twin: Twin, loaded: Loaded) -> Comparison:
         """Compare a twin with one campaign."""
@@ -254,6 +256,18 @@ class Twins(TwinShelf):
             _, said = self.diagnose(name, seed=seed)
             large = said.to_add(twin.labels, several_speeds=any(one.obs.several_speeds for one in loaded))
         return made, groups, said
+
+    def members(self, campaigns: Sequence[str]) -> Sequence[PathMember]:
+        """Return campaigns of the lake as a part of a twin of several kinds, all in one fit."""
+        return [PathMember(self, [load(self.home, campaign) for campaign in campaigns])]
+
+    def stored(self, document: Mapping[str, Any]) -> Twin:
+        """Return the twin of a document."""
+        return twin_from(document, self.library, f"twin {document['twin']}")
+
+    def against(self, twin: Twin, campaign: str) -> Comparison:
+        """Compare a twin with measurements."""
+        return self.compared(twin, load(self.home, campaign))
 
     def newest(self, name: str, version: int | None = None) -> Twin:
         """Return a version of a twin, the newest one without a number; errors as of :meth:`newest_document`."""

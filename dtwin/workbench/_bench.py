@@ -13,14 +13,13 @@ from fastapi import Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.kinds.volumetric import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines, twins_stamp
 from dtwin.pipeline.kept import stamp_of
 from dtwin.pipeline.machine_history import machine_history
-from dtwin.twins.of_kind import twins_with
+from dtwin.twins.of_kind import AnyTwins, twins_with
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._jobs import Jobs
@@ -120,7 +119,7 @@ class Bench:
         """The verbs."""
         return Twins(self.home, self.library)
 
-    def twins_with(self, name: str) -> Twins | HeatTwins:
+    def twins_with(self, name: str) -> AnyTwins:
         """Return the verbs for a twin, whatever its kind."""
         return twins_with(self.home, self.library, name)
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kinds
 from dtwin.local_time import local_day
 from dtwin.machine_record import EVENTS, FACTS, keep_record, record_with, with_event, without_event
 from dtwin.pipeline.machine_history import machine_overviews
@@ -117,6 +118,7 @@ def machine_page(request: Request, name: str) -> Response:
         known_events=EVENTS,
         known_facts=FACTS,
         plans=planned_of(bench_of(request), name),
+        with_twins=[kind.name for kind in kinds() if kind.offers("twins")],
     )
 
 

@@ -7,8 +7,13 @@ from typing import Any
 from fastapi import Request
 from starlette.responses import Response
 
-from dtwin.report.html import Section
+from dtwin.physics.twin import Twin
+from dtwin.report.html import Section, Table
+from dtwin.report.machine_twin import captioned
+from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
+from dtwin.twins.machine_twin import MachineTwin
+from dtwin.twins.of_kind import AnyTwin
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._pages import rendered
@@ -30,14 +35,22 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         title=f"Twin {name}",
         name=name,
         twin=twin,
-        on=on or twin.campaign,
-        campaigns=bench.campaigns_of(twin.machine, twins.kind),
+        on=on,
+        campaigns=sorted(name for kind in kinds_of(bench, twin) for name in bench.campaigns_of(twin.machine, kind)),
         compared=report_of(compared).comparison_text(compared),
+        contradictions=contradiction_lines(twin.as_dict()),
+        paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
         diagnosis=diagnosis,
         told=report_of(diagnosis).diagnosis_text(name, diagnosis) if diagnosis else "",
-        parameters=report_of(twin.as_dict()).twin_section(twin).tables,
+        parameters=_captioned(twin),
         rungs=twins.history(name),
     )
+
+
+def _captioned(twin: AnyTwin) -> list[tuple[str, Table]]:
+    if isinstance(twin, MachineTwin):
+        return captioned(twin)
+    return [("Effects, and their sizes", shown) for shown in report_of(twin.as_dict()).twin_section(twin).tables]
 
 
 def told_sections(bench: Bench, name: str) -> list[Section]:
@@ -58,7 +71,12 @@ def compared_with(bench: Bench, name: str, on: str) -> dict[str, Any]:
     """Return a twin of no path against measurements; without, against those of its fit."""
     twins = bench.twins_with(name)
     twin = twins.newest(name)
-    campaign = on or twin.campaign
+    campaigns = [on] if on else twin.campaigns
     made = reading.version_file(bench, name, twin.version).stat().st_mtime_ns
-    key = ("compared", name, twin.version, made, campaign, bench.stamp(campaign))
-    return bench.cache.get(key, lambda: twins.compare(name, campaign).as_dict())
+    key = ("compared", name, twin.version, made, *campaigns, *map(bench.stamp, campaigns))
+    return bench.cache.get(key, lambda: twins.compare(name, on or None).as_dict())
+
+
+def kinds_of(bench: Bench, twin: AnyTwin) -> list[str]:
+    """Return the kinds of campaign that a twin was fitted to."""
+    return list(dict.fromkeys(bench.lake.campaign(name).kind for name in twin.campaigns))

@@ -11,13 +11,12 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric import HeatTwin, HeatTwins
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
 from dtwin.twins.learn import learn_law, learn_map
-from dtwin.twins.of_kind import fit_twin, twins_for
-from dtwin.twins.verbs import Twins
+from dtwin.twins.of_kind import AnyTwin, AnyTwins, fit_twin, twins_for
+from dtwin.twins.shelf import require_same_machine
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Tell
@@ -42,6 +41,12 @@ class _NameRequest(BaseModel):
     """Name of a twin that is to be made."""
 
     name: str = Field(max_length=100)
+
+
+class _TogetherRequest(_NameRequest):
+    """The same of several campaigns."""
+
+    campaigns: list[_Word] = Field(default_factory=list, max_length=20)
 
 
 class _EffectRequest(BaseModel):
@@ -138,10 +143,13 @@ def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
 
 
 @router.post("/api/machines/{machine}/find")
-def find_together(request: Request, machine: str, wanted: _NameRequest) -> JSONResponse:
-    """The same of the newest tests of a machine, all in one twin."""
+def find_together(request: Request, machine: str, wanted: _TogetherRequest) -> JSONResponse:
+    """The same of several tests of a machine, all in one twin; of its newest tests of a path where none is named."""
     bench = bench_of(request)
-    campaigns = list(newest_tests(bench.lake.runs(left_out=True, machine=machine), machine))
+    for campaign in wanted.campaigns:
+        require_same_machine(wanted.name, machine, campaign, bench.lake.campaign(campaign).machine)
+    newest = newest_tests(bench.lake.runs(left_out=True, machine=machine), machine) if not wanted.campaigns else ()
+    campaigns = wanted.campaigns or list(newest)
     if not campaigns:
         raise InputError("no test of the machine can have a twin of paths", code="machine.tests", where=machine)
     return _find(bench, campaigns, wanted.name)
@@ -192,13 +200,13 @@ def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResp
     return accepted(bench.jobs.start(f"Correct with {name}", work))
 
 
-def _discover(twins: Twins | HeatTwins, name: str, tell: Tell) -> None:
+def _discover(twins: AnyTwins, name: str, tell: Tell) -> None:
     tell("search for the effects, add each, and diagnose what is left")
     made = twins.discover(name)[0]
     tell(f"{len(made)} effects were added")
 
 
-def _start(bench: Bench, title: str, name: str, change: Callable[[], Twin | HeatTwin], address: str) -> JSONResponse:
+def _start(bench: Bench, title: str, name: str, change: Callable[[], AnyTwin], address: str) -> JSONResponse:
     def work(tell: Tell) -> str:
         tell("read the runs, fit, and register the version")
         made = change()

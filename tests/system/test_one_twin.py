@@ -123,8 +123,8 @@ def test_mistakes_are_refused_with_the_reason(home: Home) -> None:
     run("twin", "fit", *ALL, "--effects", "backlash:X", "--name", "wrong")
     assert refused("twin", "fit", "bar", "elsewhere", "--effects", "", "--name", "no").code == "twin.machines"
     assert refused("twin", "fit", "bar", "bar", "--effects", "", "--name", "no").code == "twin.campaign_twice"
-    with pytest.raises(InputError, match="on no grid"):
-        require_together([("bar", "mill-7", "circular"), ("day", "mill-7", "drift")])
+    with pytest.raises(InputError, match="has no twin"):
+        require_together([("bar", "mill-7", "circular"), ("spindle", "mill-7", "rotation")])
     assert refused("twin", "budget", "wrong").code == "budget.campaign"
     assert said("twin", "budget", "wrong", "--on", "bar")["shares"]
     assert refused("twin", "correct", "wrong").code == "twin.several"

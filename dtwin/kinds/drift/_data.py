@@ -19,13 +19,15 @@ from dtwin.schema import Run
 
 @dataclass(frozen=True)
 class Loaded:
-    """The longest sound log of a campaign, of several displacements of it that which moved most; ``data``: table versions
-    and a hash of what was used.
+    """The longest sound log of a campaign, of several displacements of it that which moved most.
+
+    ``axis``: of the displacement, empty where nobody says it; ``data``: table versions and a hash of what was used.
     """
 
     campaign: str
     machine: str
     run_id: str
+    axis: str
     series: Series
     data: Mapping[str, Any]
 
@@ -65,4 +67,5 @@ def load(home: Home, campaign: str) -> Loaded:
         )
     run = of_twin(runs)
     data = lake.provenance(rows, len(rows)) | {"fitted_to": run.meta.run_id}
-    return Loaded(name, known.machine, run.meta.run_id, series_of(run), data)
+    axis = str(run.meta.condition.get("axis", "")).upper()
+    return Loaded(name, known.machine, run.meta.run_id, axis, series_of(run), data)

@@ -111,6 +111,7 @@ class Fitted:
     ``value``, ``k2`` (terms + 1,): the constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication
     the block.
     ``late_k2_s`` (terms,): of time constants; 0 for terms that are not late.
+    ``covariance``, ``dof``: of standard uncertainties of the values, behind them the time constants of terms that are late.
     ``left_um``: standard deviation of the residual.
     ``held_out_um``: root mean square on blocks that were held out.
     """
@@ -119,6 +120,8 @@ class Fitted:
     value: Floats
     k2: Floats
     late_k2_s: Floats
+    covariance: Floats
+    dof: Floats
     left_um: float
     r2: float
     held_out_um: float
@@ -183,7 +186,8 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     moving = [value[1 + n] * _by_time(series, terms[n]) for n in late]
     each = _without_each(series, np.column_stack([x, *moving]))[0]
     squares, blocks = _without_each(series, x)[1], len(each)
-    off = (each - each.mean(axis=0)) ** 2
+    apart = each - each.mean(axis=0)
+    off = apart**2
     spread = (blocks - 1) / blocks * off.sum(axis=0)
     # Where a few blocks tell most, as the first hours of a warm-up do, the spread itself is less sure.
     tails = blocks * (off**2).sum(axis=0) / np.maximum(off.sum(axis=0) ** 2, 1e-300)
@@ -191,10 +195,24 @@ def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
     k2 = np.array([t_quantile(0.975, float(d)) for d in dof]) * np.sqrt(spread)
     late_k2_s = np.zeros(len(terms))
     late_k2_s[late] = k2[x.shape[1] :] * np.array([terms[n].tau_s for n in late])
+    kept = [*range(told), *range(x.shape[1], x.shape[1] + len(late))]
+    scaled = apart[:, kept] * np.array([1.0] * told + [terms[n].tau_s for n in late])
+    covariance = (blocks - 1) / blocks * scaled.T @ scaled
     size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
     r2 = 1.0 - float((left**2).sum()) / float(((y - y.mean()) ** 2).sum())
     held = float(np.sqrt(squares.sum() / len(y)))
-    return Fitted(tuple(terms), value, np.asarray(k2[:told]), late_k2_s, size, r2, held)
+    return Fitted(
+        tuple(terms), value, np.asarray(k2[:told]), late_k2_s, np.asarray(covariance), dof[kept], size, r2, held
+    )
+
+
+def left_of(series: Series, terms: Sequence[Term], per_kelvin: Floats) -> tuple[Floats, float]:
+    """Return what values of terms leave of a log, shape (n,), its zero and steps fitted; and where the zero lies."""
+    x, told = _design(series, terms), 1 + len(terms)
+    left = series.moved_um - x[:, 1:told] @ per_kelvin
+    own = np.delete(x, np.s_[1:told], axis=1)
+    fit = np.linalg.lstsq(own, left, rcond=None)[0]
+    return np.asarray(left - own @ fit), float(fit[0])
 
 
 def steady(series: Series) -> Fitted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._data import Loaded, load
 from dtwin.kinds.drift._diagnosis import KIND, REPLICATION, DriftDiagnosis, diagnose, drift_figures_of
 from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, joined, same, written
-from dtwin.kinds.drift._model import Series, Term, fitted
+from dtwin.kinds.drift._model import Series, Term, fitted, left_of
 from dtwin.kinds.drift._search import MOST_RUNGS, rung
+from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.schema import Floats
-from dtwin.statistics import rms
+from dtwin.statistics import rms, t_quantile
 from dtwin.twins.shelf import require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
@@ -100,11 +101,10 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
     def diagnosed(self, loaded: Loaded, terms: Sequence[Term]) -> DriftDiagnosis:
         return diagnose(loaded.series, terms)
 
-    def compare(self, name: str, campaign: str | None = None) -> DriftComparison:
+    def against(self, twin: DriftTwin, campaign: str) -> DriftComparison:
         """Compare a twin with the longest log of a campaign; only the zero is of that log."""
-        twin = self.newest(name)
-        loaded = load(self.home, campaign or twin.campaign)
-        require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
+        loaded = load(self.home, campaign)
+        require_same_machine(twin.name, twin.machine, loaded.campaign, loaded.machine)
         return DriftComparison(twin, loaded, twin.left_um(loaded.series))
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[DriftTwin], list[tuple[str, ...]], DriftDiagnosis]:
@@ -128,8 +128,43 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
             said = self._diagnosed(twin, loaded)
         return made, groups, said
 
-    def fitted(self, loaded: Loaded, terms: Sequence[Term]) -> Mapping[str, Any]:
+    def readings(self, loaded: Loaded) -> int:
+        return len(loaded.series.t_s)
+
+    def possible(self, loaded: Loaded) -> Sequence[Term]:
+        return asked(loaded.series, EFFECTS)
+
+    def cause(self, loaded: Loaded, term: Term) -> tuple[str, str] | None:
+        """Return the effect, and the sensor with the axis that moved: another axis is another part of the machine."""
+        return effect_of(term).name, f"{term.name} of {loaded.axis}" if loaded.axis else term.name
+
+    def sizes(self, loaded: Loaded, terms: Sequence[Term]) -> Sizes:
+        """Return the zero, what a kelvin does by each term, and the time constants, s."""
         model = fitted(loaded.series, terms)
+        curved = {term.channel for term in terms if term.kind == "curve"}
+        of: list[Quantity | None] = [None]
+        for term in terms:
+            # Beside a curve a slope is that at the mean temperature of its own log.
+            own = term.channel in curved and term.kind != "curve"
+            of.append(None if own else self._quantity(loaded, term, "per_kelvin", effect_of(term).unit))
+        late = [term for term in terms if term.tau_s]
+        of += [None if t.channel in curved else self._quantity(loaded, t, "time_constant", "s") for t in late]
+        value = np.concatenate([model.value, [term.tau_s for term in late]])
+        return Sizes(tuple(of), value, model.covariance, model.dof)
+
+    def _quantity(self, loaded: Loaded, term: Term, parameter: str, unit: str) -> Quantity | None:
+        cause = self.cause(loaded, term)
+        return None if cause is None else Quantity(*cause, parameter, unit, effect_of(term).name)
+
+    def told(self, loaded: Loaded, terms: Sequence[Term], sizes: Sizes) -> Mapping[str, Any]:
+        series, first = loaded.series, 1 + len(terms)
+        half = sizes.standard * np.array([t_quantile(0.975, float(dof)) for dof in sizes.dof])
+        late = iter(zip(sizes.value[first:], half[first:], strict=True))
+        taus = [next(late) if term.tau_s else (0.0, 0.0) for term in terms]
+        terms = [replace(term, tau_s=float(tau)) for term, (tau, _) in zip(terms, taus, strict=True)]
+        left_um, zero_um = left_of(series, terms, sizes.value[1:first])
+        free = len(left_um) - first - len(series.touched_s)
+        after_um = float(np.sqrt((left_um**2).sum() / max(free, 1)))
         return {
             "effects": [
                 {
@@ -140,7 +175,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
                     "time_constant_s": t.tau_s or None,
                     "time_constant_uncertainty_s": finite(float(k2_s)) or None,
                 }
-                for t, k2_s in zip(terms, model.late_k2_s, strict=True)
+                for t, (_, k2_s) in zip(terms, taus, strict=True)
             ],
             "parameters": [
                 {
@@ -151,11 +186,11 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
                     "uncertainty": finite(float(k2)),
                     "unit": effect_of(t).unit,
                 }
-                for t, value, k2 in zip(terms, model.value[1:], model.k2[1:], strict=True)
+                for t, value, k2 in zip(terms, sizes.value[1:first], half[1:first], strict=True)
             ],
-            "per_kelvin": [float(value) for value in model.value[1:]],
-            "setup": {"zero_um": float(model.value[0])},
-            "figures": finite(drift_figures_of(loaded.series, terms)),
+            "per_kelvin": [float(value) for value in sizes.value[1:first]],
+            "setup": {"zero_um": zero_um},
+            "figures": finite(drift_figures_of(series, terms) | {"rms_after_um": after_um}),
             "replication": REPLICATION,
         }
 

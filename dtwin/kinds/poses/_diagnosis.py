@@ -140,10 +140,11 @@ class PoseDiagnosis:
         return None
 
 
-def pose_figures(grams: Grams, terms: Sequence[Term]) -> dict[str, float]:
-    """Return errors before and after, RMS of the distance in um, and means in mm."""
+def pose_figures(grams: Grams, terms: Sequence[Term], after: Floats | None = None) -> dict[str, float]:
+    """Return errors before and after, RMS of the distance in um, and means in mm; ``after`` (n, 3): where it is not what fits best."""
     series = grams.series
-    before, after, held = left_mm(grams, ()), left_mm(grams, terms), held_out_mm(grams, terms)
+    before, held = left_mm(grams, ()), held_out_mm(grams, terms)
+    after = left_mm(grams, terms) if after is None else after
     size = [np.linalg.norm(values, axis=1) for values in (before, after, held)]
     return {
         "rms_before_um": 1000.0 * rms(size[0]),

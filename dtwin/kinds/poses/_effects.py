@@ -38,7 +38,12 @@ class Poses:
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause. ``per`` is ``joint`` or ``robot``; ``needs``: what a table must have for it."""
+    """One cause. ``per`` is ``joint`` or ``robot``; ``needs``: what a table must have for it.
+
+    ``of_campaign``: belongs to the set-up or the day, and to no other test of the robot.
+    ``cause``, ``elsewhere``: where tests of a path measure the same: their name of it, name and unit of the parameter there, and
+    how many of its unit one of this unit is.
+    """
 
     name: str
     title: str
@@ -47,6 +52,13 @@ class Effect:
     columns: Callable[[Poses, Floats, int], Floats]
     remedy: str
     needs: str = ""
+    of_campaign: bool = False
+    cause: str = ""
+    elsewhere: tuple[str, str, float] | None = None
+
+    def named(self, number: int) -> tuple[str, str, float]:
+        """Return name and unit of a parameter as other tests know them, and how many of that unit one of this unit is."""
+        return self.elsewhere or (*self.parameters[number], 1.0)
 
 
 @dataclass(frozen=True)
@@ -138,7 +150,16 @@ def _setup_drift(poses: Poses, point: Floats, joint: int) -> Floats:
 _ANGLE = (("cosine", "mrad"), ("sine", "mrad"))
 _GEOMETRY = (("length", "mm"), ("offset", "mm"), ("twist", "mrad"), ("tilt", "mrad"))
 _EFFECTS = (
-    Effect("joint_zero", "zero of a joint", "joint", (("offset", "mrad"),), _zero, "set the joint's zero anew"),
+    Effect(
+        "joint_zero",
+        "zero of a joint",
+        "joint",
+        (("offset", "mrad"),),
+        _zero,
+        "set the joint's zero anew",
+        cause="joint_offset",
+        elsewhere=("offset", "urad", 1e3),
+    ),
     Effect("link_geometry", "length and twist of a link", "joint", _GEOMETRY, _geometry, "correct the DH table"),
     Effect(
         "gravity_sag",
@@ -154,7 +175,13 @@ _EFFECTS = (
     ),
     Effect("joint_cyclic_3", "three times a turn of a joint", "joint", _ANGLE, _cyclic(3.0), "gear"),
     Effect(
-        "joint_reversal", "lost motion of a joint", "joint", (("lost", "mrad"),), _reversal, "approach from one side"
+        "joint_reversal",
+        "lost motion of a joint",
+        "joint",
+        (("lost", "mrad"),),
+        _reversal,
+        "approach from one side",
+        elsewhere=("backlash", "urad", 1e3),
     ),
     Effect(
         "ambient_growth",
@@ -164,6 +191,8 @@ _EFFECTS = (
         _growth,
         "let it settle",
         "ambient_c, by which the temperature changes by more than 0.5 K",
+        cause="thermal_growth",
+        elsewhere=("expansion", "um/(m K)", 1.0),
     ),
     Effect(
         "setup_drift",
@@ -173,6 +202,7 @@ _EFFECTS = (
         _setup_drift,
         "let robot and instrument warm up; measure a fixed target now and then",
         "t_s, the times of the rows",
+        of_campaign=True,
     ),
 )
 EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in _EFFECTS}

@@ -151,30 +151,43 @@ def solve(grams: Grams, chosen: Sequence[int]) -> tuple[Floats, Floats]:
 
 def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
     """Return every parameter of some terms."""
-    series = grams.series
-    told = grams.told(series.chosen(terms))
-    value, covariance = solve(grams, told)
-    times = t_quantile(0.975, max(len(grams.power) - 1.0, 1.0))
-    at = {i: n for n, i in enumerate(told)}
+    value, covariance = solve(grams, grams.told(grams.series.chosen(terms)))
+    return parameters_with(grams, terms, value, t_quantile(0.975, dof_of(grams)) * np.sqrt(np.diag(covariance)))
+
+
+def dof_of(grams: Grams) -> float:
+    """Return the degrees of freedom of what blocks scatter by."""
+    return max(len(grams.power) - 1.0, 1.0)
+
+
+def parameters_with(grams: Grams, terms: Sequence[Term], value: Floats, half: Floats) -> list[Parameter]:
+    """Return every parameter of some terms; ``value``, ``half``: of those that the poses tell, with the half width."""
+    at = {i: n for n, i in enumerate(grams.told(grams.series.chosen(terms)))}
     out = []
-    for term in terms:
-        for offset, (name, unit) in enumerate(EFFECTS[term.effect].parameters):
-            i = series.slots[term].start + offset
-            if i >= series.slots[term].stop:
-                continue
-            n = at.get(i)
-            at_value = float("nan") if n is None else float(value[n])
-            k2 = float("nan") if n is None else times * float(np.sqrt(covariance[n, n]))
-            out.append(Parameter(term, name, unit, at_value, k2))
+    for term, offset, i in slots_of(grams, terms):
+        name, unit = EFFECTS[term.effect].parameters[offset]
+        n = at.get(i)
+        own, wide = (float("nan"), float("nan")) if n is None else (float(value[n]), float(half[n]))
+        out.append(Parameter(term, name, unit, own, wide))
     return out
+
+
+def slots_of(grams: Grams, terms: Sequence[Term]) -> list[tuple[Term, int, int]]:
+    """Return term, number within it, and number in the design, of every parameter."""
+    slots = grams.series.slots
+    return [(term, i - slots[term].start, i) for term in terms for i in range(slots[term].start, slots[term].stop)]
 
 
 def left_mm(grams: Grams, terms: Sequence[Term]) -> Floats:
     """Return what the terms leave of the errors, shape (n, 3)."""
+    value, _ = solve(grams, grams.told(grams.series.chosen(terms)))
+    return left_with_mm(grams, terms, value)
+
+
+def left_with_mm(grams: Grams, terms: Sequence[Term], value: Floats) -> Floats:
+    """Return what values of the parameters that the poses tell leave of the errors, shape (n, 3)."""
     series = grams.series
-    told = grams.told(series.chosen(terms))
-    value, _ = solve(grams, told)
-    return np.asarray(series.error_mm - series.design[:, :, told] @ value)
+    return np.asarray(series.error_mm - series.design[:, :, grams.told(series.chosen(terms))] @ value)
 
 
 def held_out_mm(grams: Grams, terms: Sequence[Term]) -> Floats:

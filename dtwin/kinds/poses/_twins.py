@@ -13,11 +13,12 @@ from dtwin.errors import InputError
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
-from dtwin.kinds.poses._fit import Grams, left_mm, parameters, solve
+from dtwin.kinds.poses._fit import Grams, dof_of, left_mm, left_with_mm, parameters_with, slots_of, solve
 from dtwin.kinds.poses._series import mean_mm
 from dtwin.kinds.poses._setup import Setup
+from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.schema import Floats
-from dtwin.statistics import rms
+from dtwin.statistics import rms, t_quantile
 from dtwin.twins.shelf import require_same_machine
 from dtwin.twins.term_twins import TermTwin, TermTwins
 
@@ -116,11 +117,10 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
     def diagnosed(self, loaded: Loaded, terms: Sequence[Term]) -> PoseDiagnosis:
         return diagnose(loaded.grams, terms, loaded.rows)
 
-    def compare(self, name: str, campaign: str | None = None) -> PoseComparison:
+    def against(self, twin: PoseTwin, campaign: str) -> PoseComparison:
         """Compare a twin with measurements; frame and tool are those of the campaign."""
-        twin = self.newest(name)
-        loaded = load(self.home, campaign or twin.campaign)
-        require_same_machine(name, twin.machine, loaded.campaign, loaded.machine)
+        loaded = load(self.home, campaign)
+        require_same_machine(twin.name, twin.machine, loaded.campaign, loaded.machine)
         same = load(self.home, loaded.campaign, _setup(twin))
         told = twin.document["parameters"]
         if loaded.campaign != twin.campaign:
@@ -152,7 +152,39 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
             said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 
-    def fitted(self, loaded: Loaded, terms: Sequence[Term]) -> Mapping[str, Any]:
+    def readings(self, loaded: Loaded) -> int:
+        return len(loaded.rows)
+
+    def possible(self, loaded: Loaded) -> Sequence[Term]:
+        return tuple(loaded.grams.series.slots)
+
+    def cause(self, loaded: Loaded, term: Term) -> tuple[str, str] | None:
+        effect = EFFECTS[term.effect]
+        return None if effect.of_campaign else (effect.cause or effect.name, str(term.joint or ""))
+
+    def sizes(self, loaded: Loaded, terms: Sequence[Term]) -> Sizes:
+        """Return frame, tool and parameters that the poses tell, in the units that other tests have."""
+        grams = loaded.grams
+        told = grams.told(grams.series.chosen(terms))
+        value, covariance = solve(grams, told)
+        of: dict[int, Quantity] = {}
+        for term, number, i in slots_of(grams, terms):
+            if cause := self.cause(loaded, term):
+                of[i] = Quantity(*cause, *EFFECTS[term.effect].named(number)[:2], term.effect)
+        scale = self._scale(loaded, terms)
+        dof = np.full(len(told), dof_of(grams))
+        return Sizes(tuple(of.get(i) for i in told), value * scale, covariance * np.outer(scale, scale), dof)
+
+    def _scale(self, loaded: Loaded, terms: Sequence[Term]) -> Floats:
+        """Return how many of its unit elsewhere one of each told parameter is."""
+        grams = loaded.grams
+        factor = {i: EFFECTS[term.effect].named(number)[2] for term, number, i in slots_of(grams, terms)}
+        return np.array([factor.get(i, 1.0) for i in grams.told(grams.series.chosen(terms))])
+
+    def told(self, loaded: Loaded, terms: Sequence[Term], sizes: Sizes) -> Mapping[str, Any]:
+        grams, scale = loaded.grams, self._scale(loaded, terms)
+        value = sizes.value / scale
+        half = sizes.standard / scale * np.array([t_quantile(0.975, float(dof)) for dof in sizes.dof])
         return {
             "effects": [
                 {"effect": t.effect, "axis": t.axis, "label": t.label, "title": EFFECTS[t.effect].title} for t in terms
@@ -166,10 +198,10 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
                     "uncertainty": finite(p.k2),
                     "unit": p.unit,
                 }
-                for p in parameters(loaded.grams, terms)
+                for p in parameters_with(grams, terms, value, half)
             ],
-            "setup": _setup_dict(loaded, terms),
-            "figures": finite(pose_figures(loaded.grams, terms)),
+            "setup": _setup_dict(loaded, value[:9]),
+            "figures": finite(pose_figures(grams, terms, left_with_mm(grams, terms, value))),
             "replication": "block of neighbouring poses",
         }
 
@@ -210,16 +242,14 @@ def _less(grams: Grams, told: Sequence[Mapping[str, Any]]) -> Floats:
     return left
 
 
-def _setup_dict(loaded: Loaded, terms: Sequence[Term]) -> dict[str, Any]:
-    """Return frame and tool, and the small changes of both that the fit of the terms made."""
-    series = loaded.grams.series
-    told = loaded.grams.told(series.chosen(terms))
-    setup = series.setup
+def _setup_dict(loaded: Loaded, change: Floats) -> dict[str, Any]:
+    """Return frame and tool, and the small changes of both that the fit of the terms made, shape (9,)."""
+    setup = loaded.grams.series.setup
     return {
         "rotation": setup.rotation.tolist(),
         "shift_mm": setup.shift_mm.tolist(),
         "tool_mm": setup.tool_mm.tolist(),
-        "change": solve(loaded.grams, told)[0][:9].tolist(),
+        "change": change.tolist(),
     }
 
 

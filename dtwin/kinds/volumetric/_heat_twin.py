@@ -70,6 +70,11 @@ class HeatTwin:
     data: Mapping[str, Any]
 
     @property
+    def campaigns(self) -> tuple[str, ...]:
+        """Campaigns that it was fitted to."""
+        return (self.campaign,)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Terms as a user writes them."""
         return tuple(term.label for term in self.terms)

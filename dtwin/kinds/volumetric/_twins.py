@@ -5,7 +5,7 @@ The verbs of :class:`dtwin.twins.verbs.Twins`, for errors that heat makes in a v
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from dtwin.kinds.volumetric._heat_twin import (
     heat_twin_from,
     heat_twin_of,
 )
+from dtwin.kinds.volumetric._member import HeatMember
 from dtwin.kinds.volumetric._motions import HeatTerm, heat_terms
 from dtwin.schema import Floats, require_name
 from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
@@ -41,7 +42,7 @@ class HeatComparison:
     where: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self, cutoff: object = None) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         figures = heat_figures(self.series, self.left)
         return {
@@ -111,14 +112,26 @@ class HeatTwins(TwinShelf):
         Raises ``InputError`` when the campaign is of another machine, or lacks a temperature of the twin.
         """
         twin = self.newest(name)
+        return self.against(twin, campaign or twin.campaign)
+
+    def against(self, twin: HeatTwin, campaign: str) -> HeatComparison:
+        """Compare a version of a twin with measurements."""
         loaded = self._loaded(twin, campaign)
         series = loaded.series
-        require_same_machine(name, twin.machine, series.campaign, series.machine)
+        require_same_machine(twin.name, twin.machine, series.campaign, series.machine)
         left = series.values - twin.expected(series)
         outside = twin.outside(series)
         shown = ", ".join(outside[:4]) + (f" and {len(outside) - 4} more" if outside[4:] else "")
         warnings = (f"beyond what the fit saw: {shown}",) if outside else ()
         return HeatComparison(twin, series, left, loaded.worst_places(left), warnings)
+
+    def members(self, campaigns: Sequence[str]) -> Sequence[HeatMember]:
+        """Return campaigns of the lake as parts of a twin of several kinds, each by itself."""
+        return [HeatMember(self, campaign) for campaign in campaigns]
+
+    def stored(self, document: Mapping[str, Any]) -> HeatTwin:
+        """Return the twin of a document."""
+        return heat_twin_from(document)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[HeatTwin, HeatDiagnosis]:
         """Find out what a twin lacks; nothing here is random."""

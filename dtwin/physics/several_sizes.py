@@ -1,0 +1,117 @@
+"""What a common fit of tests of a path says of the machine, for fits of other kinds to agree with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.physics._pooled import Part, by_run, normal_inverse, spread
+from dtwin.physics.agreed import Quantity, Sizes
+from dtwin.physics.machine_terms import key_of
+from dtwin.physics.problem import Term
+from dtwin.physics.several import SeveralFit, as_seen, of_machine
+from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
+from dtwin.schema import Floats
+from dtwin.statistics import k2_factor
+
+# As in the inverse of the normal equations: smaller eigenvalues tell nothing.
+_UNSEEN = 1e-10
+_ROUNDING_UM = 1e-6
+# Of the largest possible size: what is known no better is not told.
+_TOLD = 0.1
+
+
+def sizes_of(fitted: SeveralFit) -> Sizes:
+    """Return all parameters of a common fit. What the runs do not tell is as uncertain as no machine is."""
+    pool = fitted.pool
+    maps, meaning = pool.maps()
+    inverse = normal_inverse(pool.parts, maps)
+    value: Floats = inverse @ np.sum([m.T @ p.side for p, m in zip(pool.parts, maps, strict=True)], axis=0)
+    every = [_of_part(p, m, value, inverse) for p, m in zip(pool.parts, maps, strict=True)]
+    covariance = np.asarray(np.sum(every, axis=0))
+    largest = _largest(fitted)
+    unseen = _unseen(pool.parts, maps, largest)
+    nothing = _nothing(pool.parts, maps, largest)
+    value[nothing] = 0.0
+    covariance[nothing], covariance[:, nothing] = 0.0, 0.0
+    covariance[nothing, nothing] = largest[nothing] ** 2
+    unseen[nothing] = 0.0
+    dof = spread(pool.parts, maps, value, inverse).dof
+    of: list[Quantity | None] = []
+    for number, j, where in meaning:
+        of.append(_quantity(fitted.terms[number], j) if number >= 0 and where == -1 else None)
+    return Sizes(tuple(of), value, covariance + unseen @ unseen.T, np.where(dof > 0.0, dof, 1.0))
+
+
+def with_sizes(fitted: SeveralFit, sizes: Sizes) -> SeveralFit:
+    """Return a common fit with the values that others agree on; ``sizes``: in the order of :func:`sizes_of`."""
+    maps, _ = fitted.pool.maps()
+    wide = sizes.standard * np.array([k2_factor(float(dof)) for dof in sizes.dof])
+    hidden = sizes.standard > _TOLD * _largest(fitted)
+    fits = tuple(
+        as_seen(part, sizes.value[own], wide[own], hidden[own])
+        for part, own in zip(fitted.pool.parts, (to_own.argmax(axis=1) for to_own in maps), strict=True)
+    )
+    return replace(fitted, fits=fits, estimates=tuple(of_machine(fitted.pool, fits)))
+
+
+def _quantity(term: Term, number: int) -> Quantity:
+    parameter = term.instance.effect.parameters[number]
+    return Quantity(*key_of(term), parameter.name, parameter.unit, term.instance.effect.name, parameter.largest)
+
+
+def _largest(fitted: SeveralFit) -> Floats:
+    """Return the size beyond which no machine is, of each common parameter; of set-ups there is none."""
+    _, meaning = fitted.pool.maps()
+    parameters = [None if t < 0 else fitted.terms[t].instance.effect.parameters[j] for t, j, _ in meaning]
+    return np.array([np.inf if one is None else one.largest for one in parameters])
+
+
+def _nothing(parts: Sequence[Part], maps: Sequence[Floats], largest: Floats) -> NDArray[np.bool_]:
+    """Tell which parameters do nothing but rounding, at the largest size that a machine may have, shape (total,)."""
+    power = np.sum([m.T @ (p.columns**2).mean(axis=0) for p, m in zip(parts, maps, strict=True)], axis=0)
+    return np.asarray(
+        np.isfinite(largest) & (np.sqrt(power) * np.where(np.isfinite(largest), largest, 0.0) < _ROUNDING_UM)
+    )
+
+
+def _unseen(parts: Sequence[Part], maps: Sequence[Floats], largest: Floats) -> Floats:
+    """Return combinations of parameters that change no reading, as large as a machine may be, shape (total, combinations)."""
+    normal = np.asarray(sum(m.T @ p.gram @ m for p, m in zip(parts, maps, strict=True)))
+    size = np.sqrt(np.diag(normal))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    vanishing = vectors[:, values <= _UNSEEN * values[-1]] / scale[:, None]
+    share = np.abs(vanishing / largest[:, None]).max(axis=0, initial=0.0)
+    return np.asarray(vanishing[:, share > 0.0] / share[share > 0.0])
+
+
+def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Floats:
+    """Return the covariance that a campaign adds: the variances of :func:`dtwin.physics._pooled.spread`, and what goes with them.
+
+    What laws miss is added to the noise, with the condition as the unit.
+    """
+    obs, noise = part.obs, part.problem.noise
+    taken = to_own @ inverse
+    influence = ((part.columns * part.root**2) @ taken).reshape(obs.n_rows, obs.n_bins, -1)
+    left = (part.problem.y - part.columns @ (to_own @ x)).reshape(obs.n_rows, obs.n_bins)
+    if noise is None:
+        runs = by_run(obs, np.einsum("nqk,nq->nk", influence, left))
+        return np.asarray(runs.T @ runs)
+    deviation, count = within_condition(left, obs.condition_of)
+    runs = by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
+    level, misses = part.noise_level
+    of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
+    coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
+    foretold = (coloured * of_condition[obs.condition_of][:, None, None]).reshape(-1, coloured.shape[2])
+    together = level.ratio * foretold.T @ coloured.reshape(-1, coloured.shape[2])
+    clustered = runs.T @ runs * obs.n_rows / (count > 1).sum()
+    out = (noise.dof * clustered + level.prior_dof * together) / (noise.dof + level.prior_dof)
+    if misses:
+        means = condition_sums(left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
+        summed = condition_sums(influence, obs.condition_of)
+        out = out + np.einsum("iqk,ij,jql->kl", summed, means @ means.T / means.shape[1], summed, optimize=True)
+    return np.asarray(out)

@@ -1,0 +1,94 @@
+"""Tests of a path in a twin of several kinds: one least squares over all of them, and what others say of the same machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from dtwin.physics.agreed import Sizes
+from dtwin.physics.contradictions import Contradiction, without_contradictions
+from dtwin.physics.machine_terms import cause_of, key_of, machine_terms
+from dtwin.physics.problem import Term
+from dtwin.physics.several import SeveralFit, fit_several
+from dtwin.physics.several_diagnosis import diagnose_several
+from dtwin.physics.several_sizes import sizes_of, with_sizes
+from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
+from dtwin.twins.measured import Loaded
+from dtwin.twins.members import Cause, Member, Told, Version, unless_refused
+from dtwin.twins.several import SeveralComparison
+from dtwin.twins.shelf import PATHS
+
+if TYPE_CHECKING:
+    from dtwin.twins.verbs import Twins
+
+_Fitted = tuple[SeveralFit, tuple[Contradiction, ...]]
+
+
+class PathMember(Member):
+    """All tests of a path of a machine."""
+
+    kind = PATHS
+
+    def __init__(self, twins: Twins, loaded: Sequence[Loaded]) -> None:
+        self._twins, self._loaded = twins, loaded
+        self._library = twins.library
+        self._campaigns = [one.obs for one in loaded]
+        self.machine = self._campaigns[0].campaign.machine
+        self.begun = tuple((obs.campaign.name, started_of(obs)) for obs in self._campaigns)
+
+    def named(self, effect: str, axis: str = "") -> Sequence[Term]:
+        return machine_terms([effect], self._library, self._campaigns, axis)
+
+    def of_cause(self, cause: Cause) -> Sequence[Term]:
+        names = [name for name, effect in self._library.items() if cause_of(effect) == cause[0]]
+        for name in names:
+            if found := unless_refused(self.named, name, cause[1]):
+                return [term for term in found if key_of(term) == cause]
+        return ()
+
+    def cause(self, term: Term) -> Cause:
+        return key_of(term)
+
+    def label(self, term: Term) -> str:
+        return term.label.replace(" ", ":")
+
+    def joined(self, terms: Sequence[Term], more: Sequence[Term]) -> Sequence[Term]:
+        there = {key_of(term) for term in terms}
+        return [*terms, *(term for term in more if key_of(term) not in there)]
+
+    def without(self, terms: Sequence[Term], gone: Sequence[Term]) -> Sequence[Term]:
+        out = {key_of(term) for term in gone}
+        return [term for term in terms if key_of(term) not in out]
+
+    def fit(self, terms: Sequence[Term], *, robust: bool, refine: bool) -> _Fitted:
+        together = fit_several(self._campaigns, terms, self._library, robust=robust, refine=refine)
+        return without_contradictions(together, [day for _, day in self.begun])
+
+    def sizes(self, fitted: _Fitted) -> Sizes:
+        return sizes_of(fitted[0])
+
+    def twin(self, fitted: _Fitted, sizes: Sizes, of: Version) -> SeveralTwin:
+        data = [one.data for one in self._loaded]
+        together, apart = with_sizes(fitted[0], sizes), fitted[1]
+        return several_twin_of(
+            together, apart, self._campaigns, name=of.name, version=of.version, action=of.action, data=data
+        )
+
+    def entries(self, twin: SeveralTwin) -> list[dict[str, Any]]:
+        told = twin.as_dict()["campaigns"]
+        readings = [int(obs.mask.sum()) for obs in self._campaigns]
+        return [
+            {name: value for name, value in one.items() if name != "part"} | {"readings": many}
+            for one, many in zip(told, readings, strict=True)
+        ]
+
+    def compared(self, twin: SeveralTwin) -> SeveralComparison:
+        return SeveralComparison(twin, tuple(self._twins.compared(twin, one) for one in self._loaded))
+
+    def told(self, twin: SeveralTwin, seed: int) -> Told:
+        said = diagnose_several(twin, self._campaigns, self._library, seed=seed)
+        found, surely = (
+            tuple(tuple(f"{s.effect}:{s.axis}".rstrip(":") for s in group) for group in groups)
+            for groups in (said.found, said.foretelling)
+        )
+        return Told(said.as_dict(), found, surely)

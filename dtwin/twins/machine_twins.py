@@ -1,0 +1,313 @@
+"""Twins of campaigns of several kinds: fit, compare, diagnose, add, remove, restore, discover."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
+from dtwin.physics.agreed import agreed, contradicting
+from dtwin.physics.contradictions import Contradiction
+from dtwin.physics.effect import Effect
+from dtwin.schema import require_name
+from dtwin.twins._recorded import recorded
+from dtwin.twins._stored import contradictions_from
+from dtwin.twins.machine_twin import (
+    FORMAT,
+    MACHINE,
+    REPLICATION,
+    MachineComparison,
+    MachineDiagnosis,
+    MachineTwin,
+    effects_of,
+    figures_of,
+    shared_of,
+)
+from dtwin.twins.members import HasMembers, Member, Version, known_to, widened
+from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
+
+_MOST_RUNGS = 40
+# A size is there from three of its standard uncertainties on; sizes have k = 2.
+_THERE = 1.5
+_Terms = Sequence[Sequence[Any]]
+
+
+class MachineTwins(TwinShelf):
+    """The twins of a home that are of campaigns of several kinds, or of several for which one fit is not enough.
+
+    Verbs, and what they refuse and return, are those of :class:`dtwin.twins.verbs.Twins`.
+    """
+
+    def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
+        super().__init__(home, MACHINE)
+        self._library = library
+
+    def fit(
+        self, campaign: str | Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False
+    ) -> MachineTwin:
+        """Fit a twin to campaigns of a machine; an effect goes to all campaigns that show its cause."""
+        require_name(name, "the twin")
+        members = self._members([campaign] if isinstance(campaign, str) else campaign)
+        terms = self._widened(members, [()] * len(members), effects, "")
+        return self._store(name, members, terms, "fit", robust=robust)
+
+    def compare(self, name: str, campaign: str | None = None) -> Any:
+        """Compare a twin with its campaigns, or with one: of the fit, or another of a kind that it has."""
+        twin = self.newest(name)
+        if campaign is None:
+            members = self._members(twin.campaigns)
+            parts = (member.compared(part) for member, part in zip(members, twin.members, strict=True))
+            return MachineComparison(twin, tuple(parts))
+        known = Lake(self.home.lake).campaign(campaign)
+        require_same_machine(name, twin.machine, campaign, known.machine)
+        shelf = self._shelf(known.kind)
+        alike = [part for part in twin.members if part.as_dict().get("kind", PATHS) == shelf.kind]
+        own = [part for part in alike if campaign in part.campaigns]
+        if not alike:
+            raise InputError(
+                "the twin has no campaign of this kind",
+                code="twin.kind",
+                where=f"twin {name}",
+                got=f"{campaign}, {known.kind}",
+                allowed=", ".join(dict.fromkeys(one["kind"] for one in twin.document["campaigns"])),
+                hint=f"dtwin twin fit {' '.join(twin.campaigns)} {campaign} --name {name}",
+            )
+        return shelf.against((own or alike[-1:])[0], campaign)
+
+    def diagnose(self, name: str, *, seed: int = 0) -> tuple[MachineTwin, MachineDiagnosis]:
+        """Find out what a twin lacks, each fit by what its kind of campaign can show."""
+        twin = self.newest(name)
+        return twin, self._diagnosed(twin, self._members(twin.campaigns), seed)
+
+    def add(self, name: str, effect: str, axis: str = "") -> MachineTwin:
+        """Add an effect wherever its cause shows, refit, and store the new version."""
+        twin = self.newest(name)
+        members = self._members(twin.campaigns)
+        terms = self._widened(members, _terms(twin), [effect], axis)
+        if not _fresh(members, _terms(twin), terms):
+            raise effect_there(twin, effect)
+        return self._store(name, members, terms, _added(members, _terms(twin), terms))
+
+    def remove(self, name: str, effect: str, axis: str = "") -> MachineTwin:
+        """Take a cause out of all campaigns, refit, and store the new version."""
+        twin = self.newest(name)
+        members = self._members(twin.campaigns)
+        kept = self._without(members, _terms(twin), effect, axis)
+        if sum(map(len, kept)) == sum(map(len, _terms(twin))):
+            raise effect_absent(twin, effect)
+        return self._store(name, members, kept, f"remove {effect}{f':{axis}' if axis else ''}")
+
+    def restore(self, name: str, version: int) -> MachineTwin:
+        """Refit with the effects of an older version, and store that as a new one."""
+        old = self.newest(name, version)
+        return self._store(name, self._members(old.campaigns), _terms(old), f"restore v{version}")
+
+    def discover(
+        self, name: str, *, seed: int = 0
+    ) -> tuple[list[MachineTwin], list[tuple[str, ...]], MachineDiagnosis]:
+        """Diagnose and add until no campaign lacks anything; what pays nothing beside the others is taken out again.
+
+        Causes that several campaigns show come first: what one campaign finds beside them may be another name for them. What
+        one finds, and all that see it together do not, is not added.
+        """
+        twin = self.newest(name)
+        members = self._members(twin.campaigns)
+        made: list[MachineTwin] = []
+        groups: list[tuple[str, ...]] = []
+        tried: set[str] = set()
+        denied: list[str] = []
+        said = self._diagnosed(twin, members, seed)
+        while len(made) < _MOST_RUNGS:
+            before = len(made)
+            for group in self._next(twin, members, said, first=not made):
+                terms = self._widened(members, _terms(twin), [group[0]], "")
+                if group[0] in tried or not _fresh(members, _terms(twin), terms):
+                    continue
+                tried.add(group[0])
+                new = self._made(name, members, terms, _added(members, _terms(twin), terms))
+                if _denied(new, twin):
+                    denied.append(group[0])
+                    continue
+                self.store(new.as_dict())
+                twin = new
+                made.append(new)
+                groups.append(group)
+            if len(made) == before:
+                idle = self._idle(twin, said)
+                if not idle:
+                    break
+                tried.add(idle)
+                kept = self._without(members, _terms(twin), idle, "")
+                twin = self._store(name, members, kept, f"remove {idle}: it pays nothing beside the others")
+                made.append(twin)
+                groups = [group for group in groups if group[0] != idle]
+            said = self._diagnosed(twin, members, seed)
+        return made, groups, replace(said, denied=tuple(denied))
+
+    def _next(
+        self, twin: MachineTwin, members: Sequence[Member], said: MachineDiagnosis, *, first: bool
+    ) -> list[tuple[str, ...]]:
+        """Return the groups to add before the next diagnosis: those of causes that several campaigns show, else all."""
+        every = [group for told in said.told for group in (told.found if first else told.surely)]
+        old = _terms(twin)
+        by_group = [(group, self._widened(members, old, [group[0]], "")) for group in every]
+        shared = [
+            group
+            for group, new in by_group
+            if sum(len(mine) > len(before) for mine, before in zip(new, old, strict=True)) > 1
+        ]
+        return sorted(shared, key=len)[:1] or every
+
+    def newest(self, name: str, version: int | None = None) -> MachineTwin:
+        """Return a version of a twin, the newest one without a number."""
+        document, path = self.newest_document(name, version)
+        try:
+            if document["format"] != FORMAT:
+                raise ValueError(f"format {document['format']}")
+            return self._twin(document)
+        except (KeyError, TypeError, ValueError) as error:
+            told = {"where": str(path), "allowed": FORMAT, "got": str(error)[:80]}
+            raise StoreError("this is not a twin of several kinds", code="twin.format", **told) from error
+
+    def _twin(self, document: Mapping[str, Any]) -> MachineTwin:
+        shelves = {one["kind"]: self._shelf(one["kind"]) for one in document["campaigns"]}
+        by_kind = {shelf.kind: shelf for shelf in shelves.values()}
+        twin = MachineTwin(
+            name=document["twin"],
+            members=tuple(by_kind[one.get("kind", PATHS)].stored(one) for one in document["members"]),
+            labels=tuple(effect["label"] for effect in document["effects"]),
+            contradictions=contradictions_from(document),
+            document=document,
+            **{key: document[key] for key in ("version", "machine", "campaign", "action", "figures")},
+        )
+        told: tuple[Contradiction, ...] = recorded(self.home, twin.machine, twin.begun, twin.contradictions)
+        return replace(twin, contradictions=told)
+
+    def _shelf(self, kind: str) -> Any:
+        """Return the twins of one kind of campaign."""
+        return kind_named(kind).twins(self.home, self._library)
+
+    def _members(self, campaigns: Sequence[str]) -> list[Member]:
+        """Return campaigns by the fits that take them, in the order in which they are named."""
+        lake = Lake(self.home.lake)
+        shelves: dict[str, tuple[HasMembers, list[str]]] = {}
+        for campaign in campaigns:
+            shelf = self._shelf(lake.campaign(campaign).kind)
+            shelves.setdefault(shelf.kind, (shelf, []))[1].append(campaign)
+        return [member for shelf, names in shelves.values() for member in shelf.members(names)]
+
+    def _widened(self, members: Sequence[Member], terms: _Terms, names: Sequence[str], axis: str) -> _Terms:
+        """Return terms with effects by name, each in all campaigns that show its cause."""
+        for name in names:
+            told = [known_to(member, name, axis) for member in members]
+            if not any(found for found, _ in told):
+                raise _unknown(name, axis, members, [refused for _, refused in told if refused is not None])
+            terms = widened(members, terms, [found for found, _ in told])
+        return terms
+
+    def _without(self, members: Sequence[Member], terms: _Terms, name: str, axis: str) -> _Terms:
+        """Return terms without an effect, in all campaigns that show its cause."""
+        gone = [known_to(member, name, axis)[0] for member in members]
+        causes = {c for m, mine in zip(members, gone, strict=True) for t in mine if (c := m.cause(t)) is not None}
+        return [
+            [t for t in member.without(mine, out) if member.cause(t) not in causes]
+            for member, mine, out in zip(members, terms, gone, strict=True)
+        ]
+
+    def _idle(self, twin: MachineTwin, said: MachineDiagnosis) -> str:
+        """Return the first effect that pays nothing where it shows; none that several campaigns share."""
+        alone = {name for e in twin.document["effects"] if len(e["campaigns"]) == 1 for name in e["names"]}
+        return next((label for told in said.told for label in told.idle if label in alone), "")
+
+    def _diagnosed(self, twin: MachineTwin, members: Sequence[Member], seed: int) -> MachineDiagnosis:
+        for member in members:
+            require_same_machine(twin.name, twin.machine, ", ".join(member.campaigns), member.machine)
+        told = [member.told(part, seed) for member, part in zip(members, twin.members, strict=True)]
+        said = MachineDiagnosis(twin, tuple(members), tuple(told))
+        named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
+        self.store_diagnosis({**named, **said.as_dict()})
+        return said
+
+    def _store(
+        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, robust: bool = False
+    ) -> MachineTwin:
+        twin = self._made(name, members, terms, action, robust=robust)
+        self.store(twin.as_dict())
+        return twin
+
+    def _made(
+        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, robust: bool = False
+    ) -> MachineTwin:
+        """Fit each kind by itself, and let the fits agree on what they share."""
+        of = Version(name, self.next_version(name, members[0].machine), action)
+        fits = [m.fit(mine, robust=robust, refine=True) for m, mine in zip(members, terms, strict=True)]
+        alone = [member.sizes(one) for member, one in zip(members, fits, strict=True)]
+        groups, apart = contradicting(alone, [member.begun for member in members])
+        together = agreed(alone, groups)
+        twins = [m.twin(one, sizes, of) for m, one, sizes in zip(members, fits, together, strict=True)]
+        entries = [entry for m, twin in zip(members, twins, strict=True) for entry in m.entries(twin)]
+        within = [one for twin in twins for one in getattr(twin, "contradictions", ())]
+        document = {
+            "format": FORMAT,
+            "kind": MACHINE,
+            "twin": name,
+            "version": of.version,
+            "machine": members[0].machine,
+            "campaign": ", ".join(one["campaign"] for one in entries),
+            "action": action,
+            "effects": effects_of(members, terms),
+            "shared": shared_of(members, alone, together, groups),
+            "parameters": [
+                {**parameter, "campaigns": list(member.campaigns)}
+                for member, twin in zip(members, twins, strict=True)
+                for parameter in twin.as_dict()["parameters"]
+            ],
+            "figures": figures_of(entries),
+            "campaigns": entries,
+            "members": [twin.as_dict() for twin in twins],
+            "contradictions": [one.as_dict() for one in (*within, *apart)],
+            "data": {name: value for twin in twins for name, value in twin.as_dict()["data"].items()},
+            "replication": REPLICATION,
+        }
+        return self._twin(document)
+
+
+def _terms(twin: MachineTwin) -> _Terms:
+    return [part.terms for part in twin.members]
+
+
+def _fresh(members: Sequence[Member], old: _Terms, new: _Terms) -> list[str]:
+    """Return what is new, as a user writes it, each cause once."""
+    before = {label for m, mine in zip(members, old, strict=True) for label in map(m.label, mine)}
+    fresh = [[t for t in mine if m.label(t) not in before] for m, mine in zip(members, new, strict=True)]
+    return [entry["label"] for entry in effects_of(members, fresh)]
+
+
+def _added(members: Sequence[Member], old: _Terms, new: _Terms) -> str:
+    return f"add {', '.join(_fresh(members, old, new))}"
+
+
+def _denied(new: MachineTwin, old: MachineTwin) -> bool:
+    """Tell whether all that is new shows in several campaigns, and is not there by all of them together."""
+    fresh = [one for one in new.document["effects"] if one["label"] not in old.labels]
+    before = {(one["effect"], one["axis"]) for one in old.document["shared"]}
+    shared = [one for one in new.document["shared"] if (one["effect"], one["axis"]) not in before]
+    if len({(one["effect"], one["axis"]) for one in shared}) < len(fresh):
+        return False
+    return all(one["value"] is not None and abs(one["value"]) <= _THERE * one["uncertainty"] for one in shared)
+
+
+def _unknown(name: str, axis: str, members: Sequence[Member], refused: Sequence[InputError]) -> InputError:
+    """Return the refusal of an effect that no campaign has."""
+    return InputError(
+        "none of these campaigns has such an effect",
+        code="effect.unknown",
+        where=", ".join(campaign for member in members for campaign in member.campaigns),
+        got=f"{name}{f' on {axis}' if axis else ''}"[:60],
+        allowed="; or ".join(dict.fromkeys(str(one.allowed) for one in refused if getattr(one, "allowed", "")))[:400],
+        hint="dtwin effects list",
+    )
