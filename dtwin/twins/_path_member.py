@@ -87,8 +87,9 @@ class PathMember(Member):
 
     def told(self, twin: SeveralTwin, seed: int) -> Told:
         said = diagnose_several(twin, self._campaigns, self._library, seed=seed)
+        several_speeds = any(obs.several_speeds for obs in self._campaigns)
         found, surely = (
             tuple(tuple(f"{s.effect}:{s.axis}".rstrip(":") for s in group) for group in groups)
-            for groups in (said.found, said.foretelling)
+            for groups in (said.found, said.to_add(twin.labels, several_speeds=several_speeds))
         )
         return Told(said.as_dict(), found, surely)
