@@ -115,7 +115,7 @@ def diagnose_twin(
     twin, diagnosis = twins.diagnose(name, seed=seed)
     if not twins.can_keep(name):
         print("note: nothing is kept of this diagnosis, for the home can only be read", file=sys.stderr)
-    moving = moving_findings(home(), twin.campaign)
+    moving = [said for campaign in twin.campaigns for said in moving_findings(home(), campaign)]
     result = {
         "twin": name,
         "version": twin.version,
@@ -175,7 +175,8 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
-    moving = moving_findings(home(), twins.newest(name).campaign)
+    campaigns = twins.newest(name).campaigns
+    moving = [one for campaign in campaigns for one in moving_findings(home(), campaign)]
     payload = {
         "twin": name,
         "added": [twin.action.removeprefix("add ") for twin in made],

@@ -19,7 +19,7 @@ from dtwin.statistics import holm, k2_factor, t_tail
 _ALPHA = 0.01
 _MOST = 6
 # Laws are not exact: standard uncertainty of a size that comes of it, as a share.
-_INEXACT = 0.02
+_INEXACT = 0.01
 
 Groups = Mapping[tuple[int, "Quantity"], int]
 """Which value of a quantity a fit has, by number of fit; 0 where nothing is said."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from dtwin.documents import finite
@@ -188,11 +189,7 @@ class MachineDiagnosis:
             "noise_floor_um": figures["noise_floor_um"],
             "replication": REPLICATION,
             "lack_of_fit_p": min(1.0, len(p_values) * min(p_values)) if p_values else None,
-            "candidates": [
-                {"label": f"{c['effect']}:{c['axis']}".rstrip(":"), "campaign": name, **c}
-                for name, result in every
-                for c in result["candidates"]
-            ],
+            "candidates": [self._candidate(name, c) for name, result in every for c in result["candidates"]],
             "found": [one for told in self.told for one in self._found(told)],
             "invisible": [label for _, result in every for label in result["invisible"]],
             "idle": [label for told in self.told for label in told.idle],
@@ -210,7 +207,25 @@ class MachineDiagnosis:
 
     def _found(self, told: Told) -> list[list[dict[str, Any]]]:
         """Return the groups that a fit found, as it tells them, else by their labels."""
-        labels = [group for group in told.found if group[0] not in self.denied]
-        return told.result.get("found") or [
-            [{"effect": label, "axis": "", "label": label} for label in group] for group in labels
+        groups = told.result.get("found") or [
+            [{"effect": label, "axis": "", "label": label} for label in group] for group in told.found
         ]
+        kept = (labels[0] not in {*self.denied, *self._doubles} for labels in told.found)
+        return [group for group, keep in zip(groups, kept, strict=True) if keep]
+
+    def _candidate(self, campaigns: str, candidate: Mapping[str, Any]) -> dict[str, Any]:
+        label = str(candidate.get("label") or f"{candidate['effect']}:{candidate['axis']}".rstrip(":"))
+        named = candidate["in_group"] and label not in self._doubles
+        return {**candidate, "label": label, "campaign": campaigns, "in_group": named}
+
+    @cached_property
+    def _doubles(self) -> frozenset[str]:
+        """Names of causes that campaigns before found already, by another name."""
+        seen: set[Any] = set()
+        out: set[str] = set()
+        for member, told in zip(self.members, self.told, strict=True):
+            for group in told.found:
+                causes = {member.cause(term) for term in member.named(group[0])}
+                out |= set(group) if None not in causes and causes <= seen else set()
+                seen |= causes
+        return frozenset(out)

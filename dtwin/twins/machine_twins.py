@@ -51,9 +51,17 @@ class MachineTwins(TwinShelf):
     ) -> MachineTwin:
         """Fit a twin to campaigns of a machine; an effect goes to all campaigns that show its cause."""
         require_name(name, "the twin")
-        members = self._members([campaign] if isinstance(campaign, str) else campaign)
+        twin = self.fitted([campaign] if isinstance(campaign, str) else campaign, effects, name, robust=robust)
+        self.store(twin.as_dict())
+        return twin
+
+    def fitted(
+        self, campaigns: Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False
+    ) -> MachineTwin:
+        """Return the same, without storing it."""
+        members = self._members(campaigns)
         terms = self._widened(members, [()] * len(members), effects, "")
-        return self._store(name, members, terms, "fit", robust=robust)
+        return self._made(name, members, terms, "fit", robust=robust)
 
     def compare(self, name: str, campaign: str | None = None) -> Any:
         """Compare a twin with its campaigns, or with one: of the fit, or another of a kind that it has."""
@@ -196,7 +204,16 @@ class MachineTwins(TwinShelf):
         lake = Lake(self.home.lake)
         shelves: dict[str, tuple[HasMembers, list[str]]] = {}
         for campaign in campaigns:
-            shelf = self._shelf(lake.campaign(campaign).kind)
+            kind = lake.campaign(campaign).kind
+            shelf = self._shelf(kind)
+            if not isinstance(shelf, HasMembers):
+                raise InputError(
+                    "twins of this kind of campaign take no part in one of several",
+                    code="twin.not_together",
+                    where=campaign,
+                    got=kind,
+                    hint=f"dtwin twin fit {campaign} fits it alone",
+                )
             shelves.setdefault(shelf.kind, (shelf, []))[1].append(campaign)
         return [member for shelf, names in shelves.values() for member in shelf.members(names)]
 
@@ -232,10 +249,8 @@ class MachineTwins(TwinShelf):
         self.store_diagnosis({**named, **said.as_dict()})
         return said
 
-    def _store(
-        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, robust: bool = False
-    ) -> MachineTwin:
-        twin = self._made(name, members, terms, action, robust=robust)
+    def _store(self, name: str, members: Sequence[Member], terms: _Terms, action: str) -> MachineTwin:
+        twin = self._made(name, members, terms, action)
         self.store(twin.as_dict())
         return twin
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
@@ -110,6 +110,7 @@ class Member(ABC):
         """Return what such a twin lacks."""
 
 
+@runtime_checkable
 class HasMembers(Protocol):
     """Twins of one kind that can be part of a twin of several kinds."""
 

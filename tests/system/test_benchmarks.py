@@ -63,6 +63,7 @@ def test_none_is_left_out() -> None:
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
+        "one_cobot.py",
         "outside_axis.py",
         "outside_machine.py",
         "outside_tone.py",
@@ -226,6 +227,12 @@ def test_contradictions() -> None:
     assert len(quiet) == 5
     assert [row["a false contradiction"] for row in quiet] == [0] * 5
     assert [row["since the right day"] for row in quiet] == [1] * 5
+
+
+@pytest.mark.long
+def test_one_cobot() -> None:
+    row = short("one_cobot.py")
+    assert (row["a false contradiction"], row["a change found, since the right day"]) == (0, 1)
 
 
 @pytest.mark.long

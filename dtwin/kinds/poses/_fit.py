@@ -149,6 +149,13 @@ def solve(grams: Grams, chosen: Sequence[int]) -> tuple[Floats, Floats]:
     return value / scale, spread / np.outer(scale, scale)
 
 
+def with_correlations(grams: Grams, chosen: Sequence[int], covariance: Floats) -> Floats:
+    """Return a covariance whose correlations are those of the normal equations: a few blocks tell variances, and no correlations."""
+    inverse = np.linalg.pinv(grams.whole[np.ix_(chosen, chosen)], rcond=1e-12, hermitian=True)
+    spread = np.sqrt(np.diag(covariance) / np.maximum(np.diag(inverse), 1e-300))
+    return np.asarray(inverse * np.outer(spread, spread))
+
+
 def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
     """Return every parameter of some terms."""
     value, covariance = solve(grams, grams.told(grams.series.chosen(terms)))

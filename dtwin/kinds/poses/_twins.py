@@ -13,7 +13,16 @@ from dtwin.errors import InputError
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
-from dtwin.kinds.poses._fit import Grams, dof_of, left_mm, left_with_mm, parameters_with, slots_of, solve
+from dtwin.kinds.poses._fit import (
+    Grams,
+    dof_of,
+    left_mm,
+    left_with_mm,
+    parameters_with,
+    slots_of,
+    solve,
+    with_correlations,
+)
 from dtwin.kinds.poses._series import mean_mm
 from dtwin.kinds.poses._setup import Setup
 from dtwin.physics.agreed import Quantity, Sizes
@@ -166,7 +175,8 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         """Return frame, tool and parameters that the poses tell, in the units that other tests have."""
         grams = loaded.grams
         told = grams.told(grams.series.chosen(terms))
-        value, covariance = solve(grams, told)
+        value, spread = solve(grams, told)
+        covariance = with_correlations(grams, told, spread)
         of: dict[int, Quantity] = {}
         for term, number, i in slots_of(grams, terms):
             if cause := self.cause(loaded, term):
