@@ -17,8 +17,9 @@ from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
+    from dtwin.physics.effect import Effect
     from dtwin.physics.twin import Twin
-    from dtwin.twins.of_kind import AnyTwins
+    from dtwin.twins.of_kind import AnyTwin, AnyTwins
     from dtwin.twins.verbs import Twins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
@@ -327,19 +328,7 @@ def show_twin(
     twin = twins.newest(name, version)
     report = report_of(twin.as_dict())
     if html is not None:
-        comparison = twins.compare(name)
-        _, diagnosis = twins.diagnose(name)
-        compared, told = comparison.as_dict(), diagnosis.as_dict()
-        _write_page(
-            html,
-            name,
-            [
-                report.twin_section(twin),
-                *report_of(compared).comparison_sections(comparison, compared),
-                report_of(told).diagnosis_section(name, told),
-                report.history_section(twins.history(name)),
-            ],
-        )
+        _write_report(html, twins, library_with(effects_path), twin)
     mended = interventions(twins, name)
     lines = [
         f"{m['effect']} was mended ({m['what'] or 'not said how'}), {m['after_campaign']}: "
@@ -390,6 +379,26 @@ def _twins_with(name: str, paths: list[Path] | None) -> AnyTwins:
     from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)
+
+
+def _write_report(path: Path, twins: AnyTwins, library: Mapping[str, Effect], twin: AnyTwin) -> None:
+    from dtwin.atomic import write_text
+    from dtwin.pipeline.twin_report import twin_report
+
+    newest = twins.newest(twin.name).version
+    if twin.version != newest:
+        raise InputError(
+            "a report is of the newest version",
+            code="twin.report",
+            where=f"twin {twin.name}",
+            got=f"--version {twin.version}",
+            allowed=str(newest),
+            hint=f"dtwin twin restore {twin.name} --version {twin.version} makes it the newest",
+        )
+    # It is kept beside the version, where the report finds it.
+    twins.diagnose(twin.name)
+    comparison = twins.compare(twin.name)
+    write_text(path, twin_report(home(), twins, library, twin, comparison, comparison.as_dict()), "the report")
 
 
 def _write_page(path: Path, name: str, sections: list[Any]) -> None:

@@ -6,6 +6,15 @@ import math
 from collections.abc import Sequence
 
 _NANOMETRES = 0.1
+VERDICTS = {
+    "missing_effect": "An effect is missing",
+    "ambiguous": "Several effects would explain it",
+    "unknown_effect": "There is structure that no known effect explains",
+    "nothing_missing": "Nothing is missing",
+    "need_repeats": "Repeats are needed",
+    "variance_effect": "The spread depends on the condition",
+}
+"""What each verdict of a diagnosis says, for people."""
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -66,6 +66,12 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
 
 
+def with_nan(diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stored diagnosis with what JSON calls null as NaN again."""
+    names = ("residual_rms_um", "systematic_rms_um", "noise_floor_um", "lack_of_fit_p")
+    return {**diagnosis, **{n: float("nan") for n in names if diagnosis.get(n) is None}}
+
+
 def said_by_runs(findings: Sequence[Mapping[str, Any]]) -> str:
     """Return lines of what the runs of a campaign say against any model: an effect beside them may be but another name of it."""
     return "".join(f"\nthe runs themselves say: {found['message']}" for found in findings)

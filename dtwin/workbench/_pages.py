@@ -17,7 +17,7 @@ from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
 from dtwin.report.effect_groups import grouped
 from dtwin.report.joint import title_of
-from dtwin.report.text import micrometres
+from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, bench_of
@@ -25,14 +25,6 @@ from dtwin.workbench._jobs import Job, Tell
 from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
-VERDICTS = {
-    "missing_effect": "An effect is missing",
-    "ambiguous": "Several effects would explain it",
-    "unknown_effect": "There is structure that no known effect explains",
-    "nothing_missing": "Nothing is missing",
-    "need_repeats": "Repeats are needed",
-    "variance_effect": "The spread depends on the condition",
-}
 
 
 def when(text: str | None) -> str:

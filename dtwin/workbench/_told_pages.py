@@ -8,7 +8,7 @@ from fastapi import Request
 from starlette.responses import Response
 
 from dtwin.physics.twin import Twin
-from dtwin.report.html import Section, Table
+from dtwin.report.html import Table
 from dtwin.report.machine_twin import captioned
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
@@ -51,20 +51,6 @@ def _captioned(twin: AnyTwin) -> list[tuple[str, Table]]:
     if isinstance(twin, MachineTwin):
         return captioned(twin)
     return [("Effects, and their sizes", shown) for shown in report_of(twin.as_dict()).twin_section(twin).tables]
-
-
-def told_sections(bench: Bench, name: str) -> list[Section]:
-    """Return the whole story of a twin of no path, as ``dtwin twin show --html`` writes it."""
-    twins = bench.twins_with(name)
-    twin = twins.newest(name)
-    diagnosis = reading.diagnosis_of(bench, name, twin.version)
-    report = report_of(twin.as_dict())
-    return [
-        report.twin_section(twin),
-        *report.comparison_sections(None, compared_with(bench, name, "")),
-        *([report.diagnosis_section(name, diagnosis)] if diagnosis else []),
-        report.history_section(twins.history(name)),
-    ]
 
 
 def compared_with(bench: Bench, name: str, on: str) -> dict[str, Any]:

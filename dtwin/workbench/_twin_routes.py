@@ -16,12 +16,12 @@ from dtwin.kinds.volumetric import HeatTwins
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
+from dtwin.pipeline.twin_report import twin_report
 from dtwin.report.encoder_split import encoder_section, tells
 from dtwin.report.faults import faults, found_faults
-from dtwin.report.html import Section, page
 from dtwin.report.joint import title_of
 from dtwin.report.several import contradiction_lines
-from dtwin.report.twin_of_kind import report_of
+from dtwin.report.twin_of_kind import report_of, with_nan
 from dtwin.report.twin_plots import (
     along_figure,
     harmonics_figure,
@@ -34,14 +34,13 @@ from dtwin.report.twins import found_table, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, rendered
-from dtwin.workbench._report_head import diagnosed, head_section
-from dtwin.workbench._told_pages import told_page, told_sections
+from dtwin.workbench._told_pages import compared_with, told_page
 
 _HARMONICS = 60
 router = APIRouter()
@@ -118,7 +117,7 @@ def diagnose_page(request: Request, name: str) -> Response:
         found=found_table(diagnosis or {}),
         faults=faults(twin),
         missing=found_faults(diagnosis or {}, bench.library),
-        together=report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis))
+        together=report_of(diagnosis).diagnosis_section(name, with_nan(diagnosis))
         if diagnosis and "campaigns" in diagnosis
         else None,
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
@@ -162,12 +161,14 @@ def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
-    sections = [head_section(bench, twin), *(_sections if isinstance(twin, Twin) else told_sections)(bench, name)]
-    made = page(
-        f"Machine {twin.machine}: twin {name}",
-        f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
-        sections,
-    )
+    if not isinstance(twin, Twin):
+        comparison, compared = None, compared_with(bench, name, "")
+    else:
+        comparison = (
+            bench.twins.compare(name) if isinstance(twin, SeveralTwin) else reading.view(bench, name).comparison
+        )
+        compared = comparison.as_dict()
+    made = twin_report(bench.home, bench.twins_with(name), bench.library, twin, comparison, compared)
     return download(made, f"{twin.machine}-{name}-v{twin.version}.html", "text/html")
 
 
@@ -278,7 +279,7 @@ def ranked(request: Request, name: str) -> Response:
     diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version)
     if diagnosis is None:
         raise InputError("the twin is not diagnosed yet", code="twin.undiagnosed", where=f"twin {name}")
-    return drawn(ranked_figure(_with_nan(diagnosis), bench.library))
+    return drawn(ranked_figure(with_nan(diagnosis), bench.library))
 
 
 @router.get("/api/twins/{name}/signature")
@@ -305,31 +306,11 @@ def _page_of_no_path(request: Request, name: str, on: str = "") -> Response | No
     return None if isinstance(twins, Twins) else told_page(request, name, on)
 
 
-def _sections(bench: Bench, name: str) -> list[Section]:
-    """Return the whole story of a twin of tests of a path."""
-    twin = bench.twins.newest(name)
-    several = isinstance(twin, SeveralTwin)
-    comparison = bench.twins.compare(name) if several else reading.view(bench, name).comparison
-    report, compared = report_of(twin.as_dict()), comparison.as_dict()
-    sections = [report.twin_section(twin), *report_of(compared).comparison_sections(comparison, compared)]
-    _, diagnosis = diagnosed(bench, twin)
-    if diagnosis is not None:
-        sections.append(report_of(diagnosis).diagnosis_section(name, _with_nan(diagnosis)))
-    sections.append(report.history_section(bench.twins.history(name)))
-    return sections
-
-
 def _experiment(request: Request, name: str) -> tuple[Any, Any]:
     bench = bench_of(request)
     twin = bench.twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     return twin, diagnosis["next_experiment"] if diagnosis else None
-
-
-def _with_nan(stored: dict[str, Any]) -> dict[str, Any]:
-    """Return a stored diagnosis with what JSON calls null as NaN again."""
-    names = ("residual_rms_um", "systematic_rms_um", "noise_floor_um", "lack_of_fit_p")
-    return {**stored, **{n: float("nan") for n in names if stored.get(n) is None}}
 
 
 _PLAIN = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{1,3})?")

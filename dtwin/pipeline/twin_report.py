@@ -1,0 +1,68 @@
+"""The report of a twin: of what machine and test it is and what was found, then the whole story."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.documents import read_document
+from dtwin.lake.store import Lake
+from dtwin.physics.effect import Effect
+from dtwin.physics.twin import Twin
+from dtwin.pipeline.certificate import facts_of
+from dtwin.report.faults import faults, found_faults
+from dtwin.report.html import Section, Table, page
+from dtwin.report.text import VERDICTS
+from dtwin.report.twin_of_kind import report_of, with_nan
+from dtwin.twins.of_kind import AnyTwins
+from dtwin.twins.registration import diagnosis_path
+
+
+def twin_report(
+    home: Home, shelf: AnyTwins, library: Mapping[str, Effect], twin: Any, comparison: Any, compared: Mapping[str, Any]
+) -> str:
+    """Return the whole story of a twin as one page that needs nothing else.
+
+    ``shelf``: where the twin is.
+    ``comparison``, ``compared``: with what it was fitted to, and its ``as_dict``; of the former None where only that is kept.
+    """
+    version, diagnosis = _diagnosed(shelf, twin)
+    report = report_of(twin.as_dict())
+    sections = [
+        _head(home, library, twin, version, diagnosis),
+        report.twin_section(twin),
+        *report_of(compared).comparison_sections(comparison, compared),
+        *([report_of(diagnosis).diagnosis_section(twin.name, diagnosis)] if diagnosis else []),
+        report.history_section(shelf.history(twin.name)),
+    ]
+    about = f"version {twin.version} of campaign {twin.campaign}, made by dtwin"
+    return page(f"Machine {twin.machine}: twin {twin.name}", about, sections)
+
+
+def _head(
+    home: Home, library: Mapping[str, Effect], twin: Any, version: int, diagnosis: dict[str, Any] | None
+) -> Section:
+    """Return the verdict, the faults in the words of the shop, and the facts of the test."""
+    tests = list(getattr(twin, "campaigns", ()) or [twin.campaign])
+    facts = [facts_of(home, Lake(home.lake).runs(test, left_out=True)) for test in tests]
+    named = [name for name in facts[0] if name not in ("campaign", "test") and any(one[name] for one in facts)]
+    said = VERDICTS.get((diagnosis or {}).get("verdict", ""), "Not diagnosed yet")
+    other = [f"As version {version} was diagnosed, which has the same effects."] if version != twin.version else []
+    missing = [fault.sentence for group in found_faults(diagnosis or {}, library) for fault in group]
+    known = [fault.sentence for fault in faults(twin)] if isinstance(twin, Twin) else []
+    return Section(
+        said,
+        [*other, *(f"Missing: {line}" for line in missing), *known],
+        [],
+        [Table(("test", *tests), [(name, *(one[name] or "-" for one in facts)) for name in named])],
+    )
+
+
+def _diagnosed(shelf: AnyTwins, twin: Any) -> tuple[int, dict[str, Any] | None]:
+    """Return the newest version with these effects that was diagnosed, and its diagnosis: a roll back loses none."""
+    for version in range(twin.version, 0, -1):
+        file = diagnosis_path(shelf.newest_document(twin.name, version)[1])
+        if file.exists() and shelf.newest(twin.name, version).labels == twin.labels:
+            return version, with_nan(read_document(file))
+    return twin.version, None
