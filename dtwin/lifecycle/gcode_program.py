@@ -28,7 +28,7 @@ _CALLS = {97.0, 98.0, 198.0}
 _MARK = "(DTWIN COMPENSATED"
 _BEFORE_A_COMMENT = re.compile(r"\s*(%.*|[O:]\s*\d+.*)?$", re.IGNORECASE)
 _LONGEST_LINE = 400
-_MAX_BYTES = 20_000_000
+MAX_BYTES = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,15 @@ class Move:
 
 def program_of(path: Path) -> str:
     """Return the text of a program; raises InputError for one that is missing, too large or no plain text."""
+    return plain(read_bounded(path, MAX_BYTES), str(path))
+
+
+def plain(program: bytes, where: str) -> str:
+    """Return the text of a program; raises InputError for what is no plain text."""
     try:
-        return read_bounded(path, _MAX_BYTES).decode("ascii")
+        return program.decode("ascii")
     except UnicodeDecodeError as error:
-        raise InputError(
-            "the program is no plain text", code="gcode.text", where=str(path), got=str(error)[:80]
-        ) from error
+        raise InputError("the program is no plain text", code="gcode.text", where=where, got=str(error)[:80]) from error
 
 
 def marked(text: str, whose: str) -> str:

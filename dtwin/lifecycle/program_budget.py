@@ -14,8 +14,10 @@ from dtwin.errors import InputError
 from dtwin.lifecycle.gcode_compensation import Followed, outside
 from dtwin.lifecycle.gcode_program import Move, read_program
 from dtwin.physics.problem import Term
+from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin
 from dtwin.report.faults import with_k2
+from dtwin.report.html import Table
 from dtwin.report.text import micrometres, table
 from dtwin.schema import Floats
 from dtwin.train.twin_axes import AXES, Motion, term_errors_um
@@ -30,15 +32,16 @@ _MOST_POINTS = 2_000_000
 class _Cut:
     """What one cause does along a program; every figure in µm.
 
-    ``label``: the effect.
-    ``rms_um``: RMS over the way, of the vector under "", along X, Y and Z, and ``across`` the way: what the workpiece
-    shows.
+    ``label``, ``remedy``: the effect, and what to do about it.
+    ``rms_um``: RMS over the way, of the vector under "", along X, Y and Z, in the planes XY, YZ and ZX, and ``across`` the
+    way: what the workpiece shows.
     ``uncertainty_um``: of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated.
     ``largest_um``: largest vector.
     ``left_um``: RMS of the vector that all the other causes leave.
     """
 
     label: str
+    remedy: str
     rms_um: dict[str, float]
     uncertainty_um: float
     largest_um: float
@@ -91,9 +94,10 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
             continue
         widths[term.label] = _widths_um(term, twin, motion)
     total = sum(does.values(), np.zeros(motion.position_mm.shape))
-    causes = [_cut(label, one, total - one, way, step_mm, widths[label]) for label, one in does.items()]
+    named = {term.label: (term.label, term.instance.effect.remedy) for term in twin.terms}
+    causes = [_cut(named[label], one, total - one, way, step_mm, widths[label]) for label, one in does.items()]
     together = [width for one in widths.values() for width in one]
-    every = _cut("all of them", total, np.zeros_like(total), way, step_mm, together)
+    every = _cut(("all of them", ""), total, np.zeros_like(total), way, step_mm, together)
     ordered = tuple(sorted(causes, key=lambda cut: -cut.rms_um[""]))
     return _ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
 
@@ -133,15 +137,18 @@ def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats,
     return whole, np.concatenate(ways), np.concatenate(steps)
 
 
-def _cut(label: str, does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]) -> _Cut:
+def _cut(
+    named: tuple[str, str], does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]
+) -> _Cut:
     across = does - (does * way).sum(axis=1, keepdims=True) * way
     rms = {"": _rms(does, step_mm)}
     rms |= {axis: _rms(does[:, [k]], step_mm) for k, axis in enumerate(AXES)}
+    rms |= {plane: math.hypot(*(rms[axis] for axis in pair)) for plane, pair in AXES_OF.items()}
     rms["across"] = _rms(across, step_mm)
     # How the RMS changes with each parameter.
     parts = [_along(width, does, step_mm) for width in widths_um]
     largest = float(np.linalg.norm(does, axis=1).max())
-    return _Cut(label, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
+    return _Cut(*named, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
 
 
 def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
@@ -162,17 +169,28 @@ def _rms(vectors: Floats, step_mm: Floats) -> float:
 
 def program_text(found: _ProgramBudget) -> str:
     """Return the budget of a program for the terminal."""
-    head = ["cause", "RMS, µm (k = 2)", "X, µm", "Y, µm", "Z, µm", "across the way, µm", "largest, µm"]
+    shown = program_table(found)
+    return "\n".join([table(shown.head, shown.rows), "", *program_lines(found)])
+
+
+def program_table(found: _ProgramBudget) -> Table:
+    """Return every cause, the largest first, and all of them together."""
+    parts = [f"{name}, µm" for name in (*AXES, *AXES_OF)]
+    head = ["cause", "RMS, µm (k = 2)", *parts, "across the way, µm", "largest, µm", "left without it, µm"]
     rows = [[*_row(cut), micrometres(cut.left_um)] for cut in found.causes]
-    lines = [table([*head, "left without it, µm"], [*rows, [*_row(found.every), "-"]]), ""]
-    lines.append(f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed")
+    return Table(head, [*rows, [*_row(found.every), "-"]])
+
+
+def program_lines(found: _ProgramBudget) -> list[str]:
+    """Return what holds of the table, and the remedy of each cause."""
+    lines = [f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed"]
     if found.outside > 0.0:
         lines.append(f"{100 * found.outside:z.0f} % of the points lie further out than anything that was measured")
     lines += [f"not in it: {label}: {why}" for label, why in found.not_told.items()]
-    return "\n".join(lines)
+    return [*lines, *(f"{cut.label}: {cut.remedy}" for cut in found.causes)]
 
 
 def _row(cut: _Cut) -> list[str]:
     own = with_k2(cut.rms_um[""], cut.uncertainty_um, "um").removesuffix(" µm")
-    parts = [micrometres(cut.rms_um[name]) for name in ("X", "Y", "Z", "across")]
+    parts = [micrometres(cut.rms_um[name]) for name in (*AXES, *AXES_OF, "across")]
     return [cut.label, own, *parts, micrometres(cut.largest_um)]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dtwin.physics.budget import Budget, Share
 from dtwin.report.faults import with_k2
+from dtwin.report.html import Table
 from dtwin.report.text import micrometres, table
 
 
-def _budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the table: every cause, the largest first, and what is left without all of them."""
+def budget_table(found: Budget) -> Table:
+    """Return every cause, the largest first, and what is left without all of them."""
     planes = list(found.shares[0].rms_um)[1:] if found.shares else []
     several = planes if len(planes) > 1 else []
     head = [
@@ -22,13 +23,14 @@ def _budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
     nothing = ["-"] * len(several)
     rows.append(["as measured", "-", *nothing, micrometres(found.error_um), micrometres(found.largest_um)])
     left = [micrometres(found.unexplained_um), micrometres(found.unexplained_largest_um)]
-    return head, [*rows, ["without all of them", "-", *nothing, *left]]
+    return Table(head, [*rows, ["without all of them", "-", *nothing, *left]])
 
 
 def budget_text(found: Budget) -> str:
     """Return the budget for the terminal."""
     remedies = [f"{share.label}: {share.remedy}" for share in found.shares]
-    return "\n".join([table(*_budget_rows(found)), "", *remedies])
+    shown = budget_table(found)
+    return "\n".join([table(shown.head, shown.rows), "", *remedies])
 
 
 def _row(share: Share, planes: list[str]) -> list[str]:

@@ -23,6 +23,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
+from dtwin.workbench import _budget_routes as budget_routes
 from dtwin.workbench import _campaign_routes as campaign_routes
 from dtwin.workbench import _delivery_routes as delivery_routes
 from dtwin.workbench import _effect_routes as effect_routes
@@ -59,6 +60,7 @@ def application(bench: Bench) -> Guarded:
         twin_routes,
         heat_pages,
         twin_actions,
+        budget_routes,
         effect_routes,
         model_routes,
         live_routes,

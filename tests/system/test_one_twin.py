@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -163,3 +164,25 @@ def test_pages_of_the_twin_show_all_its_campaigns(home: Home) -> None:
     for figure in ("overlay/angle?on=laser-x", "map?on=laser-y", "waterfall", "ranked", "signature?effect=backlash X"):
         assert open_page(f"/api/twins/seen/{figure}").status_code == 200, figure
     assert "/campaigns/laser-y" in open_page("/twins").text
+
+
+def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
+    run("twin", "fit", "bar", "--effects", "backlash:X,scale_mismatch", "--name", "parts")
+    bench = Bench(home, Access("127.0.0.1", 8765))
+    opened = TestClient(
+        application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
+    )
+    opened.get("/", params={"token": bench.access.token})
+    page = opened.get("/twins/parts/budget").text
+    assert "left without it" in page
+    assert "Preload or renew" in page
+    program = "G21 G90 G17\nG0 X80 Y60\nG1 X160 F2000\nG1 Y100\nG1 X80\nG1 Y60\nM30\n"
+    told = {"program": program, "file": "part.nc", "x_mm": 120.0, "y_mm": 80.0, "z_mm": 0.0}
+    job = opened.post("/api/twins/parts/program", json=told).json()["job"]
+    deadline = time.monotonic() + 300.0
+    while time.monotonic() < deadline and not ((made := bench.jobs.get(job)) and made.ended):
+        time.sleep(0.01)
+    page = opened.get("/twins/parts/budget").text
+    assert "part.nc, with version 1 of the twin" in page
+    assert "240 mm at feed" in page
+    assert opened.post("/api/twins/parts/program", json={**told, "program": "G1 X\u00e4"}).status_code == 400

@@ -252,6 +252,15 @@ function contentOf(form) {
   return content;
 }
 
+// A file is sent as its text, with its name.
+async function withFiles(form, content) {
+  for (const field of all("[type=file][name]", form)) {
+    content[field.name] = await field.files[0].text();
+    content.file = field.files[0].name;
+  }
+  return content;
+}
+
 // Roles of who looks at the page, and which an address needs; the server decides, this only says so beforehand.
 const mine = JSON.parse(document.body.dataset.may), needed = JSON.parse(document.body.dataset.needed);
 function lacking(address) {
@@ -273,7 +282,7 @@ function watchForms() {
     form.addEventListener("submit", (event) => {
       event.preventDefault();
       const title = form.querySelector("[type=submit]").textContent;
-      start(title, () => send(form.dataset.post, contentOf(form)));
+      start(title, async () => send(form.dataset.post, await withFiles(form, contentOf(form))));
     });
   }
   for (const form of all("form[data-save]")) {

@@ -1,0 +1,78 @@
+"""Which cause makes how much of the error, on the measured paths and along a program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
+from starlette.responses import JSONResponse, Response
+
+from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
+from dtwin.lifecycle.program_budget import program_budget, program_lines, program_table
+from dtwin.physics.budget import Budget, budget
+from dtwin.physics.several_twin import SeveralTwin
+from dtwin.pipeline.kept import keep, kept_already
+from dtwin.report.budget import budget_table
+from dtwin.report.html import Table
+from dtwin.twins.several import require_alone
+from dtwin.workbench import _reading as reading
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._pages import begun, rendered
+
+_KEPT = "programs"
+router = APIRouter()
+
+
+class _ProgramRequest(BaseModel):
+    """A program, and where the centre of the measured circles lies in its coordinates, mm."""
+
+    program: str = Field(max_length=MAX_BYTES)
+    file: str = Field("", max_length=200)
+    x_mm: float = Field(0.0, gt=-1e6, lt=1e6)
+    y_mm: float = Field(0.0, gt=-1e6, lt=1e6)
+    z_mm: float = Field(0.0, gt=-1e6, lt=1e6)
+
+
+@router.get("/twins/{name}/budget")
+def budget_page(request: Request, name: str, on: str = "") -> Response:
+    """Show what each cause makes of the error of measured paths, and of the program that was evaluated last."""
+    bench = bench_of(request)
+    view = reading.view(bench, name, on=on)
+    found: Budget = bench.cache.get(("budget", *view.key), lambda: budget(view.twin, view.obs))
+    whole = reading.paths_of(bench, name)
+    program = kept_already(bench.home, _KEPT, name)
+    return rendered(
+        request,
+        "budget.html",
+        title=f"Twin {name}: budget",
+        name=name,
+        twin=whole,
+        alone=not isinstance(whole, SeveralTwin),
+        on=view.obs.campaign.name,
+        campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
+        measured=budget_table(found),
+        remedies=[(share.label, share.remedy) for share in found.shares],
+        program=program and {**program, "table": Table(program["head"], program["rows"])},
+    )
+
+
+@router.post("/api/twins/{name}/program")
+def evaluate_program(request: Request, name: str, wanted: _ProgramRequest) -> JSONResponse:
+    """Evaluate a program with the newest version of a twin of one campaign."""
+    bench = bench_of(request)
+    twin = require_alone(reading.paths_of(bench, name), "a budget of a program")
+    where = wanted.file or "the program"
+    text = plain(wanted.program.encode(), where)
+
+    def work() -> None:
+        origin_mm = np.array([wanted.x_mm, wanted.y_mm, wanted.z_mm])
+        found = program_budget(twin, text, origin_mm=origin_mm, where=where)
+        _keep(bench, name, program_table(found), program_lines(found), file=where, version=twin.version)
+
+    return begun(bench, f"Budget of {where}", f"/twins/{name}/budget", work, "follow the program")
+
+
+def _keep(bench: Bench, name: str, shown: Table, lines: list[str], **about: Any) -> None:
+    keep(bench.home, _KEPT, name, "", {"head": list(shown.head), "rows": shown.rows, "lines": lines, **about})
