@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
+from datetime import datetime
 from typing import Any
 
 import plotly.graph_objects as go
@@ -15,6 +16,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
+from dtwin.local_time import local_time
 from dtwin.report.effect_groups import grouped
 from dtwin.report.joint import title_of
 from dtwin.report.text import VERDICTS, micrometres
@@ -28,8 +30,13 @@ _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown
 
 
 def when(text: str | None) -> str:
-    """Return an ISO 8601 time to the minute."""
-    return (text or "").replace("T", " ")[:16] or "not stated"
+    """Return an ISO 8601 time to the minute, by this computer's clock."""
+    return local_time(text or "").replace("T", " ")[:16] or "not stated"
+
+
+def zone() -> str:
+    """Return the zone of this computer's clock, for example ``UTC+01:00``."""
+    return f"UTC{datetime.now().astimezone().isoformat()[-6:]}".removesuffix("+00:00")
 
 
 def um(value: float | None) -> str:
@@ -58,7 +65,7 @@ _ENVIRONMENT.filters |= {
     "grouped": grouped,
     "titled": title_of,
 }
-_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS}
+_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS, "zone": zone}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
