@@ -41,6 +41,11 @@ def _cell(value: object) -> str:
     return " ".join(str(value).splitlines())
 
 
+def words_of(name: str) -> str:
+    """Return a name that commands take as people write it: ``Joint zero`` for ``joint_zero``."""
+    return name.replace("_", " ").capitalize()
+
+
 def counted(number: int, what: str) -> str:
     """Return how many there are: ``1 run``, ``2 runs``."""
     return f"{number} {what}{'' if number == 1 else 's'}"

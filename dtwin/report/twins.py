@@ -56,11 +56,12 @@ def condition_words(condition: Mapping[str, Any]) -> str:
     return f"{condition['axis']} {condition['direction']}"
 
 
-def parameter_table(twin: Twin) -> Table:
-    """Return the parameters of a twin with their uncertainty."""
+def parameter_table(twin: Twin, *, in_words: bool = True) -> Table:
+    """Return the parameters of a twin with their uncertainty; effects by their names ``in_words``, or as commands take them."""
+    titles = {t.instance.effect.name: t.instance.effect.title for t in twin.terms} if in_words else {}
     rows = [
         (
-            f"{e.effect} {e.axis}".strip(),
+            f"{titles.get(e.effect, e.effect)} {e.axis}".strip(),
             e.name.replace("_", " "),
             _rounded(e.value, e.uncertainty) if e.identifiable else "not told",
             shown_unit(e.unit),
@@ -71,7 +72,7 @@ def parameter_table(twin: Twin) -> Table:
     for term in twin.terms:
         rows += [
             (
-                term.label,
+                f"{titles.get(term.instance.effect.name, term.instance.effect.name)} {term.instance.axis}".strip(),
                 shape.name.removesuffix(f"_{shape.unit}").replace("_", " "),
                 f"about {number(term.shape[shape.name], 2)}",
                 shown_unit(shape.unit),
@@ -99,7 +100,7 @@ def twin_text(twin: Twin) -> str:
         f"repeats agree on {number(figures['systematic_rms_um'])} µm; noise floor "
         f"{_floor_words(figures)} (unit of replication: the run)\n"
     )
-    shown = parameter_table(twin)
+    shown = parameter_table(twin, in_words=False)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
     lines += ["", *(fault.sentence for fault in faults(twin)), ""] if twin.terms else []
     lines += [f"warning: {doubt}" for doubt in twin.doubts]

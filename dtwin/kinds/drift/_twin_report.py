@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Section, Table
-from dtwin.report.text import decimals, micrometres, table
+from dtwin.report.text import decimals, micrometres, table, words_of
 from dtwin.report.told_twins import candidate_table, missing_section
 from dtwin.report.told_twins import history_section as history_section
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 _UNITS = {"um/K": "µm/K", "um/K^2": "µm/K²"}
 
 
-def parameter_table(twin: DriftTwin) -> Table:
-    """Return the parameters."""
+def parameter_table(twin: DriftTwin, *, in_words: bool = True) -> Table:
+    """Return the parameters; names of effects ``in_words`` for people, or as commands take them."""
     document = twin.as_dict()
     rows = []
     for effect, parameter in zip(document["effects"], document["parameters"], strict=True):
@@ -25,7 +25,7 @@ def parameter_table(twin: DriftTwin) -> Table:
         digits = decimals(half) if half else 3
         rows.append(
             (
-                effect["effect"],
+                words_of(effect["effect"]) if in_words else effect["effect"],
                 effect["axis"],
                 _minutes(late, effect.get("time_constant_uncertainty_s")),
                 f"{parameter['value']:z.{digits}f} ± {half:z.{digits}f}",
@@ -46,7 +46,7 @@ def _minutes(late_s: float | None, half_s: float | None) -> str:
 
 def twin_text(twin: DriftTwin) -> str:
     """Return a twin for the terminal."""
-    shown = parameter_table(twin)
+    shown = parameter_table(twin, in_words=False)
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}, "
         f"log {twin.as_dict()['data']['fitted_to']}\n{_fell(twin.figures)}"

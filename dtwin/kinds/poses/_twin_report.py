@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Section, Table
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import micrometres, table, words_of
 from dtwin.report.told_twins import candidate_table, missing_section
 from dtwin.report.told_twins import history_section as history_section
 
@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 _UNIT = "unit of replication: the block of neighbouring poses"
 
 
-def parameter_table(twin: PoseTwin) -> Table:
-    """Return the parameters; what the poses cannot tell is said so, without a number."""
+def parameter_table(twin: PoseTwin, *, in_words: bool = True) -> Table:
+    """Return the parameters; what the poses cannot tell is said so, without a number.
+
+    ``in_words``: names of effects for people; else as commands take them.
+    """
     rows = [
         (
-            p["effect"],
+            words_of(p["effect"]) if in_words else p["effect"],
             p["axis"],
             p["name"],
             "not identifiable" if p["value"] is None else f"{p['value']:z.3f}",
@@ -34,7 +37,7 @@ def parameter_table(twin: PoseTwin) -> Table:
 
 def twin_text(twin: PoseTwin) -> str:
     """Return a twin for the terminal."""
-    shown = parameter_table(twin)
+    shown = parameter_table(twin, in_words=False)
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}\n"
         f"{_fell(twin.figures)}"
