@@ -53,8 +53,8 @@ class PathMember(Member):
         return term.label.replace(" ", ":")
 
     def joined(self, terms: Sequence[Term], more: Sequence[Term]) -> Sequence[Term]:
-        there = {key_of(term) for term in terms}
-        return [*terms, *(term for term in more if key_of(term) not in there)]
+        there = {key_of(term): term for term in reversed([*terms, *more])}
+        return [there[key] for key in dict.fromkeys(map(key_of, [*terms, *more]))]
 
     def without(self, terms: Sequence[Term], gone: Sequence[Term]) -> Sequence[Term]:
         out = {key_of(term) for term in gone}

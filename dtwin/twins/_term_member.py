@@ -35,7 +35,10 @@ class TermMember(Member):
         return self._twins.label(term)
 
     def joined(self, terms: Sequence[Any], more: Sequence[Any]) -> Sequence[Any]:
-        fresh = [term for term in more if not any(self._twins.same(term, old) for old in terms)]
+        fresh: list[Any] = []
+        for term in more:
+            if not any(self._twins.same(term, old) for old in (*terms, *fresh)):
+                fresh.append(term)
         return self._twins.joined(self._loaded, terms, fresh) if fresh else terms
 
     def without(self, terms: Sequence[Any], gone: Sequence[Any]) -> Sequence[Any]:
@@ -44,7 +47,9 @@ class TermMember(Member):
     def fit(self, terms: Sequence[Any], *, robust: bool, refine: bool) -> tuple[Sequence[Any], Sizes]:
         if robust:
             raise InputError(f"{self.campaigns[0]} has no robust fit", code="twin.robust", hint=self._twins.no_robust)
-        return terms, self._twins.sizes(self._loaded, terms)
+        # Those of a twin are what all agreed on.
+        found = self._twins.refound(self._loaded, terms)
+        return found, self._twins.sizes(self._loaded, found)
 
     def sizes(self, fitted: tuple[Sequence[Any], Sizes]) -> Sizes:
         return fitted[1]

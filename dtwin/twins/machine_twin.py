@@ -183,7 +183,7 @@ class MachineDiagnosis:
         return {
             "kind": MACHINE,
             "verdict": next(verdict for verdict in _VERDICTS if verdict in verdicts),
-            "headline": "; ".join([*(f"{name}: {result['headline']}" for name, result in every), *self._denial()]),
+            "headline": "; ".join([*(f"{name}: {result['headline']}" for name, result in every), *self._besides()]),
             "residual_rms_um": figures["rms_after_um"],
             "systematic_rms_um": figures.get("systematic_rms_um"),
             "noise_floor_um": figures["noise_floor_um"],
@@ -201,9 +201,16 @@ class MachineDiagnosis:
             "contradictions": [one.as_dict() for one in self.twin.contradictions],
         }
 
-    def _denial(self) -> list[str]:
+    def _besides(self) -> list[str]:
+        """Return what fits say of each other."""
         names = ", ".join(self.denied)
-        return [f"one campaign alone would name {names}, all that see it together do not"] if names else []
+        denial = [f"one campaign alone would name {names}, all that see it together do not"] if names else []
+        within = [one for part in self.twin.members for one in getattr(part, "contradictions", ())]
+        across = self.twin.contradictions[len(within) :]
+        return denial + [
+            f"{', '.join(c.campaigns)} contradicts {', '.join(c.others)} on {c.effect} {c.axis}".rstrip()
+            for c in across
+        ]
 
     def _found(self, told: Told) -> list[list[dict[str, Any]]]:
         """Return the groups that a fit found, as it tells them, else by their labels."""

@@ -219,12 +219,15 @@ class MachineTwins(TwinShelf):
 
     def _widened(self, members: Sequence[Member], terms: _Terms, names: Sequence[str], axis: str) -> _Terms:
         """Return terms with effects by name, each in all campaigns that show its cause."""
+        more: list[list[Any]] = [[] for _ in members]
         for name in names:
             told = [known_to(member, name, axis) for member in members]
             if not any(found for found, _ in told):
                 raise _unknown(name, axis, members, [refused for _, refused in told if refused is not None])
-            terms = widened(members, terms, [found for found, _ in told])
-        return terms
+            for mine, (found, _) in zip(more, told, strict=True):
+                mine += found
+        # All at once: time constants are found beside what else is named.
+        return widened(members, terms, more)
 
     def _without(self, members: Sequence[Member], terms: _Terms, name: str, axis: str) -> _Terms:
         """Return terms without an effect, in all campaigns that show its cause."""

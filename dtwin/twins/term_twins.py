@@ -101,6 +101,10 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         """Return whether two terms are one effect."""
         return one == other
 
+    def refound(self, loaded: L, terms: Sequence[T]) -> Sequence[T]:
+        """Return terms with the shapes that this campaign alone gives them."""
+        return terms
+
     @abstractmethod
     def diagnosed(self, loaded: L, terms: Sequence[T]) -> D:
         """Return what a twin of these terms lacks."""

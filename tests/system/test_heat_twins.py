@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from laser_axis import write_laser
 from typer.testing import CliRunner
 
 from dtwin.cli import app
@@ -189,6 +190,15 @@ def test_what_cannot_be_is_refused_and_nothing_written(
         CliRunner().invoke(app, ["twin", *words], catch_exceptions=False)
     assert caught.value.code == code
     assert sorted((lake / "twins").rglob("*.json")) == before
+
+
+def test_a_ball_array_and_a_laser_of_one_mill_have_one_twin(said: Said, tmp_path: Path) -> None:
+    write_laser(tmp_path / "laser", "plain-mill", "X", 20.0, 2.0)
+    assert CliRunner().invoke(app, ["ingest", str(tmp_path / "laser")]).exit_code == 0
+    made = said("fit", "laser", "plain", "--effects", "backlash:X,EXX1", "--name", "both")
+    assert [(c["campaign"], c["kind"]) for c in made["campaigns"]] == [("laser", "linear"), ("plain", "volumetric")]
+    assert {e["label"]: e["campaigns"] for e in made["effects"]} == {"backlash:X": ["laser"], "EXX1": ["plain"]}
+    assert said("compare", "both", "--on", "plain")["motions"]
 
 
 def test_twins_of_one_kind_are_not_taken_for_those_of_another(said: Said, lake: Path) -> None:

@@ -50,6 +50,7 @@ PAGES = (
     "/twins/mill",
     "/twins/mill/diagnose",
     "/twins/mill/versions",
+    "/twins/mill/budget",
     "/twins/both",
     "/effects",
     "/effects/backlash",

@@ -95,6 +95,10 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         """Return terms with others; a lag takes the place of what is at once."""
         return joined(loaded.series, terms, more)
 
+    def refound(self, loaded: Loaded, terms: Sequence[Term]) -> Sequence[Term]:
+        """Return terms with the time constants that this log alone gives them."""
+        return joined(loaded.series, (), [replace(term, tau_s=0.0) for term in terms])
+
     def same(self, one: Term, other: Term) -> bool:
         return same(one, other)
 

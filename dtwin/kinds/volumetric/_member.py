@@ -1,4 +1,4 @@
-"""A ball-array campaign in a twin of several kinds: no other kind of test measures one of its error motions."""
+"""A ball-array campaign in a twin of several kinds: the growth of an axis has one name, and a size for each thermometer."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient
 from dtwin.kinds.volumetric._data import HeatLoaded, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import diagnose_heat
 from dtwin.kinds.volumetric._heat_twin import HeatFit, HeatTwin, fit_heat, heat_twin_of
@@ -35,10 +36,12 @@ class HeatMember(Member):
         return heat_terms([effect], axis)
 
     def of_cause(self, cause: Cause) -> Sequence[HeatTerm]:
-        return ()
+        return [term for motion in COEFFICIENTS if self.cause(term := HeatTerm(motion)) == cause]
 
-    def cause(self, term: HeatTerm) -> None:
-        return None
+    def cause(self, term: HeatTerm) -> Cause | None:
+        what = coefficient(term.motion)
+        grows = what.letter == what.axis and what.order == 1
+        return ("thermal_growth", what.axis) if grows else None
 
     def label(self, term: HeatTerm) -> str:
         return term.label
