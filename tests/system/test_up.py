@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from chromium import chromium
+from command_here import command_here
 from running_servers import Up, wait_for
 
 from dtwin.config import Home
@@ -28,15 +29,13 @@ pytestmark = pytest.mark.system
 pytest_plugins = ["shared_up"]
 
 
-def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "dtwin", *arguments],
-        env=dict(os.environ, DTWIN_HOME=str(home.root)),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
+def refused(home: Home, *options: str) -> str:
+    """What ``dtwin up`` says when it starts nothing."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DTWIN_HOME", str(home.root))
+        code, _, said = command_here("up", *options)
+    assert code == 1
+    return said
 
 
 def descendants(pid: int) -> set[int]:
@@ -87,10 +86,9 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(shared_up: Up
 
     _refuses_strangers(up)
 
-    second = dtwin(home, "up")
-    assert second.returncode == 1
-    assert "up.twice" in second.stderr
-    assert up.addresses["prefect"] in second.stderr
+    second = refused(home)
+    assert "up.twice" in second
+    assert up.addresses["prefect"] in second
 
     # Of the modules that share these servers, this one is the last.
     assert up.stop() == 0
@@ -219,18 +217,14 @@ def test_a_port_in_use_is_said_before_anything_starts(tmp_path: Path) -> None:
         taken.listen()
         port = taken.getsockname()[1]
         for option in ("--prefect-port", "--mlflow-port"):
-            done = dtwin(home, "up", option, str(port))
-            assert done.returncode == 1
-            assert "up.port" in done.stderr
-            assert f"{option} {port}" in done.stderr
-            assert "Traceback" not in done.stderr
+            said = refused(home, option, str(port))
+            assert "up.port" in said
+            assert f"{option} {port}" in said
     assert not (home.root / "servers.json").exists()
 
 
 def test_a_bad_cron_line_is_said_before_anything_starts(tmp_path: Path) -> None:
-    done = dtwin(Home(tmp_path / "state"), "up", "--cron", "whenever")
-    assert done.returncode == 1
-    assert "schedule.cron" in done.stderr
+    assert "schedule.cron" in refused(Home(tmp_path / "state"), "--cron", "whenever")
     assert not (tmp_path / "state" / "logs").exists()
 
 

@@ -230,17 +230,17 @@ def loop_for(link: Any, mode: Any = "live") -> ServingLoop:
 def test_serving_over_rtde_corrects_and_releases(robot: Any) -> None:
     host, _ = robot
     with UrLink(host) as link:
-        status = loop_for(link).run(1.0, priority=0)
-        applied = None
-        for _ in range(100):
+        loop = loop_for(link)
+        # How large it is hangs on how far the robot came: until it is large, however slow this computer is.
+        status = loop.run(300.0, stop=lambda: loop._largest_um > 1.0, priority=0)
+        until, applied = time.monotonic() + 300.0, np.inf
+        while applied > 0.5:
+            assert time.monotonic() < until, applied
             state = link.wait_state(0.2)
             if state is not None and state[layout.APPLIED_SEQUENCE] == status.last_sequence:
-                applied = state[layout.APPLIED : layout.APPLIED + 3].copy()
-        assert applied is not None
-        np.testing.assert_allclose(applied, 0.0, atol=0.5)
-    assert (status.clock, status.ended, status.fault) == ("wall", "duration", None)
+                applied = np.abs(state[layout.APPLIED : layout.APPLIED + 3]).max()
+    assert (status.clock, status.ended, status.fault) == ("wall", "stopped", None)
     assert status.released
-    # How large it is hangs on how far the robot came in that second.
     assert status.largest_um > 1.0
     assert status.timing["ticks"] > 0
     assert status.realtime["garbage_collection"] == "used"
