@@ -20,8 +20,8 @@ class Share:
 
     Attributes
     ----------
-    label, remedy : str
-        The effect, and what to do about it.
+    label, title, remedy : str
+        The effect as commands take it, its name in words, and what to do about it.
     rms_um : dict of str to float
         RMS of what it does, set-ups taken out, by plane or axis, with "" for the whole campaign.
     uncertainty_um : float
@@ -33,6 +33,7 @@ class Share:
     """
 
     label: str
+    title: str
     remedy: str
     rms_um: dict[str, float]
     uncertainty_um: float
@@ -52,17 +53,18 @@ class Budget:
     ----------
     error_um, largest_um : float
         RMS of the error, set-ups taken out, and largest difference of the mean of a condition.
+    left_um, left_largest_um : float
+        The same when all effects are gone.
     unexplained_um : float
-        RMS of what repeats agree on when all effects are gone; the twin does not know it.
-    unexplained_largest_um : float
-        Largest difference of the mean of a condition then.
+        RMS of what repeats agree on of it; the twin does not know it.
     """
 
     shares: tuple[Share, ...]
     error_um: float
     largest_um: float
+    left_um: float
+    left_largest_um: float
     unexplained_um: float
-    unexplained_largest_um: float
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -87,8 +89,9 @@ def budget(twin: Twin, obs: Observations) -> Budget:
         tuple(shares),
         obs.rms(before),
         _largest(obs, before),
-        localise.systematic_rms_um(obs, left),
+        obs.rms(left),
         _largest(obs, left),
+        localise.systematic_rms_um(obs, left),
     )
 
 
@@ -101,6 +104,7 @@ def _share(twin: Twin, term: Term, obs: Observations) -> Share:
     by_plane = {p: obs.take(np.flatnonzero(planes == p)).rms(does[planes == p]) for p in obs.planes}
     return Share(
         term.label,
+        f"{term.instance.effect.title} {term.instance.axis}".rstrip(),
         term.instance.effect.remedy,
         {"": obs.rms(does), **by_plane},
         _uncertainty_um(twin, term, obs, columns, does),

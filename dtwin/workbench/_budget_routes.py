@@ -14,7 +14,7 @@ from dtwin.lifecycle.program_budget import program_budget, program_lines, progra
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.pipeline.kept import keep, kept_already
-from dtwin.report.budget import budget_table
+from dtwin.report.budget import budget_table, unexplained_line
 from dtwin.report.html import Table
 from dtwin.twins.several import require_alone
 from dtwin.workbench import _reading as reading
@@ -53,7 +53,8 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
         on=view.obs.campaign.name,
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
         measured=budget_table(found),
-        remedies=[(share.label, share.remedy) for share in found.shares],
+        remedies=[(share.title, share.remedy) for share in found.shares],
+        unexplained=unexplained_line(found),
         program=program and {**program, "table": Table(program["head"], program["rows"])},
     )
 

@@ -45,4 +45,5 @@ def test_the_rms_of_a_cause_is_that_of_its_ellipse() -> None:
     assert shares["squareness XY"].left_um == pytest.approx(shares["scale_mismatch XY"].rms_um[""], rel=0.05)
     assert found.error_um == pytest.approx(np.hypot(*(s.rms_um[""] for s in found.shares)), rel=0.02)
     assert found.unexplained_um < 0.1 * found.error_um
-    assert found.unexplained_largest_um < shares["squareness XY"].largest_um < found.largest_um
+    assert found.unexplained_um < found.left_um < min(share.left_um for share in found.shares)
+    assert found.left_largest_um < shares["squareness XY"].largest_um < found.largest_um
