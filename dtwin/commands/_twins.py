@@ -231,15 +231,15 @@ def error_budget(
 ) -> None:
     """How much of the error each cause makes, and what would be left after its remedy."""
     from dtwin.report.budget import budget_text
-    from dtwin.twins.several import require_alone
+    from dtwin.twins.of_kind import paths_of
 
+    twin = paths_of(home(), library_with(effects_path), name)
     if program is not None:
-        twin = require_alone(_twins(effects_path).newest(name), "a budget of a program")
         _budget_of_program(twin, program, origin, campaign, as_json=as_json)
         return
     if origin is not None:
         raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
-    twin, found = _twins(effects_path).budget(name, campaign)
+    found = _twins(effects_path).budget(twin, campaign)
     payload = {"twin": name, "version": twin.version, "campaign": campaign or twin.campaign, **found.as_dict()}
     emit(payload, lambda: budget_text(found), as_json=as_json)
 

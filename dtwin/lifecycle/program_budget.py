@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +14,7 @@ from dtwin.errors import InputError
 from dtwin.lifecycle.gcode_compensation import Followed, outside
 from dtwin.lifecycle.gcode_program import Move, read_program
 from dtwin.physics.problem import Term
+from dtwin.physics.several_twin import SeveralTwin, joined
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin
 from dtwin.report.faults import with_k2
@@ -78,8 +79,9 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
 
     ``origin_mm``, shape (3,): centre of the measured circles in the coordinates of the program.
     ``where``: name of the program, for messages.
-    Raises ``InputError`` when the program says something that is not understood, has no motion at feed, or is too long.
+    Raises ``InputError`` when the twin has no circles, or the program says something that is not understood, has no motion at feed, or is too long.
     """
+    twin = of_circles(twin)
     motion, way, step_mm = _followed(text, origin_mm, where)
     not_told = {c.label: c.how for c in map(choose, twin.terms) if not c.included}
     does: dict[str, Floats] = {}
@@ -100,6 +102,30 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
     every = _cut(("all of them", ""), total, np.zeros_like(total), way, step_mm, together)
     ordered = tuple(sorted(causes, key=lambda cut: -cut.rms_um[""]))
     return _ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
+
+
+def of_circles(twin: Twin) -> Twin:
+    """Return a twin as its circles see it, of several campaigns with the effects that any of them sees, once.
+
+    Raises ``InputError`` when it has none: an instrument along an axis sees nothing across it.
+    """
+    every = twin.parts if isinstance(twin, SeveralTwin) else (twin,)
+    parts = [part for part in every if set(part.box.planes) <= set(AXES_OF)]
+    if not parts:
+        raise InputError(
+            "a budget of a program is of a twin with circles",
+            code="budget.circles",
+            where=f"twin {twin.name}",
+            got=twin.campaign,
+            hint="fit circles together with these campaigns",
+        )
+    terms = {term.label: (term, part) for part in reversed(parts) for term in part.terms}
+    return replace(
+        parts[0],
+        terms=tuple(term for term, _ in terms.values()),
+        estimates=tuple(e for term, part in terms.values() for e in part.estimates_of(term)),
+        box=joined([part.box for part in parts]),
+    )
 
 
 def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats, Floats]:

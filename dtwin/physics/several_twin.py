@@ -98,7 +98,7 @@ def several_twin_of(
         terms=fitted.terms,
         estimates=fitted.estimates,
         setups=tuple({**setup, "campaign": part.campaign} for part in parts for setup in part.setups),
-        box=_joined([part.box for part in parts]),
+        box=joined([part.box for part in parts]),
         figures=figures,
         by_condition=tuple({**row, "campaign": part.campaign} for part in parts for row in part.by_condition),
         aliases=tuple(alias.as_dict() for alias in fitted.aliases),
@@ -169,7 +169,8 @@ def _values_of(twin: SeveralTwin, alike: Sequence[Twin], term: Term, seen: Term)
     return []
 
 
-def _joined(boxes: Sequence[ValidityBox]) -> ValidityBox:
+def joined(boxes: Sequence[ValidityBox]) -> ValidityBox:
+    """Return the box that holds several."""
     return ValidityBox(
         tuple(dict.fromkeys(plane for box in boxes for plane in box.planes)),
         tuple(dict.fromkeys(way for box in boxes for way in box.directions)),

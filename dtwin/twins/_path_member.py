@@ -14,7 +14,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import sizes_of, with_sizes
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
 from dtwin.twins.measured import Loaded
-from dtwin.twins.members import Cause, Member, Told, Version, unless_refused
+from dtwin.twins.members import Cause, Member, Told, Version, known_to
 from dtwin.twins.several import SeveralComparison
 from dtwin.twins.shelf import PATHS
 
@@ -42,7 +42,8 @@ class PathMember(Member):
     def of_cause(self, cause: Cause) -> Sequence[Term]:
         names = [name for name, effect in self._library.items() if cause_of(effect) == cause[0]]
         for name in names:
-            if found := unless_refused(self.named, name, cause[1]):
+            found, _ = known_to(self, name, cause[1])
+            if found:
                 return [term for term in found if key_of(term) == cause]
         return ()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -151,10 +150,3 @@ def widened(
         lacking = [term for cause in causes if cause not in there for term in member.of_cause(cause)]
         out.append(member.joined(mine, lacking) if lacking else mine)
     return out
-
-
-def unless_refused(make: Any, *words: Any) -> Any:
-    """Return what is made, and nothing where it is refused."""
-    with suppress(InputError):
-        return make(*words)
-    return ()

@@ -71,6 +71,22 @@ def fit_twin(
     return several, several.fit(names, effects, name, robust=robust)
 
 
+def paths_of(home: Home, library: Mapping[str, Effect], name: str, version: int | None = None) -> Twin:
+    """Return a version of a twin of tests of a path; of one of several kinds the part that is of such tests.
+
+    Raises ``InputError`` when there is no such twin, or it has no such test.
+    """
+    from dtwin.physics.twin import Twin
+    from dtwin.twins.verbs import Twins
+
+    twins = twins_with(home, library, name)
+    if isinstance(twins, MachineTwins):
+        for part in twins.newest(name, version).members:
+            if isinstance(part, Twin):
+                return part
+    return Twins(home, library).newest(name, version)
+
+
 def every_shelf(home: Home) -> list[AnyTwins]:
     """Return all twins of a home: those of tests of a path, and kind by kind those of others."""
     shelves = [*(kind.twins(home, None) for kind in kinds() if kind.offers("twins")), MachineTwins(home)]

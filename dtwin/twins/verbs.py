@@ -114,7 +114,7 @@ class Twins(TwinShelf):
         before = localise.residual_um(obs, [])
         return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
 
-    def budget(self, name: str, campaign: str | None = None) -> tuple[Twin, Budget]:
+    def budget(self, twin: Twin, campaign: str | None = None) -> Budget:
         """Return how much each effect of a twin makes of the error.
 
         Parameters
@@ -122,20 +122,19 @@ class Twins(TwinShelf):
         campaign : str, optional
             Other measurements than those of the fit; of several campaigns it says which.
         """
-        twin = self.newest(name)
-        if campaign is None and isinstance(twin, SeveralTwin):
+        if campaign is None and isinstance(twin, SeveralTwin) and len(twin.parts) > 1:
             raise InputError(
                 "the error of which campaign?",
                 code="budget.campaign",
-                where=f"twin {name}",
+                where=f"twin {twin.name}",
                 allowed=twin.campaign,
                 hint=f"--on {twin.campaigns[0]}",
             )
         obs = load(self.home, campaign or twin.campaign).obs
-        require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
+        require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         if isinstance(twin, SeveralTwin):
             twin, _ = seen_in(twin, obs, self.library)
-        return twin, budget(twin, obs)
+        return budget(twin, obs)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks; what was found out before, of the same version by the same code, is read again."""

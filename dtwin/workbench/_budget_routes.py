@@ -10,13 +10,12 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
 from dtwin.lifecycle.gcode_program import MAX_BYTES, plain
-from dtwin.lifecycle.program_budget import program_budget, program_lines, program_table
+from dtwin.lifecycle.program_budget import of_circles, program_budget, program_lines, program_table
 from dtwin.physics.budget import Budget, budget
-from dtwin.physics.several_twin import SeveralTwin
 from dtwin.pipeline.kept import keep, kept_already
 from dtwin.report.budget import budget_table, unexplained_line
 from dtwin.report.html import Table
-from dtwin.twins.several import require_alone
+from dtwin.twins.of_kind import paths_of
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._pages import begun, rendered
@@ -41,7 +40,7 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
     bench = bench_of(request)
     view = reading.view(bench, name, on=on)
     found: Budget = bench.cache.get(("budget", *view.key), lambda: budget(view.twin, view.obs))
-    whole = reading.paths_of(bench, name)
+    whole = paths_of(bench.home, bench.library, name)
     program = kept_already(bench.home, _KEPT, name)
     return rendered(
         request,
@@ -49,7 +48,6 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
         title=f"Twin {name}: budget",
         name=name,
         twin=whole,
-        alone=not isinstance(whole, SeveralTwin),
         on=view.obs.campaign.name,
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
         measured=budget_table(found),
@@ -61,9 +59,9 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
 
 @router.post("/api/twins/{name}/program")
 def evaluate_program(request: Request, name: str, wanted: _ProgramRequest) -> JSONResponse:
-    """Evaluate a program with the newest version of a twin of one campaign."""
+    """Evaluate a program with the newest version of a twin."""
     bench = bench_of(request)
-    twin = require_alone(reading.paths_of(bench, name), "a budget of a program")
+    twin = of_circles(paths_of(bench.home, bench.library, name))
     where = wanted.file or "the program"
     text = plain(wanted.program.encode(), where)
 

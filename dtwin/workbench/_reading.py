@@ -22,8 +22,8 @@ from dtwin.physics.twin import Twin
 from dtwin.pipeline.kept import kept, sheet_of_campaign, variation_of
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
-from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
+from dtwin.twins.of_kind import paths_of
 from dtwin.twins.registration import version_name
 from dtwin.workbench._bench import Bench
 
@@ -143,23 +143,13 @@ def version_file(bench: Bench, name: str, version: int) -> Path:
     return bench.twins.root / require_name(name, "the twin") / f"{version_name(version)}.json"
 
 
-def paths_of(bench: Bench, name: str, version: int | None = None) -> Twin:
-    """Return a version of a twin of tests of a path; of one of several kinds the part that is of such tests."""
-    twins = bench.twins_with(name)
-    if isinstance(twins, MachineTwins):
-        for part in twins.newest(name, version).members:
-            if isinstance(part, Twin):
-                return part
-    return bench.twins.newest(name, version)
-
-
 def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:
     """Return a twin against runs.
 
     ``version``: the newest without.
     ``on``: campaign of other runs of the machine, for the newest version, or one of several of the fit; empty for the first.
     """
-    twin = paths_of(bench, name, version)
+    twin = paths_of(bench.home, bench.library, name, version)
     campaign = on or twin.campaigns[0]
     made = version_file(bench, name, twin.version).stat().st_mtime_ns
     key = ("view", name, twin.version, made, campaign, bench.stamp(campaign))

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from laser_axis import write_laser
 from mill_and_laser import write_circles
@@ -176,6 +177,7 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     page = opened.get("/twins/parts/budget").text
     assert "left without it" in page
     assert "Preload or renew" in page
+    part = home.root / "part.nc"
     program = "G21 G90 G17\nG0 X80 Y60\nG1 X160 F2000\nG1 Y100\nG1 X80\nG1 Y60\nM30\n"
     told = {"program": program, "file": "part.nc", "x_mm": 120.0, "y_mm": 80.0, "z_mm": 0.0}
     job = opened.post("/api/twins/parts/program", json=told).json()["job"]
@@ -185,4 +187,13 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     page = opened.get("/twins/parts/budget").text
     assert "part.nc, with version 1 of the twin" in page
     assert "240 mm at feed" in page
+    part.write_text(program, encoding="ascii")
+    run("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "several")
+    causes = said("twin", "budget", "several", "--program", str(part), "--origin", "120,80,0")["causes"]
+    # 30 ppm over 40 mm at the sides, the mean square of a third of it between them.
+    assert [c["label"] for c in causes] == ["backlash X", "scale_mismatch X"]
+    assert causes[1]["rms_um"][""] == pytest.approx(1.2 * np.sqrt((2.0 / 3.0) * (1.0 / 3.0) + 1.0 / 3.0), abs=0.03)
+    assert causes[1]["rms_um"]["YZ"] == 0.0
+    run("twin", "fit", "laser-x", "--effects", "lead_error", "--name", "strokes")
+    assert refused("twin", "budget", "strokes", "--program", str(part)).code == "budget.circles"
     assert opened.post("/api/twins/parts/program", json={**told, "program": "G1 X\u00e4"}).status_code == 400
