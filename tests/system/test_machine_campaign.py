@@ -160,7 +160,9 @@ def test_an_operator_measures_a_plan_and_repeats_a_spoilt_run(
     assert {row["correction"] for row in rows} == {""}
     # What was handed out is a real machine's for all that dtwin knows.
     assert not Lake(home.lake).campaign("shop").machine_geometry.get("virtual", False)
-    again = ended(started(*command))
+    code, out, err = command_here(*map(str, command))
+    assert code == 0, err
+    again = json.loads(out)
     assert (again["measured"], again["kept"], again["added"]) == (0, 2, 0)
 
 
@@ -314,6 +316,5 @@ def test_a_watch_ends_with_the_command_that_goes_on(home: Home, inbox: Path) -> 
     process.send_signal(signal.SIGINT)
     said = ended(process, code=130)
     assert f"dtwin watch {inbox} --machine mill-a --settle 0 --every 0.2" in said
-    found = started("watch", inbox, "--once", "--settle", "0", "--every", "0.05", "--json")
-    out, _ = found.communicate(timeout=600)
-    assert (found.returncode, out) == (0, "")
+    code, out, _ = command_here("watch", str(inbox), "--once", "--settle", "0", "--every", "0.05", "--json")
+    assert (code, out) == (0, "")

@@ -61,9 +61,11 @@ def dtwin(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Home, dict[str, Any]]:
     root = tmp_path_factory.mktemp("demo")
-    done = dtwin(root, "demo", "--quick", "--json")
-    assert done.returncode == 0, done.stderr
-    return Home(root), json.loads(done.stdout)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DTWIN_HOME", str(root))
+        code, out, err = command_here("demo", "--quick", "--json")
+    assert code == 0, err
+    return Home(root), json.loads(out)
 
 
 @pytest.fixture(autouse=True)

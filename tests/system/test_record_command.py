@@ -143,7 +143,7 @@ def test_a_recorded_run_goes_into_the_lake_with_the_ball_bar_s_file(
     # A busy computer skips states.
     assert np.count_nonzero(seen) > 50
 
-    refused = dtwin("record", "--sensors", sensors, "--run", "r001", "--out", folder, code=1)
+    refused = said("record", "--sensors", sensors, "--run", "r001", "--out", folder, code=1)
     assert "record.exists" in refused
     toml = folder / "campaign.toml"
     toml.write_text(toml.read_text("utf-8").replace("virtual = true", "virtual = false"), "utf-8")

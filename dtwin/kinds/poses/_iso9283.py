@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -55,7 +56,7 @@ def figures(run: Run, series: Series) -> dict[str, Any]:
     scatter = np.linalg.norm(error - means[place], axis=1)
     often = np.flatnonzero(count >= _FEWEST_REPEATS)
     repeatability = [scatter[place == p].mean() + 3.0 * scatter[place == p].std(ddof=1) for p in often]
-    apart = distances_off(means_of(point, place), means)
+    apart = distances_off(means_of(point, place))(means)
     as_is = None
     if "error_x_mm" in run.samples:
         as_is = mean_mm(axes(run, "error"))
@@ -85,17 +86,30 @@ def means_of(values: Floats, place: Floats) -> Floats:
     return np.stack([np.bincount(place, values[:, i]) / count for i in range(3)], axis=1)
 
 
-def distances_off(point: Floats, error: Floats) -> Floats:
-    """Return by how much the distances of pairs of poses are too long, (pairs,): of all pairs, of many poses of 2000.
+def distances_off(point: Floats) -> Callable[[Floats], Floats]:
+    """Return what tells by how much the distances of pairs of poses are too long: of all pairs, of many poses of 2000.
 
     The standard takes the mean of repeated distances, so that scatter is no error of distance; a reading is never paired
     with another one of its own pose.
 
-    ``point``, ``error`` (poses, 3): commanded points, and the mean of measured less commanded.
+    ``point`` (poses, 3): commanded points. What is returned takes the mean of measured less commanded (poses, 3), and
+    returns (pairs,).
     """
     one, other = _pairs(len(point))
-    wanted = point[one] - point[other]
-    return np.asarray(np.linalg.norm(wanted + error[one] - error[other], axis=1) - np.linalg.norm(wanted, axis=1))
+    wanted = (point[one] - point[other]).T
+    length = lengths(wanted)
+
+    def off(error: Floats) -> Floats:
+        along = error.T
+        return np.asarray(lengths(wanted + along.take(one, axis=1) - along.take(other, axis=1)) - length)
+
+    return off
+
+
+def lengths(along: Floats) -> Floats:
+    """Return the lengths (n,) of vectors by their coordinates (3, n): a third of the time of ``norm``."""
+    x, y, z = along
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 @lru_cache(maxsize=8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin.kinds.poses._changes import changes_of, uncertainty_of_changes
 from dtwin.kinds.poses._check import problem_of
-from dtwin.kinds.poses._iso9283 import axes, distances_off, means_of, measured_of
+from dtwin.kinds.poses._iso9283 import axes, distances_off, lengths, means_of, measured_of
 from dtwin.kinds.poses._series import Series
 from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.report.plots import error_figure
@@ -65,7 +65,8 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     error_um, place = 1000.0 * series.error_mm, series.poses.place
     point_um = 1000.0 * series.poses.at.tool_mm(series.setup.tool_mm)
     repeated = int(np.bincount(place).max()) > 1
-    told = _evaluated(error_um, place, point_um) | _drift(error_um, place)
+    evaluated = _evaluation(place, point_um)
+    told = evaluated(error_um) | _drift(error_um, place)
     taken = _taken(series)
     for name in (*taken, "dAP") if taken else ():
         told.pop(name, None)
@@ -74,7 +75,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     # Where a longer ruler would find the figures: what it changes by for each µm/m is a length.
     away = left(point_um - point_um.mean(axis=0))
     stretched = [error_um + s * _RULER * away for s in (1, -1)]
-    longer = [_evaluated(one, place, point_um) | _drift(one, place) for one in stretched]
+    longer = [evaluated(one) | _drift(one, place) for one in stretched]
     metres = {name: max(abs(one[name] - value) for one in longer) / (1e6 * _RULER) for name, value in told.items()}
     dof, spread = dict.fromkeys(told, 0.0), dict.fromkeys(told, math.nan)
     if repeated:
@@ -85,7 +86,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         one_um = found.of_reading[:, None]
         mean = means_of(error_um, place)[place]
         drawn = (one_um * rng.standard_normal(error_um.shape) for _ in range(times_simulated(error_um.size)))
-        again = [_evaluated(mean + left(one), place, point_um) for one in drawn]
+        again = [evaluated(mean + left(one)) for one in drawn]
         spread = {name: float(np.std([a[name] for a in again], ddof=1)) for name in again[0]}
     if "dRP" in told:
         of_changes, dof_of_tens = uncertainty_of_changes(error_um, place)
@@ -164,24 +165,30 @@ def _contributions(metres: float, under: Circumstances) -> tuple[Contribution, .
     return (under.reading(_READING_UM), *under.environment(1), own, *under.length(metres))
 
 
-def _evaluated(error_um: Floats, place: Floats, point_um: Floats) -> dict[str, float]:
-    """Return the figures of errors (n, 3), in the order of measurement, of poses with these numbers.
+def _evaluation(place: Floats, point_um: Floats) -> Callable[[Floats], dict[str, float]]:
+    """Return what tells the figures of errors (n, 3), in the order of measurement, of poses with these numbers.
 
     RP where a pose was measured three times.
     """
-    count, means = np.bincount(place), means_of(error_um, place)
-    accuracy = np.linalg.norm(means, axis=1)
-    told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
-    apart = distances_off(means_of(point_um, place), means)
-    if apart.size:
-        told |= {"AD": float(np.abs(apart).max()), "AD rms": rms(apart)}
+    count = np.bincount(place)
     often = count >= _FEWEST_REPEATS
-    if often.any():
-        away = np.linalg.norm(error_um - means[place], axis=1)
-        mean = np.bincount(place, away) / count
-        squares = np.bincount(place, (away - mean[place]) ** 2)[often] / (count[often] - 1)
-        told["RP"] = float((mean[often] + 3.0 * np.sqrt(squares)).max())
-    return told
+    off = distances_off(means_of(point_um, place))
+
+    def evaluated(error_um: Floats) -> dict[str, float]:
+        means = means_of(error_um, place)
+        accuracy = lengths(means.T)
+        told = {"AP": float(accuracy.max()), "AP mean": float(accuracy.mean())}
+        apart = off(means)
+        if apart.size:
+            told |= {"AD": float(np.abs(apart).max()), "AD rms": rms(apart)}
+        if often.any():
+            away = lengths((error_um - means[place]).T)
+            mean = np.bincount(place, away) / count
+            squares = np.bincount(place, (away - mean[place]) ** 2)[often] / (count[often] - 1)
+            told["RP"] = float((mean[often] + 3.0 * np.sqrt(squares)).max())
+        return told
+
+    return evaluated
 
 
 def _drift(error_um: Floats, place: Floats) -> dict[str, float]:
