@@ -42,7 +42,14 @@ def tool_mm(joints_rad: Floats, tool: Floats | tuple[float, ...] = TOOL_MM, grow
 
 
 def write_circles(
-    folder: Path, offsets_mrad: Floats, *, day: str, seed: int = 1, growth_um_m_k: float = 0.0, n: int = 90
+    folder: Path,
+    offsets_mrad: Floats,
+    *,
+    day: str,
+    seed: int = 1,
+    growth_um_m_k: float = 0.0,
+    n: int = 90,
+    centre_mm: tuple[float, float, float] = CENTRE_MM,
 ) -> Path:
     """Write circles of two planes, both ways, three of each, of a cobot whose joints stand off by so much."""
     rng = np.random.default_rng(seed)
@@ -54,7 +61,7 @@ def write_circles(
         'kind = "circular"',
         "[campaign.machine_geometry]",
         'type = "ur10e"',
-        f"centre_mm = {list(CENTRE_MM)}",
+        f"centre_mm = {list(centre_mm)}",
         f"tcp_mm = {list(TOOL_MM)}",
     ]
     angle = np.arange(n) * 2.0 * np.pi / n
@@ -62,11 +69,11 @@ def write_circles(
     step_s = 2.0 * np.pi * radius / n / 25.0
     for plane in ("XY", "YZ"):
         a, b = ("XYZ".index(letter) for letter in plane)
-        path = np.tile(CENTRE_MM, (n, 1))
+        path = np.tile(centre_mm, (n, 1))
         path[:, a] += radius * np.cos(angle)
         path[:, b] += radius * np.sin(angle)
         joints = UR10E.inverse_many(path, _DOWN, np.array(TOOL_MM), _ELBOW_UP)
-        there = tool_mm(joints + 1e-3 * offsets_mrad) - np.array(CENTRE_MM)
+        there = tool_mm(joints + 1e-3 * offsets_mrad) - np.array(centre_mm)
         for repeat in (1, 2, 3):
             warm_c = 20.0 + 3.0 * np.sin(1.9 * number)
             # Where growth carries the centre, the ball is carried, too.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from dtwin.errors import InputError
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
@@ -112,10 +113,7 @@ def next_experiment(
     pairs = _pairs(obs, known, library, diagnosis)
     if not pairs:
         return None
-    tried = [
-        replace(p, powers=tuple(_power(obs, [*known, *beside], one, two, p.conditions) for one, two, beside in pairs))
-        for p in _proposals(obs)
-    ]
+    tried = [made for p in _proposals(obs) if (made := _with_powers(p, obs, known, pairs)) is not None]
     best = min(tried, key=_rank, default=None)
     advice = pairs[0][0].instance.effect.separate_by
     if best is None or max(best.powers) < _HOPELESS:
@@ -143,6 +141,22 @@ def next_experiment(
         "expected_power": told[0][1],
         "advice": advice,
     }
+
+
+def _with_powers(
+    proposal: Proposal,
+    obs: Observations,
+    known: Sequence[Term],
+    pairs: Sequence[tuple[Term, Sequence[Term], Sequence[Term]]],
+) -> Proposal | None:
+    """Return a proposal with what it would tell; None where the arm does not reach its circles."""
+    try:
+        powers = [_power(obs, [*known, *beside], one, two, proposal.conditions) for one, two, beside in pairs]
+    except InputError as error:
+        if error.code != "kinematics.unreachable":
+            raise
+        return None
+    return replace(proposal, powers=tuple(powers))
 
 
 def _pairs(

@@ -1,0 +1,28 @@
+"""What to measure next: circles that an arm does not reach are not proposed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from one_cobot import write_circles
+
+from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.physics.diagnosis import Diagnosis, Suspect
+from dtwin.physics.experiment import next_experiment
+from dtwin.physics.library import Library
+from dtwin.physics.observations import observe
+
+
+def test_circles_that_the_arm_does_not_reach_are_not_proposed(tmp_path: Path) -> None:
+    """Twice the radius at 700 mm is beyond a UR10e; the diagnosis ended in an error."""
+    far = write_circles(
+        tmp_path / "far", np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]), day="2026-05-01", centre_mm=(700.0, -250.0, 300.0)
+    )
+    opened = open_campaign(far)
+    obs = observe(opened.campaign, [run for runs, _ in opened for run in runs])
+    group = tuple(Suspect("joint_offset", joint, 1.0, 0.9, 1e-6, True, None, (), (), 0.5, "") for joint in ("2", "3"))
+    said = Diagnosis("ambiguous", "", 5.0, 5.0, 1.0, "repeats", 0.001, group, (group,))
+    told = next_experiment(obs, [], said, Library())
+    assert told is not None
+    assert all(condition["radius_mm"] < 300.0 for condition in told["conditions"])
