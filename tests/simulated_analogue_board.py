@@ -68,7 +68,7 @@ class AnalogueBoard:
         """Switch the board off; its EEPROM keeps."""
         assert self._process is not None
         self._process.terminate()
-        self._process.wait(10)
+        self._process.wait(300)
 
     @property
     def process_id(self) -> int:

@@ -59,7 +59,7 @@ class Up:
     def stop(self) -> int:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        return self.process.wait(60)
+        return self.process.wait(300)
 
     def ask(self, path: str, body: dict[str, Any], **headers: str) -> Any:
         secret = base64.b64encode((self.home.root / "prefect-auth").read_bytes()).decode()

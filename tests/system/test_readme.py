@@ -81,7 +81,7 @@ def the_workbench_shows(twin: str, folder: Path) -> None:
             assert twin in answer.read().decode("utf-8")
     finally:
         server.send_signal(signal.SIGINT)
-        server.wait(30)
+        server.wait(300)
     assert server.returncode == 0
 
 

@@ -113,7 +113,7 @@ def test_writers_that_are_killed_at_random_lose_nothing_and_double_nothing(store
         writers[number].wait()
         writers[number] = started(number)
         kills += 1
-    assert [writer.wait(60) for writer in writers] == [0, 0, 0]
+    assert [writer.wait(300) for writer in writers] == [0, 0, 0]
     lake = Lake(homes[0].lake)
     wanted = {*(f"of-{n}-{k}" for n in range(3) for k in range(count)), *(f"of-all-{k}" for k in range(count))}
     rows = lake.runs()

@@ -59,7 +59,7 @@ def test_what_serves_is_shown_and_stopped(bench: Workbench) -> None:
         assert bench.act("/api/live/other/stop")[0] == 400
         assert bench.act("/api/live/mill-a/stop")[0] == 200
         assert serving.stdout.read() == "released\n"
-        assert serving.wait(10) == 0
+        assert serving.wait(300) == 0
     finally:
         if serving.poll() is None:
             serving.send_signal(signal.SIGKILL)

@@ -234,7 +234,7 @@ def test_a_server_that_dies_is_named_with_the_end_of_its_log(tmp_path: Path) -> 
     log.write_text("of an earlier day\n", encoding="utf-8")
     script = "import sys; print('the database is locked'); sys.exit(3)"
     child = Child("Prefect", [sys.executable, "-c", script], os.environ, log)
-    child.process.wait(30)
+    child.process.wait(300)
     with pytest.raises(StoreError) as caught:
         child.require_alive()
     assert caught.value.got == "exit 3: the database is locked"
@@ -276,7 +276,7 @@ def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
     child = int(parent.stdout.readline())
     assert not _ended(child)
     parent.kill()
-    parent.wait(30)
+    parent.wait(300)
     parent.stdout.close()
     wait_for(lambda: _ended(child), "the child outlived its killed parent")
 
@@ -300,7 +300,7 @@ def asked():
         page = str(client.api_url).rstrip("/")
     wanted = urllib.request.Request(page + "/flows/filter", b"{}", {"Content-Type": "application/json"})
     try:
-        return urllib.request.urlopen(wanted, timeout=30).status
+        return urllib.request.urlopen(wanted, timeout=300).status
     except urllib.error.HTTPError as error:
         return error.code
 

@@ -38,5 +38,5 @@ def virtual_daq(*options: str) -> Iterator[VirtualDaq]:
         yield VirtualDaq(json.loads(process.stdout.readline())["port"], process)
     finally:
         process.stdin.close()  # type: ignore[union-attr]
-        process.wait(10)
+        process.wait(300)
         process.stdout.close()  # type: ignore[union-attr]

@@ -66,5 +66,5 @@ def virtual_robot(*options: str, watchdog_s: float | None = 0.05, host: str = ""
         yield VirtualRobot(host, process)
     finally:
         process.stdin.close()  # type: ignore[union-attr]
-        process.wait(10)
+        process.wait(300)
         process.stdout.close()  # type: ignore[union-attr]

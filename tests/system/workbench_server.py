@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-START_S = 60.0
+START_S = 300.0
 
 
 class Workbench:
@@ -54,7 +54,7 @@ class Workbench:
     def stop(self) -> int:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        return self.process.wait(30)
+        return self.process.wait(300)
 
     def ask(self, path: str, *, method: str = "GET", body: bytes | None = None, **headers: str) -> tuple[int, str]:
         """Status and text of an answer; header names with ``_`` for ``-``."""

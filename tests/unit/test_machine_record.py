@@ -332,7 +332,7 @@ def test_what_many_state_at_the_same_moment_is_all_kept(tmp_path: Path) -> None:
     started = Barrier(8)
 
     def told(number: int) -> None:
-        started.wait(10)
+        started.wait(300)
         for n in range(5):
             keep_record(home, "mill", {"axes": {f"A{number}{n}": {"pitch_mm": 5.0}}})
             with_event(home, "mill", "other", "2026-02-01", f"{number} {n}")

@@ -41,7 +41,7 @@ with lease({host!r}, {machine!r}, Home(pathlib.Path({str(home.root)!r}))):
         yield process
     finally:
         process.stdin.close()
-        process.wait(10)
+        process.wait(300)
         process.stdout.close()
 
 
@@ -81,7 +81,7 @@ def test_refused_second_lock_frees_the_first(home: Home) -> None:
 def test_killed_server_frees_the_robot(home: Home) -> None:
     with held_elsewhere(home, ROBOT, "cobot-a") as other:
         other.kill()
-        other.wait(10)
+        other.wait(300)
         with lease(ROBOT, "cobot-a", home):
             pass
 

@@ -216,7 +216,7 @@ def robot() -> Iterator[tuple[str, Callable[..., dict[str, Any]]]]:
         yield host, do
     finally:
         writer.close()
-        process.wait(10)
+        process.wait(300)
         reader.close()
 
 
