@@ -13,7 +13,7 @@ from pathlib import Path
 from dtwin.config import Home, quiet_environment
 from dtwin.errors import DtwinError
 from dtwin.locks import locked
-from dtwin.shared_documents import following
+from dtwin.shared_documents import follow_shared, following
 from dtwin.twins.registration import log_next
 
 # Nobody waits for MLflow.
@@ -36,11 +36,14 @@ def _diagnose(home: Home, name: str) -> None:
     """
     from dtwin.twins.verbs import Twins
 
-    # What is kept is logged by this process.
-    os.environ["DTWIN_MLFLOW"] = "now"
+    class Ahead(Twins):
+        def _tell(self, name: str, *, at_once: bool, ahead: bool = False) -> None:
+            # MLflow is told by this process, when the diagnosis can be read.
+            follow_shared(self.home)
+
     with locked(home.root / "locks" / "diagnosis-ahead.lock") as mine, contextlib.suppress(DtwinError):
         if mine:
-            Twins(home).diagnose(name)
+            Ahead(home).diagnose(name)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -36,6 +37,7 @@ from dtwin.twins.several import SeveralComparison, fitted_together, require_toge
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
+_PATIENCE_S, _LOOK_EVERY_S = 60.0, 0.05
 
 
 class Twins(TwinShelf):
@@ -148,9 +150,11 @@ class Twins(TwinShelf):
             return twin, self._keep(twin, several, loaded)
         (alone,) = loaded
         check_sum = made_from(path, alone, self.library, seed)
-        # Another process may be at it.
+        # Another process may be at it; one that hangs is not waited for.
         with path.open() as version:
-            take(version, wait=True)
+            until = time.monotonic() + _PATIENCE_S
+            while not take(version) and time.monotonic() < until:
+                time.sleep(_LOOK_EVERY_S)
             kept = kept_diagnosis(path, check_sum)
             if kept is not None:
                 return twin, kept

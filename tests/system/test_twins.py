@@ -20,6 +20,7 @@ from dtwin.config import Home
 from dtwin.documents import finite
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.lake.store import Lake
+from dtwin.locks import take
 from dtwin.physics.library import Library
 from dtwin.report.twins import twin_text
 from dtwin.train.place_map import place_map, place_map_effect
@@ -230,6 +231,12 @@ def test_a_diagnosis_is_read_again_until_something_changes(twins: Twins, monkeyp
     monkeypatch.setattr("dtwin.twins._kept_diagnosis._code", lambda: b"another version")
     twins.diagnose("kept", seed=1)
     assert asked == [1, 1, 1, 1]
+    monkeypatch.setattr("dtwin.twins.verbs._PATIENCE_S", 0.1)
+    with path.open() as held:
+        # Another process that hangs while it diagnoses.
+        assert take(held)
+        twins.diagnose("kept", seed=2)
+    assert asked[-1] == 2
 
 
 def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:
