@@ -227,6 +227,12 @@ class Home:
         return os.environ.get("MLFLOW_TRACKING_URI") or shared or f"sqlite:///{self.root}/mlflow/mlflow.db"
 
     @property
+    def no_registry_yet(self) -> bool:
+        """Whether nothing was registered here yet; opening a registry would make it."""
+        local = self.mlflow_uri.removeprefix("sqlite:///")
+        return local != self.mlflow_uri and not Path(local).is_file()
+
+    @property
     def prefect_database(self) -> str:
         """Prefect's database where ``home.toml`` names one; empty for the local one."""
         return self.file.flows.replace("postgresql:", "postgresql+asyncpg:")

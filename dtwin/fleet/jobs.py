@@ -142,6 +142,8 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
 
 def _champions(days: float, home: Home, machines: Collection[str]) -> _Units:
     """Return machines whose champion was not checked for some days."""
+    if home.no_registry_yet:
+        return [], {}
     from dtwin.lifecycle.recheck import left_out
     from dtwin.train.registry import Registry
 

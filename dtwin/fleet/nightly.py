@@ -20,7 +20,6 @@ from dtwin.local_time import local_day
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
 from dtwin.progress import Progress, StageProgress
-from dtwin.train.registry import Registry
 
 # Champions are checked a little less than a day after the last time: nights do not begin to the second.
 _DAYS = 0.9
@@ -122,8 +121,7 @@ def _of_work(night: Night, folder: Path | None) -> Iterator[Alert]:
 
 def _of_machines(home: Home, machines: Collection[str], today: date, progress: Progress | None) -> Iterator[Alert]:
     """Yield what is overdue, what changed, what crosses a limit, and champions that drifted."""
-    registry = Registry(home)
-    modelled = set(registry.machines())
+    drifts = _drifts(home)
     names = [m["machine"] for m in machine_overviews(home) if not machines or m["machine"] in machines]
     for done, name in enumerate(names, start=1):
         if progress is not None:
@@ -145,7 +143,23 @@ def _of_machines(home: Home, machines: Collection[str], today: date, progress: P
             elif one["state"] in ("changed", "trend"):
                 newest = one["changes"][0]
                 yield Alert("changed", f"{name} {one['name']}", newest["text"], newest["seen"])
-        champion = registry.champion(name) if name in modelled else None
-        for tag, said in ({} if champion is None else champion.tags).items():
-            if tag.startswith(_DRIFT) and said.startswith("DRIFT: "):
-                yield Alert("drifted", f"{name} {tag.removeprefix(_DRIFT)}", said.removeprefix("DRIFT: "))
+        yield from drifts.get(name, ())
+
+
+def _drifts(home: Home) -> dict[str, list[Alert]]:
+    """Return what was said of champions that drifted, by machine."""
+    if home.no_registry_yet:
+        return {}
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home)
+    champions = {name: registry.champion(name) for name in registry.machines()}
+    return {
+        name: [
+            Alert("drifted", f"{name} {tag.removeprefix(_DRIFT)}", said.removeprefix("DRIFT: "))
+            for tag, said in champion.tags.items()
+            if tag.startswith(_DRIFT) and said.startswith("DRIFT: ")
+        ]
+        for name, champion in champions.items()
+        if champion is not None
+    }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
@@ -52,8 +51,7 @@ class Judged:
 
 def registry_of(home: Home) -> Registry | None:
     """Return the registry, None while there is none: asking must not make one."""
-    local = home.mlflow_uri.removeprefix("sqlite:///")
-    if local != home.mlflow_uri and not Path(local).is_file():
+    if home.no_registry_yet:
         return None
     from dtwin.train.registry import Registry
 

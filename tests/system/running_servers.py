@@ -26,6 +26,7 @@ from dtwin.config import Home
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
+from dtwin.train.symbolic import OperonEngine
 
 MACHINE = "virtual-cobot"
 PATIENCE_S = 600.0
@@ -127,14 +128,22 @@ def wait_for(what: Callable[[], Any], message: str) -> Any:
     raise AssertionError(message)
 
 
+# The search for a symbolic equation, at its shortest: it takes part in the training, and finds nothing.
+SHORT_SEARCH = OperonEngine(generations=1, population=20)
+
+
 @contextmanager
 def few_candidates() -> Iterator[None]:
-    """Train without the comparison models that take half of a training's time: test_pipeline compares all of them."""
+    """Train with a short search, and without most comparison models: these take three quarters of a training's time.
+
+    The demo of test_pipeline searches, and compares all of them.
+    """
     from dtwin.kinds.circular._training import RECIPES, train_campaign
 
     assert train_campaign.__kwdefaults__["recipes"] is RECIPES
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(train_campaign.__kwdefaults__, "recipes", [r for r in RECIPES if r.name in ("linear", "tree")])
+        patch.setattr("dtwin.kinds.circular._training.OperonEngine", lambda: SHORT_SEARCH)
         yield
 
 

@@ -32,14 +32,10 @@ from dtwin.train.promotion import check_version
 from dtwin.train.promotion_books import history
 from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry
-from dtwin.train.symbolic import OperonEngine
 
 pytestmark = pytest.mark.system
 _CORRECTED = "a correction was in force while it was measured"
 CIRCLES = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
-
-
-SHORT_SEARCH = OperonEngine(generations=1, population=20)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +44,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     made = Home(tmp_path_factory.mktemp("scheduled"))
     measured(made, "quick", radii=2)
     with few_candidates():
-        registered = train(made, "quick", engine=SHORT_SEARCH)
+        registered = train(made, "quick")
     put_on_trial(made, registered.version)
     measure(made, registered.version, seed=0, plan=CIRCLES)
     path, reason = make_champion(made, registered.version)
@@ -114,9 +110,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     assert not check.drifted, check.reason
 
 
-def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The same search as the champion's, which is not what is asked for here.
-    monkeypatch.setattr("dtwin.kinds.circular._training.OperonEngine", lambda: SHORT_SEARCH)
+def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home) -> None:
     measured(home, "sound", repeats_from=4, radii=2)
     champion = Registry(home).champion(MACHINE)
     assert champion is not None
