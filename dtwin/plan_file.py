@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -30,12 +31,13 @@ def read_plan_file(path: Path) -> dict[str, Any]:
     """
     try:
         return read_toml(path, _MAX_BYTES)
-    except OSError as error:
-        raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=error.strerror) from error
-    except (ValueError, RecursionError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)[:200]
         ) from error
+    except (OSError, ValueError) as error:
+        said = getattr(error, "strerror", "") or str(error)
+        raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=said) from error
 
 
 def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
