@@ -17,9 +17,8 @@ from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.physics.effect import Effect
     from dtwin.physics.twin import Twin
-    from dtwin.twins.of_kind import AnyTwin, AnyTwins
+    from dtwin.twins.of_kind import AnyTwins
     from dtwin.twins.verbs import Twins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
@@ -320,6 +319,7 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
+    from dtwin.pipeline.twin_report import write_report
     from dtwin.report.faults import effect_sizes
     from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.confirm import interventions
@@ -328,7 +328,7 @@ def show_twin(
     twin = twins.newest(name, version)
     report = report_of(twin.as_dict())
     if html is not None:
-        _write_report(html, twins, library_with(effects_path), twin)
+        write_report(html, home(), twins, library_with(effects_path), twin)
     mended = interventions(twins, name)
     lines = [
         f"{m['effect']} was mended ({m['what'] or 'not said how'}), {m['after_campaign']}: "
@@ -379,26 +379,6 @@ def _twins_with(name: str, paths: list[Path] | None) -> AnyTwins:
     from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)
-
-
-def _write_report(path: Path, twins: AnyTwins, library: Mapping[str, Effect], twin: AnyTwin) -> None:
-    from dtwin.atomic import write_text
-    from dtwin.pipeline.twin_report import twin_report
-
-    newest = twins.newest(twin.name).version
-    if twin.version != newest:
-        raise InputError(
-            "a report is of the newest version",
-            code="twin.report",
-            where=f"twin {twin.name}",
-            got=f"--version {twin.version}",
-            allowed=str(newest),
-            hint=f"dtwin twin restore {twin.name} --version {twin.version} makes it the newest",
-        )
-    # It is kept beside the version, where the report finds it.
-    twins.diagnose(twin.name)
-    comparison = twins.compare(twin.name)
-    write_text(path, twin_report(home(), twins, library, twin, comparison, comparison.as_dict()), "the report")
 
 
 def _write_page(path: Path, name: str, sections: list[Any]) -> None:

@@ -121,7 +121,7 @@ def _of_work(night: Night, folder: Path | None) -> Iterator[Alert]:
 
 def _of_machines(home: Home, machines: Collection[str], today: date, progress: Progress | None) -> Iterator[Alert]:
     """Yield what is overdue, what changed, what crosses a limit, and champions that drifted."""
-    drifts = _drifts(home)
+    drifts = _drifts(home, machines)
     names = [m["machine"] for m in machine_overviews(home) if not machines or m["machine"] in machines]
     for done, name in enumerate(names, start=1):
         if progress is not None:
@@ -146,14 +146,14 @@ def _of_machines(home: Home, machines: Collection[str], today: date, progress: P
         yield from drifts.get(name, ())
 
 
-def _drifts(home: Home) -> dict[str, list[Alert]]:
-    """Return what was said of champions that drifted, by machine."""
+def _drifts(home: Home, machines: Collection[str]) -> dict[str, list[Alert]]:
+    """Return what was said of champions that drifted, by machine; without ``machines`` of all."""
     if home.no_registry_yet:
         return {}
     from dtwin.train.registry import Registry
 
     registry = Registry(home)
-    champions = {name: registry.champion(name) for name in registry.machines()}
+    champions = {name: registry.champion(name) for name in registry.machines() if not machines or name in machines}
     return {
         name: [
             Alert("drifted", f"{name} {tag.removeprefix(_DRIFT)}", said.removeprefix("DRIFT: "))

@@ -161,53 +161,78 @@ def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Fl
     return Spread(np.sqrt(variance), np.asarray(dof))
 
 
-def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Floats, float]:
-    """Return what a campaign adds to the variance of the common parameters, shape (total,), and its degrees of freedom."""
+@dataclass(frozen=True)
+class Scatter:
+    """What the runs of a campaign scatter by, and what that does to the common parameters.
+
+    ``influence``, (rows, n, total): of each whitened reading; ``left``, (rows, n): what the fit leaves.
+    ``covariance``, (total, total), ``dof``: with the run as the unit.
+    ``misses``: whether the laws miss more than the noise.
+    """
+
+    influence: Floats
+    left: Floats
+    covariance: Floats
+    dof: float
+    misses: bool
+
+
+def scatter(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Scatter:
+    """Return what a campaign adds to the covariance of the common parameters by what its runs scatter by."""
     obs, noise = part.obs, part.problem.noise
-    taken = to_own @ inverse
-    influence = ((part.columns * part.root**2) @ taken).reshape(obs.n_rows, obs.n_bins, -1)
+    influence = ((part.columns * part.root**2) @ (to_own @ inverse)).reshape(obs.n_rows, obs.n_bins, -1)
     left = (part.problem.y - part.columns @ (to_own @ x)).reshape(obs.n_rows, obs.n_bins)
     if noise is None:
         # Nothing was repeated: what is left counts as noise of whole runs.
-        runs = by_run(obs, np.einsum("nqk,nq->nk", influence, left))
-        return np.asarray((runs**2).sum(axis=0)), float(max(len(runs) - 1, 1))
+        runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, left))
+        return Scatter(influence, left, np.asarray(runs.T @ runs), float(max(len(runs) - 1, 1)), False)
     deviation, count = within_condition(left, obs.condition_of)
-    runs = by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
-    clustered = (runs**2).sum(axis=0) * obs.n_rows / (count > 1).sum()
+    runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
+    clustered = runs.T @ runs * obs.n_rows / (count > 1).sum()
     level, misses = part.noise_level
     of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
     coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
-    foretold = level.ratio * np.einsum("n,nqk,nqk->k", of_condition[obs.condition_of], coloured, coloured)
+    coloured = (coloured * np.sqrt(of_condition[obs.condition_of])[:, None, None]).reshape(-1, coloured.shape[2])
     dof = float(noise.dof) + level.prior_dof
-    variance = np.asarray((noise.dof * clustered + level.prior_dof * foretold) / dof)
-    if misses:
-        wider, fewer = _by_condition(part, taken, influence, left), float(max(len(obs.conditions) - 1, 1))
+    covariance = (noise.dof * clustered + level.prior_dof * level.ratio * coloured.T @ coloured) / dof
+    return Scatter(influence, left, np.asarray(covariance), dof, bool(misses))
+
+
+def missed(part: Part, seen: Scatter) -> Floats:
+    """Return what the means of conditions miss, alike along the path, shape (total, total); the condition is the unit."""
+    obs = part.obs
+    means = condition_sums(seen.left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
+    summed = condition_sums(seen.influence, obs.condition_of)
+    together = means @ means.T / means.shape[1]
+    return np.asarray(np.einsum("iqk,ij,jql->kl", summed, together, summed, optimize=True))
+
+
+def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Floats, float]:
+    """Return what a campaign adds to the variance of the common parameters, shape (total,), and its degrees of freedom."""
+    seen = scatter(part, to_own, x, inverse)
+    variance = np.diag(seen.covariance)
+    if seen.misses:
+        number = len(part.obs.conditions)
         # The degrees of freedom of conditions are taken where they make the interval wider.
-        factor = (k2_factor(fewer) if len(obs.conditions) >= _FEWEST else 2.0) / k2_factor(dof)
-        variance = np.maximum(variance, wider * factor**2)
-    return variance, dof
+        factor = (k2_factor(float(number - 1)) if number >= _FEWEST else 2.0) / k2_factor(seen.dof)
+        variance = np.maximum(variance, _by_condition(part, seen) * factor**2)
+    return variance, seen.dof
 
 
-def by_run(obs: Observations, scores: Floats) -> Floats:
+def _by_run(obs: Observations, scores: Floats) -> Floats:
     """Return the sums of scores of rows (n, k) over runs, shape (runs, k)."""
     runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
     np.add.at(runs, obs.run_of, scores)
     return runs
 
 
-def _by_condition(part: Part, taken: Floats, influence: Floats, left: Floats) -> Floats:
-    """Return the variance with the condition as the unit: what the mean of each misses, alike along the path."""
-    obs = part.obs
-    means = condition_sums(left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
-    together = means @ means.T / means.shape[1]
-    summed = condition_sums(influence, obs.condition_of)
-    coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
-    number = len(obs.conditions)
+def _by_condition(part: Part, seen: Scatter) -> Floats:
+    """Return the variance with the condition as the unit: what the mean of each misses, and what it scatters by."""
+    coherent, number = np.diag(missed(part, seen)), len(part.obs.conditions)
     if number < _FEWEST:
         return np.asarray(coherent)
-    scores = np.einsum("nqk,nq->nk", influence, left)
-    by_condition = condition_sums(scores, obs.condition_of)
-    return np.asarray(coherent + number / (number - 1) * (by_condition**2).sum(axis=0))
+    scores = condition_sums(np.einsum("nqk,nq->nk", seen.influence, seen.left), part.obs.condition_of)
+    return np.asarray(coherent + number / (number - 1) * (scores**2).sum(axis=0))
 
 
 def _inverse(normal: Floats) -> Floats:

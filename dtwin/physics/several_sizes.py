@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.physics._pooled import Part, by_run, normal_inverse, spread
+from dtwin.physics._pooled import Part, missed, normal_inverse, scatter, spread
 from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.physics.machine_terms import key_of
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, as_seen, of_machine
-from dtwin.physics.whitening import condition_sums, within_condition, zero_weighted
 from dtwin.schema import Floats
 from dtwin.statistics import k2_factor
 
@@ -90,28 +89,6 @@ def _unseen(parts: Sequence[Part], maps: Sequence[Floats], largest: Floats) -> F
 
 
 def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> Floats:
-    """Return the covariance that a campaign adds: the variances of :func:`dtwin.physics._pooled.spread`, and what goes with them.
-
-    What laws miss is added to the noise, with the condition as the unit.
-    """
-    obs, noise = part.obs, part.problem.noise
-    taken = to_own @ inverse
-    influence = ((part.columns * part.root**2) @ taken).reshape(obs.n_rows, obs.n_bins, -1)
-    left = (part.problem.y - part.columns @ (to_own @ x)).reshape(obs.n_rows, obs.n_bins)
-    if noise is None:
-        runs = by_run(obs, np.einsum("nqk,nq->nk", influence, left))
-        return np.asarray(runs.T @ runs)
-    deviation, count = within_condition(left, obs.condition_of)
-    runs = by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
-    level, misses = part.noise_level
-    of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
-    coloured = zero_weighted(influence / noise.weights[:, None], obs.run_of, 1.0 / noise.zero_weight)
-    foretold = (coloured * of_condition[obs.condition_of][:, None, None]).reshape(-1, coloured.shape[2])
-    together = level.ratio * foretold.T @ coloured.reshape(-1, coloured.shape[2])
-    clustered = runs.T @ runs * obs.n_rows / (count > 1).sum()
-    out = (noise.dof * clustered + level.prior_dof * together) / (noise.dof + level.prior_dof)
-    if misses:
-        means = condition_sums(left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
-        summed = condition_sums(influence, obs.condition_of)
-        out = out + np.einsum("iqk,ij,jql->kl", summed, means @ means.T / means.shape[1], summed, optimize=True)
-    return np.asarray(out)
+    """Return the covariance that a campaign adds; what laws miss is added to the noise, with the condition as the unit."""
+    seen = scatter(part, to_own, x, inverse)
+    return np.asarray(seen.covariance + missed(part, seen)) if seen.misses else seen.covariance

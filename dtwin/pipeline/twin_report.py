@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.documents import read_document
+from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
@@ -15,12 +18,17 @@ from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import VERDICTS
 from dtwin.report.twin_of_kind import report_of, with_nan
-from dtwin.twins.of_kind import AnyTwins
+from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.registration import diagnosis_path
 
 
 def twin_report(
-    home: Home, shelf: AnyTwins, library: Mapping[str, Effect], twin: Any, comparison: Any, compared: Mapping[str, Any]
+    home: Home,
+    shelf: AnyTwins,
+    library: Mapping[str, Effect],
+    twin: AnyTwin,
+    comparison: Any,
+    compared: Mapping[str, Any],
 ) -> str:
     """Return the whole story of a twin as one page that needs nothing else.
 
@@ -40,12 +48,32 @@ def twin_report(
     return page(f"Machine {twin.machine}: twin {twin.name}", about, sections)
 
 
+def write_report(path: Path, home: Home, shelf: AnyTwins, library: Mapping[str, Effect], twin: AnyTwin) -> None:
+    """Diagnose the newest version of a twin, compare it, and write its report.
+
+    Raises ``InputError`` for an older version.
+    """
+    newest = shelf.newest(twin.name).version
+    if twin.version != newest:
+        raise InputError(
+            "a report is of the newest version",
+            code="twin.report",
+            where=f"twin {twin.name}",
+            got=f"--version {twin.version}",
+            allowed=str(newest),
+            hint=f"dtwin twin restore {twin.name} --version {twin.version} makes it the newest",
+        )
+    # It is kept beside the version, where the report finds it.
+    shelf.diagnose(twin.name)
+    comparison = shelf.compare(twin.name)
+    write_text(path, twin_report(home, shelf, library, twin, comparison, comparison.as_dict()), "the report")
+
+
 def _head(
-    home: Home, library: Mapping[str, Effect], twin: Any, version: int, diagnosis: dict[str, Any] | None
+    home: Home, library: Mapping[str, Effect], twin: AnyTwin, version: int, diagnosis: dict[str, Any] | None
 ) -> Section:
     """Return the verdict, the faults in the words of the shop, and the facts of the test."""
-    tests = list(getattr(twin, "campaigns", ()) or [twin.campaign])
-    facts = [facts_of(home, Lake(home.lake).runs(test, left_out=True)) for test in tests]
+    facts = [facts_of(home, Lake(home.lake).runs(test, left_out=True)) for test in twin.campaigns]
     named = [name for name in facts[0] if name not in ("campaign", "test") and any(one[name] for one in facts)]
     said = VERDICTS.get((diagnosis or {}).get("verdict", ""), "Not diagnosed yet")
     other = [f"As version {version} was diagnosed, which has the same effects."] if version != twin.version else []
@@ -55,11 +83,11 @@ def _head(
         said,
         [*other, *(f"Missing: {line}" for line in missing), *known],
         [],
-        [Table(("test", *tests), [(name, *(one[name] or "-" for one in facts)) for name in named])],
+        [Table(("test", *twin.campaigns), [(name, *(one[name] or "-" for one in facts)) for name in named])],
     )
 
 
-def _diagnosed(shelf: AnyTwins, twin: Any) -> tuple[int, dict[str, Any] | None]:
+def _diagnosed(shelf: AnyTwins, twin: AnyTwin) -> tuple[int, dict[str, Any] | None]:
     """Return the newest version with these effects that was diagnosed, and its diagnosis: a roll back loses none."""
     for version in range(twin.version, 0, -1):
         file = diagnosis_path(shelf.newest_document(twin.name, version)[1])

@@ -9,6 +9,7 @@ from dtwin.machine_record import Event, events_between
 from dtwin.physics.effect import Effect
 from dtwin.report.faults import with_k2
 from dtwin.report.recorded import contradiction_words
+from dtwin.report.text import words_of
 
 _Told = Mapping[str, Any]
 
@@ -40,7 +41,7 @@ def _size(size: _Told, unit: str) -> str:
 
 
 def _cause(shared: _Told) -> str:
-    return f"{shared['cause'].replace('_', ' ').capitalize()} {shared['axis']}".rstrip()
+    return f"{words_of(shared['cause'])} {shared['axis']}".rstrip()
 
 
 def _agreement(shared: _Told) -> str:

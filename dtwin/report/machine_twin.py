@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from dtwin.report.faults import with_k2
@@ -82,12 +83,11 @@ def comparison_sections(found: Any, result: Mapping[str, Any]) -> list[Section]:
     """Return measured against predicted, fit by fit; without ``found`` as text."""
     if found is None:
         return [Section("Measured against predicted", code=[comparison_text(result)])]
-    out = []
-    for part, one in zip(found.parts, result["members"], strict=True):
-        for made in report_of(one).comparison_sections(part, one):
-            title = made.title if one["campaign"] in made.title else f"{made.title}: {one['campaign']}"
-            out.append(Section(title, made.paragraphs, made.findings, made.tables, made.figures, made.code))
-    return out
+    return [
+        made if one["campaign"] in made.title else replace(made, title=f"{made.title}: {one['campaign']}")
+        for part, one in zip(found.parts, result["members"], strict=True)
+        for made in report_of(one).comparison_sections(part, one)
+    ]
 
 
 def campaign_table(document: Mapping[str, Any]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dtwin.physics.several_twin import SeveralTwin
@@ -55,12 +56,11 @@ def twin_section(twin: SeveralTwin) -> Section:
 
 def comparison_sections(comparison: SeveralComparison, result: Mapping[str, Any]) -> list[Section]:
     """Return measured against predicted, campaign by campaign."""
-    out = []
-    for part, one in zip(comparison.parts, result["campaigns"], strict=True):
-        for made in twins.comparison_sections(part, one):
-            title = f"{made.title}: {one['campaign']}"
-            out.append(Section(title, made.paragraphs, made.findings, made.tables, made.figures, made.code))
-    return out
+    return [
+        replace(made, title=f"{made.title}: {one['campaign']}")
+        for part, one in zip(comparison.parts, result["campaigns"], strict=True)
+        for made in twins.comparison_sections(part, one)
+    ]
 
 
 def campaign_table(document: Mapping[str, Any]) -> Table:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from axis_control import AxisControl
+from command_here import said
 from typer.testing import CliRunner
 
 from dtwin.cli import app
@@ -59,12 +58,6 @@ def write(folder: Path, logs: dict[str, Log], condition: str = 'condition = { ax
         text += f'[[run]]\nid = "{name}"\nfile = "{name}.csv"\n{condition}\n'
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     return folder
-
-
-def said(*words: str) -> Any:
-    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return json.loads(done.stdout)
 
 
 class Column:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from command_here import printed, refused, said
 from laser_axis import write_laser
 from mill_and_laser import write_circles
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
-from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
@@ -27,22 +24,6 @@ from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
-
-
-def run(*words: str) -> str:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == 0, done.output + str(done.exception)
-    return done.output
-
-
-def said(*words: str) -> Any:
-    return json.loads(run(*words, "--json"))
-
-
-def refused(*words: str) -> Any:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == 1
-    return done.exception
 
 
 ALL = ("bar", "laser-x", "laser-y")
@@ -79,11 +60,11 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home) -> None:
     assert [[s["effect"] for s in group] for group in told["found"]] == [["lead_error"], ["backlash"]]
     assert {s["campaign"] for s in told["settled"]} == {"bar"}
     assert {c["campaign"]: c["verdict"] for c in told["campaigns"]}["bar"] == "ambiguous"
-    assert "settled: bar could not tell" in run("twin", "diagnose", "all")
+    assert "settled: bar could not tell" in printed("twin", "diagnose", "all")
 
 
 def test_discover_adds_it_and_nothing_is_missing_then(home: Home) -> None:
-    run("twin", "fit", *ALL, "--effects", "", "--name", "found")
+    printed("twin", "fit", *ALL, "--effects", "", "--name", "found")
     found = said("twin", "discover", "found")
     assert found["added"] == ["lead_error X", "backlash X"]
     assert found["final"]["verdict"] == "nothing_missing"
@@ -99,7 +80,7 @@ def test_discover_adds_it_and_nothing_is_missing_then(home: Home) -> None:
 
 
 def test_the_loop_goes_on(home: Home) -> None:
-    run("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "loop")
+    printed("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "loop")
     added = said("twin", "add", "loop", "squareness")
     assert added["figures"]["rms_after_um"] <= added["before"]["rms_after_um"] + 1e-3
     assert refused("twin", "add", "loop", "scale_mismatch", "--axis", "X").code == "twin.has_effect"
@@ -117,12 +98,12 @@ def test_the_loop_goes_on(home: Home) -> None:
     rungs = said("twin", "history", "loop")["rungs"]
     assert [r["campaigns"] for r in rungs] == [list(ALL)] * 4
     page = home.root / "loop.html"
-    run("twin", "show", "loop", "--html", str(page))
+    printed("twin", "show", "loop", "--html", str(page))
     assert "laser-y" in page.read_text(encoding="utf-8")
 
 
 def test_mistakes_are_refused_with_the_reason(home: Home) -> None:
-    run("twin", "fit", *ALL, "--effects", "backlash:X", "--name", "wrong")
+    printed("twin", "fit", *ALL, "--effects", "backlash:X", "--name", "wrong")
     assert refused("twin", "fit", "bar", "elsewhere", "--effects", "", "--name", "no").code == "twin.machines"
     assert refused("twin", "fit", "bar", "bar", "--effects", "", "--name", "no").code == "twin.campaign_twice"
     with pytest.raises(InputError, match="has no twin"):
@@ -138,14 +119,14 @@ def test_a_laser_that_contradicts_the_ball_bar_is_named_on_command_and_page(home
     (told,) = made["contradictions"]
     assert (told["effect"], told["axis"]) == ("backlash", "X")
     assert abs(told["difference"]) == pytest.approx(4.0, abs=1.0)
-    assert "contradiction since 2026-03-02" in run("twin", "show", "apart")
+    assert "contradiction since 2026-03-02" in printed("twin", "show", "apart")
     assert "contradiction since 2026-03-02" in client(home).get("/twins/apart").text
     shown = (("twin", "show", "apart"), ("twin", "compare", "apart"), ("twin", "diagnose", "apart"))
     for words in shown:
-        assert "nothing is recorded between 2025-01-01 and 2026-03-02" in run(*words)
-    run("machine", "event", "mill-7", "crash", "--on", "2025-06-07", "--note", "vice")
+        assert "nothing is recorded between 2025-01-01 and 2026-03-02" in printed(*words)
+    printed("machine", "event", "mill-7", "crash", "--on", "2025-06-07", "--note", "vice")
     for words in shown:
-        assert "since the crash of 2025-06-07 (vice)" in run(*words)
+        assert "since the crash of 2025-06-07 (vice)" in printed(*words)
     assert "since the crash of 2025-06-07 (vice)" in client(home).get("/twins/apart").text
 
 
@@ -154,8 +135,8 @@ def client(home: Home) -> TestClient:
 
 
 def test_pages_of_the_twin_show_all_its_campaigns(home: Home) -> None:
-    run("twin", "fit", *ALL, "--effects", "lead_error:X", "--name", "seen")
-    run("twin", "diagnose", "seen")
+    printed("twin", "fit", *ALL, "--effects", "lead_error:X", "--name", "seen")
+    printed("twin", "diagnose", "seen")
     open_page = client(home).get
     compare = open_page("/twins/seen")
     assert all(f"/campaigns/{name}" in compare.text for name in ALL)
@@ -168,7 +149,7 @@ def test_pages_of_the_twin_show_all_its_campaigns(home: Home) -> None:
 
 
 def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
-    run("twin", "fit", "bar", "--effects", "backlash:X,scale_mismatch", "--name", "parts")
+    printed("twin", "fit", "bar", "--effects", "backlash:X,scale_mismatch", "--name", "parts")
     bench = Bench(home, Access("127.0.0.1", 8765))
     opened = TestClient(
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
@@ -188,12 +169,12 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     assert "part.nc, with version 1 of the twin" in page
     assert "240 mm at feed" in page
     part.write_text(program, encoding="ascii")
-    run("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "several")
+    printed("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "several")
     causes = said("twin", "budget", "several", "--program", str(part), "--origin", "120,80,0")["causes"]
     # 30 ppm over 40 mm at the sides, the mean square of a third of it between them.
     assert [c["label"] for c in causes] == ["backlash X", "scale_mismatch X"]
     assert causes[1]["rms_um"][""] == pytest.approx(1.2 * np.sqrt((2.0 / 3.0) * (1.0 / 3.0) + 1.0 / 3.0), abs=0.03)
     assert causes[1]["rms_um"]["YZ"] == 0.0
-    run("twin", "fit", "laser-x", "--effects", "lead_error", "--name", "strokes")
+    printed("twin", "fit", "laser-x", "--effects", "lead_error", "--name", "strokes")
     assert refused("twin", "budget", "strokes", "--program", str(part)).code == "budget.circles"
     assert opened.post("/api/twins/parts/program", json={**told, "program": "G1 X\u00e4"}).status_code == 400

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 import numpy as np
 import pytest
+from command_here import printed, refused, said
 from one_cobot import write_circles, write_drift, write_poses
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
-from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.workbench._access import Access
@@ -24,22 +20,6 @@ pytestmark = pytest.mark.system
 OFF = np.array([0.0, 0.6, -0.3, 0.0, 0.2, 0.0])
 LATER = np.array([0.0, 0.9, -0.3, 0.0, 0.2, 0.0])
 TRUTH = {"joint_offset 2": 600.0, "joint_offset 3": -300.0, "joint_offset 5": 200.0, "thermal_growth": 15.0}
-
-
-def run(*words: str) -> str:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == 0, done.output + str(done.exception)
-    return done.output
-
-
-def said(*words: str) -> Any:
-    return json.loads(run(*words, "--json"))
-
-
-def refused(*words: str) -> str:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == 1
-    return done.exception.code  # type: ignore[union-attr]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +46,7 @@ def client(home: Home) -> TestClient:
 
 def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Home) -> None:
     effects = "joint_zero@J2+J3+J5,thermal_growth,follows"
-    run("twin", "fit", "bar", "tracker", "room", "--effects", effects, "--name", "found")
+    printed("twin", "fit", "bar", "tracker", "room", "--effects", effects, "--name", "found")
     shown = said("twin", "show", "found")
     shared = {f"{one['effect']} {one['axis']}".strip(): one for one in shown["shared"]}
     assert set(shared) == set(TRUTH)
@@ -87,7 +67,7 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
 
 
 def test_each_kind_finds_what_it_can_show() -> None:
-    run("twin", "fit", "tracker", "room", "--name", "each")
+    printed("twin", "fit", "tracker", "room", "--name", "each")
     found = said("twin", "discover", "each")
     assert found["final"]["verdict"] == "nothing_missing"
     added = " ".join(found["added"])
@@ -102,15 +82,15 @@ def test_the_loop_takes_a_cause_everywhere_and_names_who_contradicts(home: Home)
     assert (told["effect"], told["axis"], told["campaigns"]) == ("joint_offset", "2", ["june"])
     assert told["difference"] == pytest.approx(300.0, abs=told["k2"])
     assert told["since"].startswith("2026-06-05")
-    run("machine", "event", "cobot-1", "crash", "--on", "2026-05-20")
-    assert "since the crash of 2026-05-20" in run("twin", "compare", "loop")
+    printed("machine", "event", "cobot-1", "crash", "--on", "2026-05-20")
+    assert "since the crash of 2026-05-20" in printed("twin", "compare", "loop")
     assert "since the crash of 2026-05-20" in client(home).get("/twins/loop").text
     removed = said("twin", "remove", "loop", "ambient_growth")
     assert "thermal_growth" not in {name for effect in removed["effects"] for name in effect["names"]}
     added = said("twin", "add", "loop", "thermal_growth")
     (growth,) = (e for e in added["effects"] if e["effect"] == "thermal_growth")
     assert growth["campaigns"] == ["bar", "tracker", "june"]
-    assert refused("twin", "add", "loop", "joint_offset:2") == "twin.has_effect"
+    assert refused("twin", "add", "loop", "joint_offset:2").code == "twin.has_effect"
     back = said("twin", "restore", "loop", "--version", "2")
     assert [e["label"] for e in back["effects"]] == [e["label"] for e in removed["effects"]]
     assert len(said("twin", "history", "loop")["rungs"]) == 4
@@ -118,9 +98,9 @@ def test_the_loop_takes_a_cause_everywhere_and_names_who_contradicts(home: Home)
 
 
 def test_mistakes_are_refused_with_the_reason() -> None:
-    run("twin", "fit", "tracker", "room", "--effects", "follows", "--name", "wrong")
-    assert refused("twin", "compare", "wrong", "--on", "bar") == "twin.kind"
-    assert refused("twin", "add", "wrong", "backlash:X") == "effect.unknown"
-    assert refused("twin", "remove", "wrong", "joint_zero") == "twin.no_effect"
-    assert refused("twin", "correct", "wrong") == "twin.kind"
-    assert refused("twin", "fit", "bar", "tracker", "--name", "no", "--robust") == "twin.robust"
+    printed("twin", "fit", "tracker", "room", "--effects", "follows", "--name", "wrong")
+    assert refused("twin", "compare", "wrong", "--on", "bar").code == "twin.kind"
+    assert refused("twin", "add", "wrong", "backlash:X").code == "effect.unknown"
+    assert refused("twin", "remove", "wrong", "joint_zero").code == "twin.no_effect"
+    assert refused("twin", "correct", "wrong").code == "twin.kind"
+    assert refused("twin", "fit", "bar", "tracker", "--name", "no", "--robust").code == "twin.robust"

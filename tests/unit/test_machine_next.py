@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import io
-import json
 import time
 import tomllib
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
+from command_here import refused, said
 from laser_axis import write_laser
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
-from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.errors import DtwinError, InputError
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
 from dtwin.workbench._access import Access
@@ -38,18 +34,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def home(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("DTWIN_HOME", str(folder / "home"))
     return folder / "home"
-
-
-def said(*words: str) -> dict[str, Any]:
-    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return dict(json.loads(done.stdout))
-
-
-def refused(*words: str) -> DtwinError:
-    with pytest.raises(InputError) as error:
-        said(*words)
-    return error.value
 
 
 def test_what_was_measured_is_not_proposed_first_and_the_plan_can_be_used(home: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -10,6 +9,7 @@ from threading import Barrier
 from typing import Any, cast
 
 import pytest
+from command_here import said
 from laser_axis import write_laser
 from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
@@ -28,12 +28,6 @@ from dtwin.tolerances import Limits
 from dtwin.twins.verbs import Twins
 
 ROOT = Path(__file__).parents[2]
-
-
-def said(*words: str) -> dict[str, object]:
-    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return dict(json.loads(done.stdout))
 
 
 @pytest.fixture

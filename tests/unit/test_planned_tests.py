@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import io
-import json
 import re
 import time
 import tomllib
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_here import said
 from laser_axis import write_laser
 from machine_years import steady, write_tests
 from starlette.testclient import TestClient
@@ -43,12 +43,6 @@ CIRCLES = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "1000", "repeats": 
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Home:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     return Home(tmp_path / "home")
-
-
-def said(*words: str) -> Any:
-    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return json.loads(done.stdout)
 
 
 def browser(home: Home) -> TestClient:

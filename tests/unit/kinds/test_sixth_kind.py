@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from command_here import said
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
 
-from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.kinds import registry
 from dtwin.kinds.kind import NotOffered
@@ -46,12 +43,6 @@ def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None
     yield
     registry._of_others.cache_clear()
     registry.kind_named.cache_clear()
-
-
-def said(*words: object) -> Any:
-    done = CliRunner().invoke(app, [*map(str, words), "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, done.stdout
-    return json.loads(done.stdout)
 
 
 def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
