@@ -176,7 +176,10 @@ def test_mechanism_bias() -> None:
 
 @pytest.mark.long
 def test_verbs() -> None:
-    for found in short("bench_verbs.py").values():
+    printed = short("bench_verbs.py")
+    assert set(printed) == {"later", "now", "discover"}
+    assert len(printed.pop("discover")) == 1
+    for found in printed.values():
         assert set(found) == {"fit", "compare", "diagnose", "add", "history"}
         assert all(cpu_s > 0.0 for cpu_s in found.values())
 
