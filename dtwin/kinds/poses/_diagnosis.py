@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from dtwin.documents import finite
 from dtwin.kinds.poses._effects import EFFECTS, Term, carrying, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
-from dtwin.kinds.poses._series import floor_of
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail, gain_tail, holm, rms, usual_size
 
@@ -153,7 +152,7 @@ def pose_figures(grams: Grams, terms: Sequence[Term], after: Floats | None = Non
         "mean_before_mm": float(size[0].mean()),
         "mean_after_mm": float(size[1].mean()),
         "held_out_mean_mm": float(size[2].mean()),
-        "noise_floor_um": 1000.0 * series.floor_mm,
+        "noise_floor_um": 1000.0 * series.floor_of_left_mm(after),
     }
 
 
@@ -295,11 +294,9 @@ def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate])
 
 def _above_floor(grams: Grams, terms: Sequence[Term]) -> bool:
     """Return whether more is left on poses held out than repeats of what the terms leave scatter by; so it is where no floor is known."""
-    series = grams.series
-    if not series.repeats:
+    if not grams.series.repeats:
         return True
-    # The terms may take what repeats differed by: lost motion lifts the floor of the readings.
-    floor_mm = floor_of(left_mm(grams, terms), series.poses.place, series.poses.t_s)[0]
+    floor_mm = grams.series.floor_of_left_mm(left_mm(grams, terms))
     return float(_left(grams, terms).sum()) > floor_mm**2 * float(grams.count.sum())
 
 
@@ -318,11 +315,11 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
     if not grams.series.repeats:
         said = f"{what}; " if what else ""
         return "need_repeats", f"{said}no pose was measured twice, so no floor is known", float("nan")
-    p, wrist = _beyond(grams, left), _wrist(grams)
+    p, wrist = _beyond(grams, left / floor), _wrist(grams)
     if group:
         elbow = carrying(grams.series.poses.joints_rad.shape[1])
         sags = group[0].effect == "gravity_sag" and any(term.joint == elbow for term in group[0].terms)
-        if sags and wrist and _beyond(grams, group[0].rms_after_um) < _LIKELY:
+        if sags and wrist and _beyond(grams, group[0].rms_after_um / floor) < _LIKELY:
             what += f"; more is left than repeats scatter by: {wrist}, and may look like that of J{elbow}"
         return ("ambiguous" if group[0].confounded else "missing_effect"), what, p
     if p < _SURELY:
@@ -351,8 +348,7 @@ def _far_off(left_mm: Floats, rows: NDArray[np.int64] | None) -> str:
     return f"; most of it is in row{'s' if len(far) > 1 else ''} {which}, the others leave {others:z.0f} µm: spoilt readings?"
 
 
-def _beyond(grams: Grams, left_um: float) -> float:
-    """Return the p-value of what is left being scatter of repeats."""
+def _beyond(grams: Grams, times: float) -> float:
+    """Return the p-value of what is left, so many times the floor, being scatter of repeats."""
     series = grams.series
-    ratio = (left_um / 1000.0 / series.floor_mm) ** 2
-    return f_tail(ratio, (3.0 * len(series.error_mm), 3.0 * series.repeats))
+    return f_tail(times**2, (3.0 * len(series.error_mm), 3.0 * series.repeats))

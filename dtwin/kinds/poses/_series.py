@@ -61,6 +61,10 @@ class Series:
         """Return the numbers of the parameters of some terms, the set-up's first."""
         return [*range(9), *(i for term in terms for i in range(self.slots[term].start, self.slots[term].stop))]
 
+    def floor_of_left_mm(self, left_mm: Floats) -> float:
+        """Return the floor of what terms leave (n, 3): they may take what repeats differ by, as lost motion does."""
+        return floor_of(left_mm, self.poses.place, self.poses.t_s)[0]
+
 
 def series_of(
     joints_deg: Floats,

@@ -69,7 +69,7 @@ class PoseComparison:
             "mean_before_mm": mean_mm(before),
             "mean_after_mm": mean_mm(self.left_mm),
             "mean_same_mounting_mm": mean_mm(self.same_mounting_mm),
-            "noise_floor_um": 1000.0 * series.floor_mm if series.repeats else None,
+            "noise_floor_um": 1000.0 * series.floor_of_left_mm(self.left_mm) if series.repeats else None,
             "where": [
                 {
                     "row": int(self.loaded.rows[r]),

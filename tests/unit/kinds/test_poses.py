@@ -138,6 +138,14 @@ def test_sag_of_the_wrist_is_not_looked_for_and_not_said_to_be_nothing() -> None
     assert "sag of the wrist, J4 to J6, is not looked for" in said.headline
 
 
+def test_a_floor_that_lost_motion_lifted_falls_with_it() -> None:
+    grams = _twice(6, 100, lost_mrad=2.0, sag_of_wrist_mrad=0.2)
+    before, after = diagnose(grams, ()), diagnose(grams, [Term("joint_reversal", 2)])
+    assert before.figures["noise_floor_um"] > 45.0
+    assert after.figures["noise_floor_um"] == pytest.approx(20.0 * np.sqrt(3.0), rel=0.15)
+    assert after.verdict == "unknown_effect"
+
+
 @pytest.mark.parametrize(("wrist", "told"), [(0.0, False), (4.0, True)])
 def test_sag_of_the_elbow_that_leaves_much_may_be_that_of_the_wrist(wrist: float, told: bool) -> None:
     sound = _twice(0, 90)
