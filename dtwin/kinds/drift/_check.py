@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.documents import finite
+from dtwin.kinds.drift._diagnosis import beside_noise
 from dtwin.kinds.drift._model import Fitted, Series, Term, series_of, shifts, steady
 from dtwin.kinds.drift._search import Step, missing
 from dtwin.kinds.drift._standing import probe_standing
@@ -33,7 +34,6 @@ _UNITS = {
 _STANDS = "a sensor stands, see the warning: what is missing is not told of this log before the sensor is left out, or the log ended there"
 _NEAR = 0.06
 """Share by which a factor may miss that of a unit."""
-_BEYOND = 1.5
 
 
 def judge_drift(run: Run) -> list[Finding]:
@@ -199,12 +199,8 @@ def _figures(run: Run) -> dict[str, Any] | None:
 
 def _verdict(series: Series, last: Fitted, steps: Sequence[Step]) -> str:
     named = f"missing: {'; '.join(step.said for step in steps)}. " if steps else ""
-    if not np.isfinite(series.floor_um):
-        return f"{named}need_repeats: what is left cannot be compared with noise"
-    times = last.held_out_um / series.floor_um
-    if times > _BEYOND:
-        return f"{named}unknown_effect: {last.held_out_um:z.1f} µm are left on times held out, {times:z.1f} times the noise of a reading"
-    return f"{named}nothing_missing: what is left is noise"
+    verdict, said = beside_noise(series, last.held_out_um)
+    return f"{named}{verdict}: {said}"
 
 
 def _model(model: Fitted) -> dict[str, Any]:

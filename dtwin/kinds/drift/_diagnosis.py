@@ -16,7 +16,7 @@ from dtwin.statistics import rms
 
 KIND = "drift"
 REPLICATION = "stretch of time"
-BEYOND = 1.5
+_BEYOND = 1.5
 """What is left on times held out is more than noise when it is this many times it."""
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
 
@@ -106,21 +106,30 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
     tried = additions(series, terms)
     paying = [one for one in tried if one.pays]
     group = tuple(one for one in paying if one is paying[0] or one.equals(paying[0]))
-    left, floor = figures["held_out_rms_um"], figures["noise_floor_um"]
     verdict: Verdict
     if group:
         verdict = "missing_effect" if len(group) == 1 else "ambiguous"
         said = f"{' or '.join(_words(one) for one in group)}"
         said += " is missing" if len(group) == 1 else ": this log does not tell which"
-    elif not np.isfinite(floor):
-        verdict, said = "need_repeats", "no reading was repeated at once, so that nobody knows what is noise"
-    elif left > BEYOND * floor:
-        verdict = "unknown_effect"
-        said = f"{left:z.1f} µm are left on times held out, {left / floor:z.1f} times the noise of a reading"
-        said += "; no sensor, lag or curve surely explains it"
     else:
-        verdict, said = "nothing_missing", f"what is left on times held out, {left:z.1f} µm, is noise ({floor:z.1f} µm)"
+        verdict, said = beside_noise(series, figures["held_out_rms_um"])
     return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))
+
+
+def beside_noise(series: Series, left_um: float) -> tuple[Verdict, str]:
+    """Return the verdict on what is left (µm RMS) on times held out when no effect surely explains it, and why.
+
+    Without readings that were repeated at once, readings that follow each other bound the noise from above.
+    """
+    floor, noise = series.floor_um, "the noise of a reading"
+    if not np.isfinite(floor):
+        floor, noise = series.next_um, "what readings that follow each other scatter by"
+        if not left_um > _BEYOND * floor:
+            return "need_repeats", "no reading was repeated at once, so that nobody knows what is noise"
+    if left_um > _BEYOND * floor:
+        said = f"{left_um:z.1f} µm are left on times held out, {left_um / floor:z.1f} times {noise}"
+        return "unknown_effect", f"{said}; no sensor, lag or curve surely explains it"
+    return "nothing_missing", f"what is left on times held out, {left_um:z.1f} µm, is noise ({floor:z.1f} µm)"
 
 
 def _words(one: Addition) -> str:

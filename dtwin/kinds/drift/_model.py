@@ -19,6 +19,7 @@ from dtwin.statistics import gain_tail, t_quantile, usual_size
 _BLOCKS = 24
 ALPHA = 0.05
 _DIGITS = 4
+_FEWEST_EVEN = 100
 MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
@@ -87,6 +88,21 @@ class Series:
         if dof <= 0:
             return float("nan")
         return max(float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)), self.digit_um / np.sqrt(12.0))
+
+    @cached_property
+    def next_um(self) -> float:
+        """Standard deviation of one reading by what three that follow each other evenly are off a straight line.
+
+        Noise is no more than that: what moves from one reading to the next, as an axis that rests in another place, is in it.
+        NaN where fewer than ``_FEWEST_EVEN`` do.
+        """
+        steps = np.diff(self.t_s)
+        usual = np.median(steps) if steps.size else 0.0
+        even = (steps > 0.0) & (np.abs(steps - usual) <= 0.5 * usual)
+        bent = np.diff(self.moved_um, 2)[even[1:] & even[:-1]]
+        if bent.size < _FEWEST_EVEN:
+            return float("nan")
+        return max(usual_size(bent) / np.sqrt(6.0), self.digit_um / np.sqrt(12.0))
 
     @cached_property
     def digit_um(self) -> float:

@@ -57,6 +57,19 @@ def test_without_readings_taken_at_once_nobody_knows_what_is_noise() -> None:
     assert said.as_dict()["noise_floor_um"] is None
 
 
+def test_what_moves_slowly_is_no_noise_though_no_reading_was_taken_at_once() -> None:
+    series = log("pockets")
+    t_s = 30.0 * np.arange(1200)
+    warm = {name: np.interp(t_s, series.t_s, values) for name, values in series.temperatures_c.items()}
+    followed = 4.0 * warm["temperature_back_c"] + np.random.default_rng(3).normal(0.0, 0.25, t_s.size)
+    for swing_um, verdict in ((0.0, "need_repeats"), (0.8, "unknown_effect")):
+        moved = followed + swing_um * np.sin(2.0 * np.pi * t_s / 3100.0)
+        logged = Series(t_s, moved, {"temperature_back_c": warm["temperature_back_c"]}, None)
+        said = diagnose(logged, joined(logged, (), asked(logged, ["follows"])))
+        assert said.verdict == verdict
+        assert logged.next_um == pytest.approx(0.25, rel=0.1)
+
+
 def test_two_sensors_that_read_alike_are_ambiguous() -> None:
     series = log("pockets")
     twice = {**series.temperatures_c, "temperature_beside_c": series.temperatures_c["temperature_back_c"] + 0.005}
