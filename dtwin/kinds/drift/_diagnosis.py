@@ -10,9 +10,19 @@ import numpy as np
 
 from dtwin.documents import finite
 from dtwin.kinds.drift._effects import effect_of, written
-from dtwin.kinds.drift._model import Series, Term, fitted, held_out_um
+from dtwin.kinds.drift._model import (
+    ALPHA,
+    MATERIAL,
+    Series,
+    Term,
+    fitted,
+    held_out,
+    held_out_um,
+    left_with_time,
+    share_taken,
+)
 from dtwin.kinds.drift._search import Addition, additions, idle
-from dtwin.statistics import rms
+from dtwin.statistics import gain_tail, rms
 
 KIND = "drift"
 REPLICATION = "stretch of time"
@@ -41,6 +51,11 @@ class DriftDiagnosis:
         """What to add, best first."""
         return tuple(written(one.added) for one in self.group)
 
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """What this log cannot tell apart: what to add, and time alone where that takes as much."""
+        return (*self.additions, *(["time alone"] if any(one.is_as_time for one in self.group) else []))
+
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         now = self.figures["held_out_rms_um"]
@@ -64,7 +79,7 @@ class DriftDiagnosis:
                     "p_value": one.p_value,
                     "in_group": one in self.group,
                     "grade": "shape-consistent" if one in self.group else None,
-                    "confounded_with": [other for other in self.additions if other != written(one.added)]
+                    "confounded_with": [other for other in self.alike if other != written(one.added)]
                     if one in self.group
                     else [],
                     "remedy": effect_of(one.added).remedy,
@@ -81,9 +96,11 @@ class DriftDiagnosis:
         if self.verdict == "need_repeats":
             return {"text": "read the place twice each time, and number the readings in a column sample"}
         if self.verdict == "ambiguous":
-            names = " and ".join(sorted({one.added.name for one in self.group}))
+            names = sorted({one.added.name for one in self.group})
+            if len(names) == 1:
+                return {"text": f"a log in which {names[0]} warms and cools again, more than once"}
             return {
-                "text": f"a log in which {names} do not warm together: other jobs, a cold morning, one source alone"
+                "text": f"a log in which {' and '.join(names)} do not warm together: other jobs, a cold morning, one source alone"
             }
         if self.verdict == "unknown_effect":
             return {"text": "log a temperature nearer to what moves, or what else changes with the time of day"}
@@ -108,11 +125,15 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
     group = tuple(one for one in paying if one is paying[0] or one.equals(paying[0]))
     verdict: Verdict
     if group:
-        verdict = "missing_effect" if len(group) == 1 else "ambiguous"
-        said = f"{' or '.join(_words(one) for one in group)}"
-        said += " is missing" if len(group) == 1 else ": this log does not tell which"
+        names = [_words(one) for one in group] + ["time alone"] * any(one.is_as_time for one in group)
+        verdict = "missing_effect" if len(names) == 1 else "ambiguous"
+        said = " or ".join(names) + (" is missing" if len(names) == 1 else ": this log does not tell which")
     else:
         verdict, said = beside_noise(series, figures["held_out_rms_um"])
+        if verdict == "unknown_effect":
+            before, after = held_out(series, terms), left_with_time(series, terms)
+            if gain_tail(before, after) < ALPHA and (share := share_taken(before, after)) > MATERIAL:
+                said += f"; time alone takes {100.0 * share:z.0f} % of the squares: something settles, or follows a body without a sensor"
     return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))
 
 

@@ -20,6 +20,9 @@ _BLOCKS = 24
 ALPHA = 0.05
 _DIGITS = 4
 _FEWEST_EVEN = 100
+_SETTLING = (0.05, 0.1, 0.2, 0.4, 0.8)
+"""Time constants of what settles, as shares of a log."""
+_FINER = ((0.7, 0.84, 1.0, 1.19, 1.41), (0.92, 0.96, 1.0, 1.04, 1.09), (0.98, 1.0, 1.02))
 MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
@@ -255,6 +258,23 @@ def held_out_um(series: Series, terms: Sequence[Term]) -> Floats:
 def held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Floats:
     """Return the squares that are left in each block when it was held out, µm²; ``blocks``: fewer are longer."""
     return _without_each(series, _design(series, terms), blocks)[1]
+
+
+def left_with_time(series: Series, terms: Sequence[Term]) -> Floats:
+    """Return the least squares in each block held out with a course of time beside the terms: straight, or an exponential."""
+    span_s = float(np.ptp(series.t_s)) or 1.0
+    part = (series.t_s - series.t_s.min()) / span_s
+    design = _design(series, terms)
+
+    def left(course: Floats) -> Floats:
+        return _without_each(series, np.column_stack([design, course]))[1]
+
+    best, tau = left(part), 1.0
+    for tried in (_SETTLING, *_FINER):
+        near = [(left(np.exp(-part / (tau * times))), tau * times) for times in tried]
+        least, tau = min(near, key=lambda pair: float(pair[0].sum()))
+        best = min(best, least, key=lambda one: float(one.sum()))
+    return best
 
 
 def _by_time(series: Series, late: Term) -> Floats:

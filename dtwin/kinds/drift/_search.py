@@ -8,7 +8,17 @@ from functools import cached_property
 
 import numpy as np
 
-from dtwin.kinds.drift._model import ALPHA, MATERIAL, Fitted, Series, Term, fitted, held_out, share_taken
+from dtwin.kinds.drift._model import (
+    ALPHA,
+    MATERIAL,
+    Fitted,
+    Series,
+    Term,
+    fitted,
+    held_out,
+    left_with_time,
+    share_taken,
+)
 from dtwin.schema import Floats
 from dtwin.statistics import gain_tail
 
@@ -17,6 +27,7 @@ MOST_RUNGS = 20
 """Terms that a search adds or takes out at most."""
 _TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
 _FINER = tuple(2.0 ** (step * np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])) for step in (0.1, 0.02, 0.004))
+_FAR_LESS = 0.5
 _SURELY = 0.1
 """Share that something takes even where blocks do not agree."""
 
@@ -53,7 +64,8 @@ def missing(series: Series, base: Fitted) -> list[Step]:
         if best is None:
             out[-1] = replace(out[-1], fitted=model)
             continue
-        out.append(Step(model, best.said, best.gain, best.p_value))
+        said = f"{best.said} or time alone" if best.is_as_time else best.said
+        out.append(Step(model, said, best.gain, best.p_value))
         added.append(best.added.channel)
     last = {term.channel for term in out[-1].fitted.terms} if out else set()
     told: list[Step] = []
@@ -89,6 +101,7 @@ class Addition:
     ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
     ``far_gain``: the share on sixths of the log: where more is left than noise, whatever is smooth fits short stretches.
     ``added``: the term that is new, which may stand in place of an old one of the same sensor.
+    ``by_time`` (blocks,): squares that a course of time alone, of one number, leaves in its place.
     ``series``: of the log.
     """
 
@@ -99,20 +112,41 @@ class Addition:
     gain: float
     p_value: float
     far_gain: float
+    by_time: Floats
     series: Series
 
     @cached_property
     def pays(self) -> bool:
-        """Whether it takes enough, and surely, and on long stretches, too, and its coefficient is more than its uncertainty."""
+        """Whether it takes enough, and surely, and on long stretches, too, and its coefficient is more than its uncertainty.
+
+        Beside another sensor it must not leave far more than time alone: where something settles, every sensor that rises or
+        falls by itself takes much of it. One sensor alone may: of a warm-up that further sensors complete.
+        """
         if not (self.gain > MATERIAL and self.p_value < ALPHA and self.far_gain > MATERIAL):
+            return False
+        if (
+            len(self.terms) > 1
+            and share_taken(self.left, self.by_time) > _FAR_LESS
+            and gain_tail(self.left, self.by_time) < ALPHA
+        ):
             return False
         model = fitted(self.series, self.terms)
         at = 1 + model.terms.index(self.added)
         return abs(float(model.value[at])) > float(model.k2[at])
 
+    @cached_property
+    def is_as_time(self) -> bool:
+        """Whether time alone takes as much, for all that this log tells: what settles, or follows a body without a sensor."""
+        return _is_no_less(self.by_time, self.left)
+
     def equals(self, other: Addition) -> bool:
         """Tell whether another takes no more than chance may."""
-        return share_taken(self.left, other.left) <= MATERIAL or gain_tail(self.left, other.left) >= ALPHA
+        return _is_no_less(self.left, other.left)
+
+
+def _is_no_less(left: Floats, other: Floats) -> bool:
+    """Tell whether another leaves less only as chance may, of squares in each block."""
+    return share_taken(left, other) <= MATERIAL or gain_tail(left, other) >= ALPHA
 
 
 def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
@@ -142,7 +176,7 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             left = held_out(series, (*terms, term))
             said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
             tried.append((left, (*terms, term), term, said))
-    far = held_out(series, terms, _LONG)
+    far, by_time = held_out(series, terms, _LONG), left_with_time(series, terms)
     made = [
         Addition(
             left,
@@ -152,6 +186,7 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             share_taken(before, left),
             min(1.0, len(tried) * gain_tail(before, left)),
             share_taken(far, held_out(series, new, _LONG)),
+            by_time,
             series,
         )
         for left, new, term, said in tried

@@ -120,7 +120,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
         said = self._diagnosed(twin, loaded)
         while (said.group or said.idle) and len(made) < MOST_RUNGS:
             if said.group:
-                action, group = f"add {said.additions[0]}", said.additions
+                action, group = f"add {said.additions[0]}", said.alike
             else:
                 gone = said.idle[0]
                 action, group = f"remove {written(gone)}: it pays nothing beside the others", ()

@@ -70,6 +70,26 @@ def test_what_moves_slowly_is_no_noise_though_no_reading_was_taken_at_once() -> 
         assert logged.next_um == pytest.approx(0.25, rel=0.1)
 
 
+def test_what_settles_takes_no_sensor_along_and_is_told_as_time() -> None:
+    source, rng = log("pockets"), np.random.default_rng(4)
+    t_s = 60.0 * np.arange(700)
+    back = np.interp(t_s, source.t_s, source.temperatures_c["temperature_back_c"])
+    stray = 25.0 + np.cumsum(rng.normal(0.03, 0.1, t_s.size))
+    read = {"temperature_back_c": back, "temperature_cabinet_c": stray}
+    moved = 4.0 * back + 10.0 * np.arctan(t_s / 15_000.0) + rng.normal(0.0, 0.25, t_s.size)
+    series = Series(t_s, moved, read, None)
+    said = diagnose(series, joined(series, (), asked(series, ["follows@back"])))
+    assert (said.verdict, said.additions) == ("unknown_effect", ())
+    assert "time alone takes 9" in said.headline
+    alone = diagnose(replace(series, moved_um=2.0 * stray), ())
+    assert (alone.verdict, alone.alike) == ("missing_effect", ("follows@cabinet",))
+    once = np.exp(-t_s / 9_000.0)
+    warmed = replace(series, moved_um=moved - 4.0 * back, temperatures_c={"temperature_oven_c": 30.0 - 5.0 * once})
+    settled = diagnose(replace(warmed, moved_um=-20.0 * once + rng.normal(0.0, 0.25, t_s.size)), ())
+    assert (settled.verdict, settled.alike) == ("ambiguous", ("follows@oven", "time alone"))
+    assert "warms and cools again" in settled.as_dict()["next_experiment"]["text"]
+
+
 def test_two_sensors_that_read_alike_are_ambiguous() -> None:
     series = log("pockets")
     twice = {**series.temperatures_c, "temperature_beside_c": series.temperatures_c["temperature_back_c"] + 0.005}
