@@ -66,11 +66,12 @@ def export(
         tolerance_um=tolerance_um,
     )
     require_used(request)
-    made = export_twin(home(), source, form, machine)
+    library = Library(effects_path or [])
+    made = export_twin(home(), source, form, machine, library)
     if made is not None:
         name, version, state = source, str(made.twin_version), "twin"
     else:
-        exported_source = source_of(home(), source, machine, Library(effects_path or []))
+        exported_source = source_of(home(), source, machine, library)
         name, version, state = exported_source.bundle.name, exported_source.version, exported_source.state
         made = write(exported_source, request)
     write_text(out, made.text, "the export")

@@ -260,6 +260,9 @@ def _budget_of_program(twin: Twin, program: Path, origin: str | None, campaign: 
 @app.command("correct")
 def correct_machine(
     name: Name,
+    campaign: Annotated[
+        str | None, typer.Option("--on", help="Whose path is corrected, of a twin of several campaigns.")
+    ] = None,
     trial: Annotated[bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")] = False,
     seed: Seed = 0,
     effects_path: Paths = None,
@@ -269,7 +272,7 @@ def correct_machine(
     from dtwin.report.correction import correction_text
     from dtwin.twins.correct import correct
 
-    found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
+    found = correct(_twins_with(name, effects_path), name, campaign=campaign, trial=trial, seed=seed).as_dict()
     emit(found, lambda: correction_text(found), as_json=as_json)
 
 

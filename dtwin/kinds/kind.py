@@ -308,9 +308,9 @@ class Kind:
         """How twins of such campaigns are told."""
         return self._done("twin_report", "twins")
 
-    def export_twin(self, home: Home, name: str, form: str) -> Export:
-        """Write a twin in one of ``export_forms``."""
-        return self._done("export_twin")(home, name, form)
+    def export_twin(self, home: Home, twin: Any, form: str) -> Export:
+        """Write a twin of such a campaign in one of ``export_forms``."""
+        return self._done("export_twin")(home, twin, form)
 
     def limits(self, of_machine: Mapping[str, Limits]) -> dict[str, Limits]:
         """Return the limits of a machine's record that are of the figures of such tests.

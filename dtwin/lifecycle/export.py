@@ -12,6 +12,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, own_kinds
 from dtwin.kinds.registry import kind_of as kind_of_bundle
+from dtwin.lake.store import Lake
 from dtwin.lifecycle._axis_exports import ONE_AXIS, positioning_table, tables_of
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle._export_records import UNREGISTERED, Export, Request, Source
@@ -29,8 +30,8 @@ from dtwin.serve.pointer import NAMES, resolve
 from dtwin.train.promotion import state_of
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_terms import choose
-from dtwin.twins.shelf import kind_of
-from dtwin.twins.verbs import Twins
+from dtwin.twins.machine_twin import MachineTwin
+from dtwin.twins.of_kind import paths_of, twins_with
 
 __all__ = ["FORMATS", "Export", "Request", "Source", "export", "export_twin", "require_used", "source_of"]
 
@@ -62,26 +63,35 @@ def require_used(request: Request) -> None:
         )
 
 
-def export_twin(home: Home, name: str, form: str, machine: str | None = None) -> Export | None:
-    """Write a twin whose kind has forms of its own; None where the name is of no such twin.
+def export_twin(
+    home: Home, name: str, form: str, machine: str | None = None, library: Mapping[str, Effect] | None = None
+) -> Export | None:
+    """Write a twin whose kind has forms of its own, of several kinds its newest part that has; None where there is no such.
 
     Raises ``InputError`` when its kind does not have this form, the form cannot hold the twin, or it is of another
     machine.
     """
     if not (home.root / "twins" / Path(name).name).is_dir() or name.endswith(".json"):
         return None
-    kind = kind_named(kind_of(home, name))
-    if not kind.offers("export_twin"):
-        return None
-    if form not in kind.export_forms:
+    twins = twins_with(home, library, name)
+    twin = twins.newest(name)
+    begun = twin.begun if isinstance(twin, MachineTwin) else {}
+    parts = sorted(getattr(twin, "members", (twin,)), key=lambda part: begun.get(part.campaigns[-1], ""))
+    lake = Lake(home.lake)
+    able = [(kind, part) for part in parts if (kind := kind_named(lake.campaign(part.campaigns[-1]).kind)).export_forms]
+    held = [(kind, part) for kind, part in able if form in kind.export_forms]
+    if able and not held and len(able) == len(parts):
         raise InputError(
             "a twin of this kind is not written in this form",
             code="export.form",
             where=f"twin {name}",
             got=form,
-            allowed=", ".join(kind.export_forms),
+            allowed=", ".join(dict.fromkeys(one for kind, _ in able for one in kind.export_forms)),
         )
-    made = kind.export_twin(home, name, form)
+    if not held:
+        return None
+    kind, part = held[-1]
+    made = kind.export_twin(home, part, form)
     _require_machine(name, made.machine, machine)
     return made
 
@@ -239,7 +249,8 @@ def _source(
     number = UNREGISTERED if version is None else version.version
     if version is None or "twin" not in version.tags:
         return Source(bundle, state, None, number)
-    twin = Twins(home, library).newest(version.tags["twin"], int(version.tags["twin_version"]))
+    whole = paths_of(home, library, version.tags["twin"], int(version.tags["twin_version"]))
+    twin = whole.on(version.tags.get("twin_campaign", whole.campaign))
     kept = tuple(t for t in twin.terms if choose(t).included)
     if version.tags.get("trial_only"):
         state = f"{state}, for a trial only: {version.tags['trial_only'][:120]}"
@@ -257,7 +268,7 @@ def _registered(registry: Registry, machine: str, number: int, bundle: Bundle) -
 
 
 def _of_twin(home: Home, registry: Registry, name: str) -> RegisteredVersion:
-    twin = Twins(home).newest(name)
+    twin = twins_with(home, None, name).newest(name)
     for version in registry.versions(twin.machine):
         if version.tags.get("twin") == name:
             return version

@@ -57,6 +57,13 @@ def with_sizes(fitted: SeveralFit, sizes: Sizes) -> SeveralFit:
     return replace(fitted, fits=fits, estimates=tuple(of_machine(fitted.pool, fits)))
 
 
+def covariance_in(fitted: SeveralFit, sizes: Sizes, campaign: int) -> Floats:
+    """Return the covariance of the effects' parameters as a campaign sees them, by its number, shape (parameters, parameters)."""
+    maps, _ = fitted.pool.maps()
+    own = maps[campaign].argmax(axis=1)[fitted.pool.parts[campaign].obs.n_setup :]
+    return np.asarray(sizes.covariance[np.ix_(own, own)])
+
+
 def _quantity(term: Term, number: int) -> Quantity:
     parameter = term.instance.effect.parameters[number]
     return Quantity(*key_of(term), parameter.name, parameter.unit, term.instance.effect.name, parameter.largest)

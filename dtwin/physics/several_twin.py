@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit
 from dtwin.physics.twin import Twin, ValidityBox, twin_of
+from dtwin.schema import Floats
 
 _SUMMED = ("rms_before_um", "rms_after_um", "systematic_rms_um", "noise_floor_um")
 
@@ -65,6 +66,19 @@ class SeveralTwin(Twin):
         ]
         document["contradictions"] = [c.as_dict() for c in self.contradictions]
         return document
+
+
+@dataclass(frozen=True)
+class SeenTwin(Twin):
+    """A twin of several campaigns as one of them sees it.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (parameters, parameters)
+        Of the parameters of its effects, in their order: by all campaigns, which one of them alone does not tell.
+    """
+
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def several_twin_of(

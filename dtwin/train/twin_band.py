@@ -1,7 +1,7 @@
 """How uncertain a twin's correction is, as expressions of a bundle: from the covariance of its parameters.
 
 The uncertainty of each parameter is the twin's own; their correlations follow from where the machine was
-measured. Shapes (a pitch, a frequency) count as known. What the form of the effects lacks is not in it: it
+measured, by all campaigns of the twin. Shapes (a pitch, a frequency) count as known. What the form of the effects lacks is not in it: it
 says how far a correction may be from what these effects can tell.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import unweighted
+from dtwin.physics.several_twin import SeenTwin
 from dtwin.physics.twin import Twin
 from dtwin.schema import Floats
 from dtwin.serve.band import COVARIANCE, Band
@@ -27,7 +28,7 @@ def parameter_factor(twin: Twin, carried: Twin, obs: Observations) -> Floats | N
 
     The half width at regressors x is the length of ``x @ factor``.
 
-    ``twin``: as it was fitted.
+    ``twin``: as it was fitted; of several campaigns as one of them sees it.
     ``carried``: reduced to what the bundle carries.
     ``obs``: the runs of the fit.
     Returns (parameters, parts) of the carried effects; None when the runs do not tell the uncertainty of one of them,
@@ -46,7 +47,8 @@ def parameter_factor(twin: Twin, carried: Twin, obs: Observations) -> Floats | N
     if not len(wanted) or not np.isfinite(expanded).all():
         return None
     scaled = seen / np.where(size > 0.0, size, 1.0)
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)[np.ix_(wanted, wanted)]
+    joint = twin.covariance if isinstance(twin, SeenTwin) else _inverse(scaled)
+    inverse = joint[np.ix_(wanted, wanted)]
     spread = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     both = np.outer(spread, spread)
     correlation = np.divide(inverse, both, out=np.zeros_like(inverse), where=both > 0.0)
@@ -54,6 +56,10 @@ def parameter_factor(twin: Twin, carried: Twin, obs: Observations) -> Floats | N
     # In units of each parameter's own half width: what is negligible is so for every regressor.
     kept = np.cumsum(np.maximum(value, 0.0)) > _NEGLIGIBLE * value.sum()
     return np.asarray(expanded[:, None] * vector[:, kept] * np.sqrt(value[kept]))
+
+
+def _inverse(columns: Floats) -> Floats:
+    return np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True))
 
 
 def half_width(builder: GraphBuilder, regressors: Sequence[Expression], factor: Floats) -> Expression:

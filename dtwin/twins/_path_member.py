@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dtwin.physics.agreed import Sizes
 from dtwin.physics.contradictions import Contradiction, without_contradictions
+from dtwin.physics.gridding import Indices
 from dtwin.physics.machine_terms import cause_of, key_of, machine_terms
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
@@ -31,16 +34,22 @@ class PathMember(Member):
 
     def __init__(self, twins: Twins, loaded: Sequence[Loaded]) -> None:
         self._twins, self._loaded = twins, loaded
-        self._library = twins.library
-        self._campaigns = [one.obs for one in loaded]
-        self.machine = self._campaigns[0].campaign.machine
-        self.begun = tuple((obs.campaign.name, started_of(obs)) for obs in self._campaigns)
+        self.library = twins.library
+        self.observations = [one.obs for one in loaded]
+        self.machine = self.observations[0].campaign.machine
+        self.begun = tuple((obs.campaign.name, started_of(obs)) for obs in self.observations)
+
+    def only(self, rows: Callable[[Observations], Indices]) -> PathMember | None:
+        """Return some rows of each campaign; None when none is left."""
+        chosen = ((one, rows(one.obs)) for one in self._loaded)
+        kept = [replace(one, obs=one.obs.take(own)) for one, own in chosen if len(own)]
+        return PathMember(self._twins, kept) if kept else None
 
     def named(self, effect: str, axis: str = "") -> Sequence[Term]:
-        return machine_terms([effect], self._library, self._campaigns, axis)
+        return machine_terms([effect], self.library, self.observations, axis)
 
     def of_cause(self, cause: Cause) -> Sequence[Term]:
-        names = [name for name, effect in self._library.items() if cause_of(effect) == cause[0]]
+        names = [name for name, effect in self.library.items() if cause_of(effect) == cause[0]]
         for name in names:
             found, _ = known_to(self, name, cause[1])
             if found:
@@ -62,7 +71,7 @@ class PathMember(Member):
         return [term for term in terms if key_of(term) not in out]
 
     def fit(self, terms: Sequence[Term], *, robust: bool, refine: bool) -> _Fitted:
-        together = fit_several(self._campaigns, terms, self._library, robust=robust, refine=refine)
+        together = fit_several(self.observations, terms, self.library, robust=robust, refine=refine)
         return without_contradictions(together, [day for _, day in self.begun])
 
     def sizes(self, fitted: _Fitted) -> Sizes:
@@ -72,12 +81,12 @@ class PathMember(Member):
         data = [one.data for one in self._loaded]
         together, apart = with_sizes(fitted[0], sizes), fitted[1]
         return several_twin_of(
-            together, apart, self._campaigns, name=of.name, version=of.version, action=of.action, data=data
+            together, apart, self.observations, name=of.name, version=of.version, action=of.action, data=data
         )
 
     def entries(self, twin: SeveralTwin) -> list[dict[str, Any]]:
         told = twin.as_dict()["campaigns"]
-        readings = [int(obs.mask.sum()) for obs in self._campaigns]
+        readings = [int(obs.mask.sum()) for obs in self.observations]
         return [
             {name: value for name, value in one.items() if name != "part"} | {"readings": many}
             for one, many in zip(told, readings, strict=True)
@@ -87,8 +96,8 @@ class PathMember(Member):
         return SeveralComparison(twin, tuple(self._twins.compared(twin, one) for one in self._loaded))
 
     def told(self, twin: SeveralTwin, seed: int) -> Told:
-        said = diagnose_several(twin, self._campaigns, self._library, seed=seed)
-        several_speeds = any(obs.several_speeds for obs in self._campaigns)
+        said = diagnose_several(twin, self.observations, self.library, seed=seed)
+        several_speeds = any(obs.several_speeds for obs in self.observations)
         found, surely = (
             tuple(tuple(f"{s.effect}:{s.axis}".rstrip(":") for s in group) for group in groups)
             for groups in (said.found, said.to_add(twin.labels, several_speeds=several_speeds))

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
 from dtwin.kinds.registry import kind_named
-from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
+from dtwin.physics.machine_terms import key_of
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
+from dtwin.physics.several_diagnosis import SeveralDiagnosis
+from dtwin.physics.several_twin import SeveralTwin
+from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.statistics import rms
 from dtwin.train.dataset import require_uncorrected
@@ -24,14 +29,14 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import CONDITIONS_FILE, TrainingReport
 from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.judged import Judged
-from dtwin.twins.measured import load
-from dtwin.twins.several import require_alone
-from dtwin.twins.verbs import Twins
+from dtwin.twins.of_kind import AnyTwins
+from dtwin.twins.seen import Seen, chosen, seen_on
 
 BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
 BY_SHAPE = ("shape-consistent", *BY_LAW)
-_STRUCTURE = ("missing_effect", "ambiguous", "unknown_effect")
+_NAMED = ("missing_effect", "ambiguous")
+_STRUCTURE = (*_NAMED, "unknown_effect")
 # What is left there is bounded by what it left of the runs.
 LITTLE = 0.01
 # What differs in its spread only leaves nothing for a correction of the mean.
@@ -44,14 +49,14 @@ class TwinWay:
     """How a twin of one kind becomes a correction.
 
     ``freeze``: returns the bundle of a twin, or refuses.
-    ``judge``: returns what is known of that bundle from runs that were left out.
+    ``judge``: returns what is known of that bundle from runs that were left out of all tests that they would tell of.
     ``grades``: grades that confirm an effect.
     ``little``: share of the error before that may be left, whatever the verdict says of it.
     ``geometry``: what a campaign need not say of its machine, because its kind does.
     """
 
     freeze: Callable[[Twin, Observations, Home], TwinBundle]
-    judge: Callable[[TwinBundle, Twin, Observations, Home], Judged]
+    judge: Callable[[TwinBundle, Seen, Home], Judged]
     grades: tuple[str, ...]
     quiet: tuple[str, ...]
     little: float
@@ -71,6 +76,19 @@ class _Grading:
 
 
 @dataclass(frozen=True)
+class _ByOthers:
+    """What a twin fitted to the other campaigns makes of the error of this one, um RMS; the unit is the campaign.
+
+    ``unknown``: corrected effects that the others do not tell.
+    """
+
+    campaigns: tuple[str, ...]
+    before_um: float
+    after_um: float
+    unknown: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Correction:
     """A twin's correction in the registry.
 
@@ -79,6 +97,7 @@ class Correction:
     ``predicted``: RMS of every condition before, and after as the twin predicts it.
     ``virtual``: whether the machine is one on which evidence can be measured here.
     ``left``: what is known to be left uncorrected and does not matter; empty when nothing is.
+    ``by_others``: None where the twin has no other campaign of a path.
     """
 
     frozen: TwinBundle
@@ -90,12 +109,14 @@ class Correction:
     predicted: tuple[Mapping[str, Any], ...]
     virtual: bool
     left: str = ""
+    by_others: _ByOthers | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         return {
             "twin": self.frozen.twin.name,
             "twin_version": self.frozen.twin.version,
+            "campaign": self.frozen.twin.campaign,
             "machine": self.version.machine,
             "version": self.version.version,
             "verdict": self.verdict,
@@ -107,25 +128,31 @@ class Correction:
             "grades": [dict(vars(g)) for g in self.gradings],
             "gates": [dict(vars(g)) for g in self.gates],
             "predicted": [dict(p) for p in self.predicted],
+            "by_others": asdict(self.by_others) if self.by_others else None,
             "bundle_sha256": self.frozen.bundle.sha256,
         }
 
 
-def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> Correction:
+def correct(
+    twins: AnyTwins, name: str, *, campaign: str | None = None, trial: bool = False, seed: int = 0
+) -> Correction:
     """Register the correction that a twin stands for.
 
+    ``campaign``: whose path is corrected, inside of what it measured; needed where the twin has several that can be.
     ``trial``: go on although the twin is not confirmed; such a version can be tried, never promoted.
     Raises ``GateRefusal`` when the twin lacks something, or an effect is not confirmed, and ``trial`` is not set.
     Raises ``InputError`` when no effect can be corrected by offsets of position, or the runs were measured under a
     correction.
     """
-    obs = load(twins.home, require_alone(twins.newest(name), "a correction").campaign).obs
+    on = chosen(twins.home, twins.newest(name), "twin_correction", campaign)
+    seen = seen_on(twins, name, on)
+    twin, obs = seen.twin, seen.obs
     require_uncorrected(obs.campaign)
-    twin, diagnosis = twins.diagnose(name, seed=seed)
+    diagnosis = seen.lacks(None, seed)
     way = kind_named(obs.grid.kind).twin_correction()
     frozen = way.freeze(twin, obs, twins.home)
-    gradings = _graded(frozen.twin, twin, obs, twins, way, seed)
-    objections = tuple(_objections(diagnosis, gradings, frozen.twin, way))
+    gradings = tuple(_grading(term, seen, seen.lacks(term, seed), way) for term in frozen.twin.terms)
+    objections = tuple(_objections(diagnosis, gradings, frozen.twin, seen.whole, way))
     if objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
@@ -135,13 +162,13 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             allowed=f"nothing missing, and every corrected effect {way.grades[0]}",
             hint=_advice(name, gradings, frozen.twin, obs) + "; --trial registers it for a trial only",
         )
-    left = _left(diagnosis, frozen.twin, way)
-    judged = way.judge(frozen, twin, obs, twins.home)
+    left = _left(diagnosis, seen.whole, way)
+    judged = way.judge(frozen, seen, twins.home)
     report = _report(frozen, judged, twin, obs, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report, ids[report.proposed], report.candidates[0], _description(frozen, diagnosis, objections, left)
+        report, ids[report.proposed], report.candidates[0], _description(frozen, seen, diagnosis, objections, left)
     )
     geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
@@ -152,15 +179,24 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             "terms.json": json.dumps([vars(t) for t in frozen.terms], indent=1),
         },
     )
-    tags = {"twin": twin.name, "twin_version": str(twin.version)}
+    tags = {"twin": twin.name, "twin_version": str(twin.version), "twin_campaign": twin.campaign}
     if objections:
         tags[TRIAL_ONLY] = "; ".join(objections)[:500]
     registry.mark(version, tags)
     version = registry.version(version.machine, version.version)
     _, gates = check_version(registry, version)
-    virtual = bool(geometry.get("virtual", False))
-    predicted = tuple(_predicted(frozen, obs))
-    return Correction(frozen, version, diagnosis.verdict, gradings, objections, tuple(gates), predicted, virtual, left)
+    return Correction(
+        frozen=frozen,
+        version=version,
+        verdict=diagnosis.verdict,
+        gradings=gradings,
+        objections=objections,
+        gates=tuple(gates),
+        predicted=tuple(_predicted(frozen, obs)),
+        virtual=bool(geometry.get("virtual", False)),
+        left=left,
+        by_others=_by_others(frozen, seen),
+    )
 
 
 def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Observations) -> str:
@@ -181,34 +217,31 @@ def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Obser
     return f"dtwin twin remove {name} {weakest.effect.name}{axis}"
 
 
-def _graded(
-    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: TwinWay, seed: int
-) -> tuple[_Grading, ...]:
-    """Leave out each corrected effect in turn: would it be found, and its law confirmed?"""
-    out = []
-    for term in corrected.terms:
-        others = [t for t in twin.terms if t.label != term.label]
-        diagnosis = diagnose(obs, others, twins.library, seed=seed)
-        out.append(_grading(term, diagnosis, way))
-    return tuple(out)
-
-
-def _grading(term: Term, diagnosis: Diagnosis, way: TwinWay) -> _Grading:
-    if diagnosis.verdict in way.quiet:
+def _grading(term: Term, seen: Seen, without: Diagnosis, way: TwinWay) -> _Grading:
+    """Say whether an effect that was left out is found again, and its law confirmed; by any of the tests, where there are several."""
+    if without.verdict in way.quiet:
         return _Grading(term.label, _NOT_NEEDED, False)
-    named = next((s for s in diagnosis.suspects if s.label == term.label and s.in_group), None)
-    if named is None:
-        return _Grading(term.label, f"not found again: {diagnosis.verdict}", False)
-    if diagnosis.verdict != "missing_effect":
-        alike = ", ".join(s.label for s in diagnosis.group if s.label != term.label)
+    key = key_of(term)
+    group = next((g for g in without.found if any(seen.key_of(s) == key for s in g)), None)
+    if group is None or without.verdict not in _NAMED:
+        return _Grading(term.label, f"not found again: {without.verdict}", False)
+    if len(group) > 1:
+        alike = ", ".join(s.label for s in group if seen.key_of(s) != key)
         return _Grading(term.label, f"not told from {alike or 'others'}", False)
-    grade = str(named.grade)
-    return _Grading(term.label, grade, grade in way.grades)
+    own, (cause, axis) = group[0].grade, key
+    tests = without.tests if isinstance(without, SeveralDiagnosis) else ()
+    every = [s for test in tests for g in test.found.found for s in g]
+    # A circle shows the difference of its two axes, of which another test tells one.
+    mine = [s for s in every if seen.key_of(s)[0] == cause and axis in (s.axis, *AXES_OF.get(s.axis, ()))]
+    grade = next((s.grade for s in mine if s.grade in way.grades), own)
+    return _Grading(term.label, str(grade), grade in way.grades)
 
 
-def _objections(diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, way: TwinWay) -> list[str]:
+def _objections(
+    diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, whole: Twin, way: TwinWay
+) -> list[str]:
     out = []
-    if diagnosis.verdict not in way.quiet and not _left(diagnosis, corrected, way):
+    if diagnosis.verdict not in way.quiet and not _left(diagnosis, whole, way):
         out.append(f"{diagnosis.verdict}: {diagnosis.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     labels = set(corrected.labels)
@@ -220,15 +253,32 @@ def _objections(diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: T
     return out
 
 
-def _left(diagnosis: Diagnosis, twin: Twin, way: TwinWay) -> str:
-    """Say what a diagnosis finds that is too little to object to; empty without."""
-    share = diagnosis.systematic_rms_um / twin.figures["rms_before_um"]
+def _left(diagnosis: Diagnosis, whole: Twin, way: TwinWay) -> str:
+    """Say what a diagnosis finds that is too little to object to, in each of the tests; empty without."""
+    parts = whole.parts if isinstance(whole, SeveralTwin) else (whole,)
+    tests = [t.found for t in diagnosis.tests] if isinstance(diagnosis, SeveralDiagnosis) else [diagnosis]
+    share = max(
+        found.systematic_rms_um / part.figures["rms_before_um"] for found, part in zip(tests, parts, strict=True)
+    )
     if diagnosis.verdict not in _STRUCTURE or not share < way.little:
         return ""
     return (
         f"{diagnosis.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
         f"{100 * way.little:g} % may be left): {diagnosis.headline}"
     )
+
+
+def _by_others(frozen: TwinBundle, seen: Seen) -> _ByOthers | None:
+    """Leave out the whole campaign, and foretell it."""
+    obs = seen.obs
+    others = tuple(name for name in seen.whole.campaigns if name != obs.campaign.name)
+    if not others:
+        return None
+    again = seen.refit(lambda test: np.arange(0 if test.campaign.name == obs.campaign.name else test.n_rows))
+    kept = tuple(t for t in again.terms if t.label in frozen.twin.labels)
+    unknown = tuple(label for label in frozen.twin.labels if label not in {t.label for t in kept})
+    before, after = (obs.rms(frozen_residual_um(replace(again, terms=terms), obs)) for terms in ((), kept))
+    return _ByOthers(others, before, after, unknown)
 
 
 def _report(frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int) -> TrainingReport:
@@ -271,11 +321,12 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
     return out
 
 
-def _description(frozen: TwinBundle, diagnosis: Diagnosis, objections: Sequence[str], left: str) -> str:
+def _description(frozen: TwinBundle, seen: Seen, diagnosis: Diagnosis, objections: Sequence[str], left: str) -> str:
     twin = frozen.twin
+    others = [name for name in seen.whole.campaigns if name != twin.campaign]
     lines = [
         f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{diagnosis.verdict}`, "
-        f"on `{twin.campaign}`.",
+        f"on `{twin.campaign}`{', fitted with ' + ', '.join(others) if others else ''}.",
         "",
         *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in frozen.terms),
     ]

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.physics.agreed import agreed, contradicting
+from dtwin.physics.agreed import Sizes, agreed, contradicting
 from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.effect import Effect
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.schema import require_name
+from dtwin.twins._path_member import PathMember
 from dtwin.twins._recorded import recorded
 from dtwin.twins._stored import contradictions_from
 from dtwin.twins.machine_twin import (
@@ -169,6 +171,22 @@ class MachineTwins(TwinShelf):
             if sum(len(mine) > len(before) for mine, before in zip(new, old, strict=True)) > 1
         ]
         return sorted(shared, key=len)[:1] or every
+
+    def of_paths(self, twin: MachineTwin) -> tuple[PathMember, SeveralTwin, Callable[[PathMember, Sizes], Sizes]]:
+        """Return its tests of a path, the part of the twin that is of them, and what the other fits make of sizes of theirs."""
+        members = self._members(twin.campaigns)
+        at = next(n for n, member in enumerate(members) if isinstance(member, PathMember))
+        others = [
+            None if n == at else m.sizes(m.fit(mine, robust=False, refine=True))
+            for n, (m, mine) in enumerate(zip(members, _terms(twin), strict=True))
+        ]
+
+        def agree(rest: PathMember, sizes: Sizes) -> Sizes:
+            alone = [sizes if other is None else other for other in others]
+            begun = [rest.begun if n == at else member.begun for n, member in enumerate(members)]
+            return agreed(alone, contradicting(alone, begun)[0])[at]
+
+        return cast("PathMember", members[at]), cast("SeveralTwin", twin.members[at]), agree
 
     def newest(self, name: str, version: int | None = None) -> MachineTwin:
         """Return a version of a twin, the newest one without a number."""

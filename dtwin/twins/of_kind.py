@@ -27,7 +27,7 @@ AnyTwins: TypeAlias = "Twins | HeatTwins | MachineTwins"
 AnyTwin: TypeAlias = "Twin | HeatTwin | MachineTwin"
 
 
-def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> AnyTwins:
+def twins_with(home: Home, library: Mapping[str, Effect] | None, name: str) -> AnyTwins:
     """Return the twins among which one of that name is, or would be."""
     kind = kind_of(home, name)
     return MachineTwins(home, library) if kind == MACHINE else kind_named(kind).twins(home, library)
@@ -71,7 +71,7 @@ def fit_twin(
     return several, several.fit(names, effects, name, robust=robust)
 
 
-def paths_of(home: Home, library: Mapping[str, Effect], name: str, version: int | None = None) -> Twin:
+def paths_of(home: Home, library: Mapping[str, Effect] | None, name: str, version: int | None = None) -> Twin:
     """Return a version of a twin of tests of a path; of one of several kinds the part that is of such tests.
 
     Raises ``InputError`` when there is no such twin, or it has no such test.

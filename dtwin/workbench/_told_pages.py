@@ -14,6 +14,7 @@ from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
 from dtwin.twins.machine_twin import MachineTwin
 from dtwin.twins.of_kind import AnyTwin
+from dtwin.twins.seen import able_to
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._pages import rendered
@@ -40,6 +41,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         compared=report_of(compared).comparison_text(compared),
         contradictions=contradiction_lines(twin.as_dict()),
         paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
+        correctable=able_to(bench.home, twin, "twin_correction"),
         diagnosis=diagnosis,
         told=report_of(diagnosis).diagnosis_text(name, diagnosis) if diagnosis else "",
         parameters=_captioned(twin),

@@ -16,6 +16,7 @@ from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
 from dtwin.twins.learn import learn_law, learn_map
 from dtwin.twins.of_kind import AnyTwin, AnyTwins, fit_twin, twins_for
+from dtwin.twins.seen import chosen
 from dtwin.twins.shelf import require_same_machine
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
@@ -57,8 +58,9 @@ class _EffectRequest(BaseModel):
 
 
 class _CorrectionRequest(BaseModel):
-    """Whether a correction may be registered although the twin is not confirmed."""
+    """On the path of which campaign, and whether a correction may be registered although the twin is not confirmed."""
 
+    on: _Word = ""
     trial: bool = False
 
 
@@ -188,13 +190,14 @@ def discover(request: Request, name: str) -> JSONResponse:
 def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResponse:
     """Register the correction that a confirmed twin stands for, or say why not."""
     bench = bench_of(request)
-    bench.twins.newest(name)
+    twins = bench.twins_with(name)
+    on = chosen(bench.home, twins.newest(name), "twin_correction", wanted.on or None)
 
     def work(tell: Tell) -> str:
         from dtwin.twins.correct import correct as register
 
         tell("diagnose, grade every effect, freeze and register")
-        correction = register(bench.twins, name, trial=wanted.trial).as_dict()
+        correction = register(twins, name, campaign=on, trial=wanted.trial).as_dict()
         return f"/models/{correction['machine']}/{correction['version']}"
 
     return accepted(bench.jobs.start(f"Correct with {name}", work))

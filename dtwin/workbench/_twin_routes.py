@@ -32,6 +32,7 @@ from dtwin.report.twin_plots import (
 )
 from dtwin.report.twins import found_table, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
+from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import bench_of
@@ -146,6 +147,7 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
         tab="versions",
         twin=newest,
         rungs=rungs,
+        correctable=able_to(bench.home, newest, "twin_correction"),
         pair=(left, right),
         effects=possible.values(),
         tables=[parameter_table(v) for v in (left, right)],

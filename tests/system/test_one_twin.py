@@ -110,8 +110,27 @@ def test_mistakes_are_refused_with_the_reason(home: Home) -> None:
         require_together([("bar", "mill-7", "circular"), ("spindle", "mill-7", "rotation")])
     assert refused("twin", "budget", "wrong").code == "budget.campaign"
     assert said("twin", "budget", "wrong", "--on", "bar")["shares"]
-    assert refused("twin", "correct", "wrong").code == "twin.several"
-    assert refused("twin", "confirm", "wrong", "backlash:X", "--after", "later").code == "twin.several"
+    which = refused("twin", "correct", "wrong")
+    assert (which.code, which.allowed) == ("twin.which", ", ".join(ALL))
+    assert refused("twin", "correct", "wrong", "--on", "later").code == "twin.campaign"
+
+
+def test_the_sizes_of_all_correct_the_path_of_one(home: Home) -> None:
+    printed("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "moved")
+    made = said("twin", "correct", "moved", "--on", "bar", "--trial")
+    assert made["campaign"] == "bar"
+    # Circles of one feed do not confirm a law; what lasers tell is not enough for every feed.
+    assert made["objections"] == [f"{label}: shape-consistent" for label in ("scale_mismatch X", "backlash X")]
+    # The one feed is left out of all circles, and foretold by the lasers, which know none.
+    assert {g["gate"]: g["passed"] for g in made["gates"]}["held-out conditions"]
+    assert [t["included"] for t in made["terms"]] == [True, True]
+    assert all(p["rms_predicted_um"] < 0.3 * p["rms_before_um"] for p in made["predicted"])
+    told = made["by_others"]
+    assert (told["campaigns"], told["unknown"]) == (["laser-x", "laser-y"], [])
+    assert told["after_um"] < 0.3 * told["before_um"]
+    rows = printed("export", "moved", "--as", "csv", "--out", str(home.root / "moved.csv"))
+    assert "travel_mm: [-100.0, 100.0]" in rows
+    assert 'name="on"' in client(home).get("/twins/moved/versions").text
 
 
 def test_a_laser_that_contradicts_the_ball_bar_is_named_on_command_and_page(home: Home) -> None:

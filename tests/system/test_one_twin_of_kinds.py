@@ -11,6 +11,9 @@ from starlette.testclient import TestClient
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
 from dtwin.lake.store import Lake
+from dtwin.physics.several_twin import SeenTwin
+from dtwin.twins.of_kind import twins_with
+from dtwin.twins.seen import seen_on
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -64,6 +67,16 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
     for address in ("/twins/found?on=june", "/twins/found/report.html", "/api/twins/found/overlay/angle?on=bar"):
         assert open_page(address).status_code == 200, address
     assert "One twin of several tests" in open_page("/machines/cobot-1").text
+    assert "correct-title" in page
+    # What is corrected has the sizes of all, and is as certain as they are.
+    seen = seen_on(twins_with(home, None, "found"), "found", "bar")
+    again = seen.refit(lambda obs: np.arange(obs.n_rows))
+    assert {e.axis: e.value for e in again.estimates} == pytest.approx({e.axis: e.value for e in seen.twin.estimates})
+    assert isinstance(seen.twin, SeenTwin)
+    stated = [e.uncertainty for e in seen.twin.estimates]
+    assert 2.0 * np.sqrt(np.diag(seen.twin.covariance)) == pytest.approx(stated, rel=0.2)
+    rows = printed("export", "found", "--as", "dh", "--out", str(home.root / "arm.csv"))
+    assert "left out, ambient_growth" in rows
 
 
 def test_each_kind_finds_what_it_can_show() -> None:
@@ -102,5 +115,7 @@ def test_mistakes_are_refused_with_the_reason() -> None:
     assert refused("twin", "compare", "wrong", "--on", "bar").code == "twin.kind"
     assert refused("twin", "add", "wrong", "backlash:X").code == "effect.unknown"
     assert refused("twin", "remove", "wrong", "joint_zero").code == "twin.no_effect"
-    assert refused("twin", "correct", "wrong").code == "twin.kind"
+    refusal = refused("twin", "correct", "wrong")
+    assert (refusal.code, refusal.got) == ("kind.not_offered", "poses")
+    assert "dtwin export" in str(refusal.hint)
     assert refused("twin", "fit", "bar", "tracker", "--name", "no", "--robust").code == "twin.robust"

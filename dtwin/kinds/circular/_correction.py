@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import OUTPUT, twin_bundle
-from dtwin.physics.fit import fit
+from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.twin import Twin, frozen_residual_um, twin_of
+from dtwin.physics.twin import Twin, frozen_residual_um
+from dtwin.schema import Floats
 from dtwin.serve.export import to_c, to_latex, to_python, to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
@@ -20,6 +22,7 @@ from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.correct import BY_LAW, TwinWay
 from dtwin.twins.judged import NAME, Judged
 from dtwin.twins.measured import pure_rms_um
+from dtwin.twins.seen import Seen
 
 _VISIBLE_SHARE = 0.1
 
@@ -30,11 +33,14 @@ def freeze_circles(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     return twin_bundle(twin, obs, horizon_s=float(delay))
 
 
-def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
+def judge_circles(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     """Fit the twin without one feed, then without one radius at a time, and predict it.
+
+    What is left out is left out of all circles of the twin.
 
     ``home``: not used: the runs say everything.
     """
+    twin, obs = seen.twin, seen.obs
     left = frozen_residual_um(frozen.twin, obs)
     before = frozen_residual_um(replace(twin, terms=()), obs)
     bundle = frozen.bundle
@@ -42,7 +48,7 @@ def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home)
     scores = {
         group: scored
         for group in ("feed_mm_min", "radius_mm")
-        if (scored := _held_out(frozen, twin, obs, group)) is not None
+        if (scored := _held_out(frozen, seen, group)) is not None
     }
     candidate = Candidate(
         name=NAME,
@@ -65,24 +71,22 @@ def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home)
     return Judged(candidate, pure_rms_um(obs, left), rms(before[obs.mask]), tuple(sorted(conditions)))
 
 
-def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> Scores | None:
+def _held_out(frozen: TwinBundle, seen: Seen, group: str) -> Scores | None:
     """Fit the twin without one value of the group at a time, and predict it."""
-    label = np.array([float(getattr(m, group) or 0.0) for m in obs.runs])
+    obs = seen.obs
+    label = _labels(obs, group)
     values = np.unique(label)
-    if len(values) < 2:
-        return None
     rest, plain = np.zeros(obs.y_um.shape), np.zeros(obs.y_um.shape)
     for value in values:
-        inside, outside = np.flatnonzero(label != value), np.flatnonzero(label == value)
+        outside = np.flatnonzero(label == value)
         try:
-            made = fit(obs.take(inside), list(twin.terms))
+            again = seen.refit(partial(_other_rows, kind=obs.grid.kind, group=group, value=float(value)))
         except InputError:
             return None
-        seen = twin_of(made, obs.take(inside), name=twin.name, version=1, action="", data={})
-        kept = [t for t in made.terms if t.label in frozen.twin.labels]
+        kept = [t for t in again.terms if t.label in frozen.twin.labels]
         there = obs.take(outside)
-        rest[outside] = frozen_residual_um(replace(seen, terms=tuple(kept)), there)
-        plain[outside] = frozen_residual_um(replace(seen, terms=()), there)
+        rest[outside] = frozen_residual_um(replace(again, terms=tuple(kept)), there)
+        plain[outside] = frozen_residual_um(replace(again, terms=()), there)
     floor_um = pure_rms_um(obs, rest)
     ratios: dict[str, float] = {}
     for number, condition in enumerate(obs.conditions):
@@ -105,6 +109,15 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
         n_groups=len(values),
         n_runs=len(set(obs.run_of.tolist())),
     )
+
+
+def _labels(obs: Observations, group: str) -> Floats:
+    return np.array([float(getattr(m, group) or 0.0) for m in obs.runs])
+
+
+def _other_rows(obs: Observations, kind: str, group: str, value: float) -> Indices:
+    """Return the rows of a test without those that are left out; tests of another kind say nothing of a feed or a radius."""
+    return np.flatnonzero(_labels(obs, group) != value) if obs.grid.kind == kind else np.arange(obs.n_rows)
 
 
 WAY = TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)

@@ -31,15 +31,14 @@ _CLAMP_SHARE = 1.25
 _SETTLED = 5.0
 
 
-def export_twin(home: Home, name: str, form: str) -> Export:
+def export_twin(home: Home, twin: DriftTwin, form: str) -> Export:
     """Write a twin of drift for Klipper.
 
     Of several sensors that which moved Z most is kept; the others are left out and named.
 
     Raises ``InputError`` when it does not follow as Klipper does, or is not of Z.
     """
-    compared = DriftTwins(home).compare(name)
-    twin, loaded = compared.twin, compared.loaded
+    loaded = DriftTwins(home).against(twin, twin.campaign).loaded
     _require_z(home, twin, loaded)
     ways = [
         _Way(t, v, v * loaded.series.column(t)) for t, v in zip(twin.terms, twin.document["per_kelvin"], strict=True)
@@ -49,7 +48,7 @@ def export_twin(home: Home, name: str, form: str) -> Export:
         raise InputError(
             "Klipper follows one sensor, at once or with one lag",
             code="export.effects",
-            where=f"twin {name}",
+            where=f"twin {twin.name}",
             got=", ".join(written(way.term) for way in ways) or "no effects",
             allowed="follows@SENSOR or lag@SENSOR as the effect that moved Z most",
             hint=f"dtwin twin fit {twin.campaign} --effects lag@SENSOR --name NAME",

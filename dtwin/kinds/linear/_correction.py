@@ -19,10 +19,9 @@ from dtwin.kinds.linear._judging import (
     stacked,
     table_rms_um,
 )
-from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
@@ -32,6 +31,7 @@ from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.seen import Seen
 
 _FEWEST_RUNS = 2
 
@@ -42,16 +42,17 @@ def freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     return flanks_twin_bundle(twin, obs)
 
 
-def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
-    """Fit the twin without one run at a time, and predict it.
+def judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
+    """Fit the twin without one run of this axis at a time, and predict it.
 
     The unit of replication is the run, one sweep up and one down. The zero of the laser is taken from
     the runs that were not left out, as it is for tables.
 
     ``home``: not used: the runs say everything.
     """
+    obs = seen.obs
     test = test_of_runs(obs)
-    left = runs_left_out(test, lambda run: _foretold_um(frozen, twin, obs, run))
+    left = runs_left_out(test, lambda run: _foretold_um(frozen, seen, run))
     error = stacked(test)[2]
     floor = noise_floor_um(test)
     reach = reach_mm(obs)
@@ -112,13 +113,18 @@ def _rows(obs: Observations, run: int) -> Indices:
     return np.flatnonzero(obs.run_of == run)
 
 
-def _foretold_um(frozen: TwinBundle, twin: Twin, obs: Observations, run: int) -> Floats:
+def _foretold_um(frozen: TwinBundle, seen: Seen, run: int) -> Floats:
     """Return what the other runs let expect of a run, in the order of ``stacked``."""
+    obs = seen.obs
     number = np.unique(obs.run_of)[run]
-    others, own = obs.take(np.flatnonzero(obs.run_of != number)), _rows(obs, number)
-    made = fit(others, list(twin.terms))
-    seen = twin_of(made, others, name=twin.name, version=1, action="", data={})
-    kept = replace(seen, terms=tuple(t for t in made.terms if t.label in frozen.twin.labels))
+
+    def other_rows(test: Observations) -> Indices:
+        mine = test.campaign.name == obs.campaign.name
+        return np.flatnonzero(test.run_of != number) if mine else np.arange(test.n_rows)
+
+    others, own = obs.take(other_rows(obs)), _rows(obs, number)
+    again = seen.refit(other_rows)
+    kept = replace(again, terms=tuple(t for t in again.terms if t.label in frozen.twin.labels))
     zero_um = float((others.y_um - predict_um(kept, others))[others.mask].mean())
     here = obs.take(own[np.argsort(-obs.sense[own])])
     everywhere = obs.mask.all(axis=0)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._data import chain_in
-from dtwin.kinds.poses._twins import PoseTwin, PoseTwins
+from dtwin.kinds.poses._twins import PoseTwin
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.export import Export
 from dtwin.schema import Floats
@@ -46,12 +46,11 @@ class _Arm:
         return found
 
 
-def export_twin(home: Home, name: str, form: str) -> Export:
+def export_twin(home: Home, twin: PoseTwin, form: str) -> Export:
     """Write the corrected geometry of a twin of poses.
 
     Raises ``InputError`` when the twin has nothing that the form holds.
     """
-    twin = PoseTwins(home).newest(name)
     write, waves = FORMS[form]
     held = {"joint_zero", "link_geometry", *(_CYCLIC if waves else ())}
     left_out = {t.label: f"{form} does not hold it" for t in twin.terms if t.effect not in held}
@@ -59,7 +58,7 @@ def export_twin(home: Home, name: str, form: str) -> Export:
         raise InputError(
             "the twin has nothing that this form holds",
             code="export.effects",
-            where=f"twin {name}",
+            where=f"twin {twin.name}",
             got=", ".join(twin.labels) or "no effects",
             allowed=", ".join(sorted(held)),
             hint="dtwin twin discover NAME",

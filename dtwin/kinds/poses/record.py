@@ -32,7 +32,8 @@ class _Poses(Kind):
     export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {
-        "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm"
+        "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
+        "twin_correction": "dtwin export TWIN --as dh writes the corrected geometry of the arm",
     }
     places: ClassVar[Mapping[str, str]] = {
         "takes_alone": "_read:is_pose_table",

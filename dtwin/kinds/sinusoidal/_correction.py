@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import cmath
+import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,10 +17,9 @@ from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
 from dtwin.kinds.sinusoidal._grid import ToneCondition
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups, load_tone_groups
 from dtwin.lake.store import Lake
-from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
@@ -27,6 +28,7 @@ from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.judged import NAME, Judged
 from dtwin.twins.measured import pure_rms_um
+from dtwin.twins.seen import Seen
 
 _FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
 
@@ -50,17 +52,16 @@ def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     return tone_twin_bundle(twin, obs, groups)
 
 
-def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
+def judge_tones(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     """Fit the twin without one frequency, then without one amplitude at a time, and predict it.
 
-    ``obs``: the runs, one tone each: the unit of replication.
+    What is left out is left out of all tones of the twin. The unit of replication is the run, one tone each.
     """
+    twin, obs = seen.twin, seen.obs
     groups = _groups(twin, home)
 
     def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
-        seen = _rows(obs, train)
-        made = fit(obs.take(seen), list(twin.terms))
-        again = twin_of(made, obs.take(seen), name=twin.name, version=1, action="", data={})
+        again = seen.refit(partial(_rows, kind=obs.grid.kind, without=_left_out(groups, train)))
         kept = tuple(t for t in again.terms if t.label in frozen.twin.labels)
         return _told(replace(again, terms=kept), obs, test)
 
@@ -102,9 +103,16 @@ def _tone(obs: Observations, row: int) -> tuple[float, float]:
     return condition.frequency_hz, condition.amplitude_um
 
 
-def _rows(obs: Observations, groups: ToneGroups) -> Indices:
-    wanted = set(zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True))
-    return np.array([row for row in range(obs.n_rows) if _tone(obs, row) in wanted])
+def _left_out(groups: ToneGroups, train: ToneGroups) -> tuple[set[float], set[float]]:
+    """Return the frequencies and the amplitudes that are not trained on."""
+    frequency, amplitude = (set(groups.label(name)) - set(train.label(name)) for name in HELD_OUT)
+    return frequency, amplitude
+
+
+def _rows(obs: Observations, kind: str, without: tuple[set[float], set[float]]) -> Indices:
+    """Return the rows of a test without frequencies and amplitudes; tests of another kind have none."""
+    tones = [_tone(obs, row) if obs.grid.kind == kind else (math.nan, math.nan) for row in range(obs.n_rows)]
+    return np.flatnonzero([f not in without[0] and a not in without[1] for f, a in tones])
 
 
 def _told(twin: Twin, obs: Observations, groups: ToneGroups) -> Predicted:

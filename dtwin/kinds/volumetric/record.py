@@ -28,7 +28,8 @@ class _Volumetric(Kind):
     sheet_columns = campaign_columns
     always_fitted = "Error motions, each driven by a few temperatures."
     instead: ClassVar[Mapping[str, str]] = {
-        "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
+        "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat",
+        "twin_correction": "dtwin train CAMPAIGN makes an equation of the temperatures",
     }
     places: ClassVar[Mapping[str, str]] = {
         "machines": "_machines:MACHINES",

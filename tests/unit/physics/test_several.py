@@ -7,6 +7,7 @@ import pytest
 from mill_and_laser import circles, laser
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular._correction import _other_rows
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
@@ -16,9 +17,11 @@ from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
+from dtwin.physics.several_sizes import covariance_in, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
 
 LIBRARY = Library()
+NAMES = (("backlash", "backlash"), ("friction", "lag"))
 SCALED = MillParameters().with_axis("X", scale_ppm=30.0, play_um=3.0)
 
 
@@ -39,6 +42,21 @@ def test_sizes_are_those_of_the_machine_and_better_known_than_by_circles_alone()
         assert sizes[label].value == pytest.approx(truth, abs=1.5 * sizes[label].uncertainty)
     alone = fit(campaigns[0], found.fits[0].terms).estimates
     assert sizes["backlash X"].uncertainty < min(e.uncertainty for e in alone if e.effect == "backlash")
+
+
+def test_how_parameters_go_together_in_a_campaign_is_what_all_campaigns_say() -> None:
+    # Circles at one feed know the sum of lost motion and friction; a laser knows lost motion alone.
+    bar = circles(SCALED)
+    bound = []
+    for other in (circles(SCALED, seed=3, name="again"), laser("X", 30.0, 3.0)):
+        found = together([bar, other], "scale_mismatch", "backlash:X", "friction:X")
+        seen = covariance_in(found, sizes_of(found), 0)
+        stated = found.fits[0].estimates
+        assert 2.0 * np.sqrt(np.diag(seen)) == pytest.approx([e.uncertainty for e in stated], rel=0.2)
+        lost, lag = ([(e.effect, e.name) for e in stated].index(one) for one in NAMES)
+        bound.append(seen[lost, lag] / np.sqrt(seen[lost, lost] * seen[lag, lag]))
+    assert bound[0] < -0.99
+    assert bound[1] > -0.5
 
 
 def test_a_difference_of_axes_is_one_parameter_where_nobody_sees_an_axis_alone() -> None:
@@ -222,3 +240,10 @@ def test_a_name_by_chance_in_one_campaign_is_not_told_where_another_denies_it() 
     said = diagnose_several(twin, campaigns, LIBRARY)
     assert (said.verdict, said.found) == ("nothing_missing", ())
     assert "one campaign alone would name backlash X" in said.headline
+
+
+def test_a_feed_that_is_left_out_is_left_out_of_all_circles() -> None:
+    bars = [circles(SCALED, feeds_mm_min=feeds, repeats=1) for feeds in ((1000.0, 2000.0), (2000.0,))]
+    kept = [_other_rows(one, "circular", "feed_mm_min", 2000.0) for one in (*bars, laser("X", 30.0, 3.0))]
+    assert [len(rows) for rows in kept] == [2, 0, 10]
+    assert {bars[0].runs[row].feed_mm_min for row in kept[0]} == {1000.0}

@@ -18,6 +18,7 @@ from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.physics.fit import Estimate, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
+from dtwin.physics.several_twin import SeenTwin
 from dtwin.physics.twin import Twin, chosen_terms, twin_of
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
@@ -198,3 +199,12 @@ def test_placements_have_the_uncertainty_of_their_means() -> None:
         assert compiled.band_um == pytest.approx(2.869 * errors[motion].std(axis=0, ddof=1) / np.sqrt(5), rel=1e-3)
     alone = placement_bundle([p for p in placed if p.motion == "MoveL"] + placed[-1:], "m", feeds_mm_min=(5.0, 9.0))
     assert alone.band is None
+
+
+def test_of_several_campaigns_the_covariance_is_that_of_all(circles: Observations) -> None:
+    twin = twin_with(["scale_mismatch", "squareness", "backlash"], circles)
+    free = SeenTwin(**vars(twin), covariance=np.eye(len(twin.estimates)))
+    factor = parameter_factor(free, free, circles)
+    assert factor is not None
+    stated = np.array([e.uncertainty for e in twin.estimates])
+    assert factor @ factor.T == pytest.approx(np.diag(stated**2))
