@@ -152,7 +152,7 @@ def correct(
     way = kind_named(obs.grid.kind).twin_correction()
     frozen = way.freeze(twin, obs, twins.home)
     gradings = tuple(_grading(term, seen, seen.lacks(term, seed), way) for term in frozen.twin.terms)
-    objections = tuple(_objections(diagnosis, gradings, frozen.twin, seen.whole, way))
+    objections = tuple(_objections(diagnosis, gradings, frozen.twin, seen, way))
     if objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
@@ -238,12 +238,17 @@ def _grading(term: Term, seen: Seen, without: Diagnosis, way: TwinWay) -> _Gradi
 
 
 def _objections(
-    diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, whole: Twin, way: TwinWay
+    diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, seen: Seen, way: TwinWay
 ) -> list[str]:
     out = []
-    if diagnosis.verdict not in way.quiet and not _left(diagnosis, whole, way):
+    if diagnosis.verdict not in way.quiet and not _left(diagnosis, seen.whole, way):
         out.append(f"{diagnosis.verdict}: {diagnosis.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
+    out += [
+        f"{term.label}: {', '.join(c.campaigns)} contradicts {', '.join(c.others)}, fit a twin to those that agree"
+        for term in corrected.terms
+        for c in seen.disagreed_on(term)
+    ]
     labels = set(corrected.labels)
     out += [
         f"{e.effect} {e.axis}".strip() + f": {e.name} cannot be told from another effect"

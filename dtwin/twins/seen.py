@@ -13,6 +13,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Sizes
+from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.effect import Effect
@@ -24,6 +25,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in
 from dtwin.physics.several_twin import SeenTwin, SeveralTwin, seen_in
+from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin, twin_of
 from dtwin.twins._path_member import PathMember
 from dtwin.twins.machine_twins import MachineTwins
@@ -45,6 +47,7 @@ class Seen:
     ``twin``: with the effects by the names that they have there.
     ``obs``: the runs of the campaign.
     ``whole``, ``tests``: the twin of all its tests of a path, the same one where there is one test, and those tests.
+    ``contradictions``: what all campaigns of the twin, of any kinds, do not agree on.
     ``library``: effects that may be missing.
     ``refit``: fits the effects again to some rows of each test, and returns the twin as this campaign sees it. Raises
     ``InputError`` when no row is left.
@@ -55,6 +58,7 @@ class Seen:
     obs: Observations
     whole: Twin
     tests: tuple[Observations, ...]
+    contradictions: tuple[Contradiction, ...]
     library: Mapping[str, Effect]
     refit: Callable[[Rows], Twin]
     lacks: Callable[[Term | None, int], Diagnosis]
@@ -62,6 +66,16 @@ class Seen:
     def key_of(self, suspect: Suspect) -> tuple[str, str]:
         """Return cause and axis of what was found, as those of a term."""
         return cause_of(self.library[suspect.effect]), suspect.axis
+
+    def disagreed_on(self, term: Term) -> list[Contradiction]:
+        """Return the contradictions on the size of an effect."""
+        cause, axis = key_of(term)
+        return [
+            c
+            for c in self.contradictions
+            if (cause_of(self.library[c.effect]) if c.effect in self.library else c.effect) == cause
+            and axis in (c.axis, *AXES_OF.get(c.axis, ()))
+        ]
 
 
 def able_to(home: Home, twin: AnyTwin, verb: str) -> list[str]:
@@ -100,12 +114,13 @@ def chosen(home: Home, twin: AnyTwin, verb: str, campaign: str | None) -> str:
 def seen_on(twins: AnyTwins, name: str, campaign: str) -> Seen:
     """Return the newest version of a twin as one of its campaigns of a path sees it."""
     if isinstance(twins, MachineTwins):
-        return _of_several(*twins.of_paths(twins.newest(name)), campaign)
+        machine = twins.newest(name)
+        return _of_several(*twins.of_paths(machine), campaign, machine.contradictions)
     paths = cast("Twins", twins)
     known = paths.newest(name)
     if isinstance(known, SeveralTwin):
         (member,) = paths.members(known.campaigns)
-        return _of_several(member, known, _as_they_are, campaign, diagnosed=paths)
+        return _of_several(member, known, _as_they_are, campaign, known.contradictions, paths)
     return _of_one(paths, known)
 
 
@@ -128,11 +143,16 @@ def _of_one(twins: Twins, twin: Twin) -> Seen:
             return twins.diagnose(twin.name, seed=seed)[1]
         return diagnose(obs, [t for t in twin.terms if t.label != without.label], twins.library, seed=seed)
 
-    return Seen(twin, obs, twin, (obs,), twins.library, refit, lacks)
+    return Seen(twin, obs, twin, (obs,), (), twins.library, refit, lacks)
 
 
 def _of_several(
-    member: PathMember, twin: SeveralTwin, agree: Agree, on: str, *, diagnosed: Twins | None = None
+    member: PathMember,
+    twin: SeveralTwin,
+    agree: Agree,
+    on: str,
+    contradictions: Sequence[Contradiction],
+    diagnosed: Twins | None = None,
 ) -> Seen:
     """``agree``: what fits of other kinds make of the sizes; ``diagnosed``: the twins that keep the diagnosis of this one."""
     library = member.library
@@ -159,7 +179,7 @@ def _of_several(
 
     _, covariance = _fitted(member, twin, agree, refine=False, of=number)
     seen = SeenTwin(**vars(twin.on(on)), covariance=covariance)
-    return Seen(seen, obs, twin, tuple(campaigns), library, refit, lacks)
+    return Seen(seen, obs, twin, tuple(campaigns), tuple(contradictions), library, refit, lacks)
 
 
 def _without(terms: Sequence[Term], gone: tuple[str, str]) -> tuple[Term, ...]:

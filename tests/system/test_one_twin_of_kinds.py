@@ -95,6 +95,8 @@ def test_the_loop_takes_a_cause_everywhere_and_names_who_contradicts(home: Home)
     assert (told["effect"], told["axis"], told["campaigns"]) == ("joint_offset", "2", ["june"])
     assert told["difference"] == pytest.approx(300.0, abs=told["k2"])
     assert told["since"].startswith("2026-06-05")
+    loop = seen_on(twins_with(home, None, "loop"), "loop", "bar")
+    assert [t.label for t in loop.twin.terms if loop.disagreed_on(t)] == ["joint_offset 2"]
     printed("machine", "event", "cobot-1", "crash", "--on", "2026-05-20")
     assert "since the crash of 2026-05-20" in printed("twin", "compare", "loop")
     assert "since the crash of 2026-05-20" in client(home).get("/twins/loop").text
