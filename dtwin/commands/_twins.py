@@ -280,7 +280,9 @@ def correct_machine(
 def confirm_effect(
     name: Name,
     effect: Annotated[str, typer.Argument(help="An effect of the twin, like backlash:X.")],
-    after: Annotated[str, typer.Option(help="Campaign measured after the cause was mended.")],
+    after: Annotated[
+        list[str], typer.Option(help="Campaign measured after the cause was mended; several, each by its own --after.")
+    ],
     what: Annotated[str, typer.Option(help="What was done.")] = "",
     effects_path: Paths = None,
     as_json: Json = False,
@@ -288,7 +290,7 @@ def confirm_effect(
     """Compare an effect before and after its cause was mended: intervention-confirmed or not."""
     from dtwin.twins.confirm import confirm
 
-    confirmation = confirm(_twins(effects_path), name, effect, after, what)
+    confirmation = confirm(_twins_with(name, effects_path), name, effect, after, what)
     said = "went away: intervention-confirmed" if confirmation.confirmed else "did not certainly go away"
     emit(
         {"twin": name, **confirmation.as_dict()},

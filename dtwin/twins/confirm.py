@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.documents import finite, read_document, write_document
 from dtwin.errors import InputError
+from dtwin.lake.store import Lake
 from dtwin.physics.fit import Estimate, fit
+from dtwin.physics.machine_terms import cause_of, key_of, seen_by
+from dtwin.physics.several import fit_several
+from dtwin.physics.several_twin import SeveralTwin
+from dtwin.physics.twin import Twin
+from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.measured import load
-from dtwin.twins.several import require_alone
+from dtwin.twins.members import Cause
+from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.shelf import TwinShelf
 from dtwin.twins.verbs import Twins
+from dtwin.units import shown_unit
 
 _GRADE = "intervention-confirmed"
 # Less than this share of what was there before must be left.
@@ -24,7 +35,7 @@ _FILE = "interventions.json"
 class _Change:
     """One parameter before and after.
 
-    ``before_uncertainty``, ``after_uncertainty``: expanded, k = 2; unit of replication: the run.
+    ``before_uncertainty``, ``after_uncertainty``: expanded, k = 2; unit of replication: that of the twin.
     """
 
     name: str
@@ -49,7 +60,7 @@ class _Change:
     def __str__(self) -> str:
         return (
             f"{self.name.replace('_', ' ')} {self.before:.3g} ± {self.before_uncertainty:.2g} -> "
-            f"{self.after:.3g} ± {self.after_uncertainty:.2g} {self.unit}"
+            f"{self.after:.3g} ± {self.after_uncertainty:.2g} {shown_unit(self.unit)}"
         )
 
 
@@ -71,50 +82,50 @@ class _Intervention:
         return {**asdict(self), "grade": _GRADE if self.confirmed else None}
 
 
-def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> _Intervention:
+def confirm(twins: AnyTwins, name: str, effect: str, after: Sequence[str], what: str) -> _Intervention:
     """Fit the twin's effects to measurements from after an intervention, and compare one.
 
     ``name``, ``effect``: the twin, and the label of one of its effects: ``backlash:X``.
-    ``after``: campaign on the same machine after the cause was mended.
+    ``after``: campaigns on the same machine after the cause was mended, together. Where the twin was fitted to them, too, it
+    is fitted again without them.
     What is returned is kept beside the twin, also when it did not confirm anything.
-    Raises ``InputError`` when the twin does not have the effect, or the campaign is of another machine, is the one of
-    the fit, or has no repeats.
+    Raises ``InputError`` when the twin does not have the effect, the campaigns are of another machine, all of the fit, do not
+    tell the effect, or have no repeats.
     """
-    twin = require_alone(twins.newest(name), "confirming an effect")
-    label = effect.replace(":", " ")
-    chosen = [term.label for term in twin.terms if term.label == label]
-    if not chosen:
-        raise InputError(
-            "the twin does not have this effect",
-            code="twin.no_effect",
-            where=f"twin {name} version {twin.version}",
-            got=effect,
-            allowed=", ".join(t.replace(" ", ":") for t in twin.labels) or "it has none",
-        )
-    obs = load(twins.home, after).obs
-    if obs.campaign.machine != twin.machine or obs.campaign.name == twin.campaign:
+    twin = twins.newest(name)
+    later = [in_lake(twins.home, campaign) for campaign in after]
+    before = [campaign for campaign in twin.campaigns if campaign not in later]
+    machines = {campaign: Lake(twins.home.lake).campaign(campaign).machine for campaign in later}
+    if not before or not later or set(machines.values()) != {twin.machine}:
         raise InputError(
             "an intervention needs other measurements of the same machine",
             code="twin.not_after",
-            where=f"twin {name}, machine {twin.machine}, campaign {twin.campaign}",
-            got=f"campaign {obs.campaign.name}, machine {obs.campaign.machine}",
+            where=f"twin {name}, machine {twin.machine}, campaigns {', '.join(twin.campaigns)}",
+            got=", ".join(f"campaign {campaign}, machine {machine}" for campaign, machine in machines.items())
+            or "none",
             hint="measure the same plan again after the cause was mended",
         )
-    later = {(e.effect, e.axis, e.name): e for e in fit(obs, twin.terms).estimates}
-    changes = tuple(
-        _change(e, later[e.effect, e.axis, e.name])
-        for e in twin.estimates
-        if f"{e.effect} {e.axis}".strip() == label and e.identifiable
-    )
+    cause = _cause(twins, twin, effect)
+    known, again = (_sizes(twins, twin, campaigns) for campaigns in (before, later))
+    changes = tuple(_change(one, again[key]) for key, one in known.items() if key[:2] == cause and key in again)
+    if not changes:
+        raise InputError(
+            "the campaigns before and after do not both tell the effect",
+            code="twin.not_told",
+            where=f"campaigns {', '.join([*before, *later])}",
+            got=effect,
+            hint="measure again with what told it before",
+        )
     if any(not math.isfinite(c.before_uncertainty + c.after_uncertainty) for c in changes):
         raise InputError(
             "without repeats nobody knows whether the effect changed",
             code="twin.need_repeats",
-            where=f"campaigns {twin.campaign} and {obs.campaign.name}",
+            where=f"campaigns {', '.join([*before, *later])}",
         )
     there = [change for change in changes if change.was_there]
     confirmed = bool(there) and all(change.went for change in there)
-    intervention = _Intervention(label, what, twin.campaign, obs.campaign.name, changes, confirmed)
+    label = effect.replace(":", " ")
+    intervention = _Intervention(label, what, ", ".join(before), ", ".join(later), changes, confirmed)
     _keep(twins, name, intervention)
     return intervention
 
@@ -125,10 +136,81 @@ def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
     return list(read_document(path)["interventions"]) if path.exists() else []
 
 
+def _cause(twins: AnyTwins, twin: AnyTwin, effect: str) -> Cause:
+    """Return the cause of an effect of a twin, by any name that it has there.
+
+    Raises ``InputError`` when the twin lacks it, or its size is that of a campaign and not of the machine.
+    """
+    if isinstance(twin, Twin):
+        effect = effect.strip().replace(" ", ":")
+        parts = twin.parts if isinstance(twin, SeveralTwin) else ()
+        terms = [term for part in (twin, *parts) for term in part.terms]
+        causes: Mapping[str, Iterable[Cause]] = {t.label.replace(" ", ":"): [key_of(t)] for t in terms}
+    else:
+        names = [*twin.labels, *_names(twin)]
+        causes = {effect: _machine(twins).causes(twin.campaigns, effect)} if effect in names else {}
+    if effect not in causes:
+        raise InputError(
+            "the twin does not have this effect",
+            code="twin.no_effect",
+            where=f"twin {twin.name} version {twin.version}",
+            got=effect,
+            allowed=", ".join(label.replace(" ", ":") for label in twin.labels) or "it has none",
+        )
+    for cause in causes[effect]:
+        return cause
+    raise InputError(
+        "the size of this effect is that of its campaign, and another campaign cannot tell whether it went",
+        code="twin.not_told",
+        where=f"twin {twin.name} version {twin.version}",
+        got=effect,
+        hint="fit a twin to the campaign after, and compare both",
+    )
+
+
+def _names(twin: AnyTwin) -> list[str]:
+    """Return the names of all effects in all campaigns."""
+    return [name for e in twin.as_dict()["effects"] for name in e.get("names", (e["label"],))]
+
+
+def _sizes(twins: AnyTwins, twin: AnyTwin, campaigns: Sequence[str]) -> Mapping[tuple[str, str, int], Estimate]:
+    """Return what campaigns tell of a twin's parameters, by cause, axis and number: their names differ from kind to kind."""
+    if not isinstance(twins, Twins):
+        sizes = _machine(twins).sizes(campaigns, _names(twin))
+        return _numbered(((q.cause, q.axis), one) for q, one in sizes.items())
+    assert isinstance(twin, Twin)
+    estimates: Sequence[Estimate] = twin.estimates
+    all_told = False
+    if tuple(campaigns) != twin.campaigns:
+        tests = [load(twins.home, campaign).obs for campaign in campaigns]
+        seen = {key_of(t): s for t in twin.terms for obs in tests if (s := seen_by(t, obs, twins.library)) is not None}
+        terms = list(seen.values())
+        made = fit(tests[0], terms) if len(tests) == 1 else fit_several(tests, terms, twins.library)
+        estimates = made.estimates
+        # The shape of an effect that went is not plausible; its size is told all the same.
+        all_told = made.rank == made.n_columns
+    told = (replace(e, identifiable=True) if all_told else e for e in estimates)
+    return _numbered(((cause_of(twins.library[e.effect]), e.axis), e) for e in told)
+
+
+def _numbered(told: Iterable[tuple[Cause, Estimate]]) -> dict[tuple[str, str, int], Estimate]:
+    count: Counter[Cause] = Counter()
+    out = {}
+    for cause, one in told:
+        if one.identifiable:
+            out[(*cause, count[cause])] = one
+        count[cause] += 1
+    return out
+
+
+def _machine(twins: AnyTwins) -> MachineTwins:
+    return twins if isinstance(twins, MachineTwins) else MachineTwins(twins.home)
+
+
 def _change(before: Estimate, after: Estimate) -> _Change:
     return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
-def _keep(twins: Twins, name: str, intervention: _Intervention) -> None:
+def _keep(twins: TwinShelf, name: str, intervention: _Intervention) -> None:
     document = {"interventions": [*interventions(twins, name), finite(intervention.as_dict())]}
     write_document(twins.root / name / _FILE, document, "the intervention")

@@ -11,6 +11,7 @@ from dtwin.documents import finite
 from dtwin.features.encoder_split import Cutoff
 from dtwin.physics.agreed import Groups, Quantity, Sizes
 from dtwin.physics.contradictions import Contradiction
+from dtwin.physics.fit import Estimate
 from dtwin.physics.several_twin import pooled_figures
 from dtwin.statistics import k2_factor
 from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF
@@ -97,11 +98,11 @@ def shared_of(
                 "axis": quantity.axis,
                 "parameter": quantity.parameter,
                 "unit": quantity.unit,
-                **_size(agreed[first], quantity),
+                **_told(agreed[first], quantity),
                 "alone": [
                     {
                         "campaigns": list(members[n].campaigns),
-                        **_size(alone[n], quantity),
+                        **_told(alone[n], quantity),
                         "contradicts": bool(groups.get((n, quantity), 0)),
                     }
                     for n in seen
@@ -111,12 +112,19 @@ def shared_of(
     return out
 
 
-def _size(sizes: Sizes, quantity: Quantity) -> dict[str, Any]:
-    """Return value and expanded uncertainty; null where these campaigns do not tell it alone."""
+def size_of(sizes: Sizes, quantity: Quantity) -> Estimate:
+    """Return a quantity with its expanded uncertainty, k = 2; not identifiable where these campaigns do not tell it."""
     at = sizes.of.index(quantity)
     k2 = float(sizes.standard[at]) * k2_factor(float(sizes.dof[at]))
-    told = k2 < quantity.largest
-    return finite({"value": float(sizes.value[at]) if told else None, "uncertainty": k2 if told else None})
+    value, told = float(sizes.value[at]), k2 < quantity.largest
+    return Estimate(quantity.effect, quantity.axis, quantity.parameter, quantity.unit, value, k2, told)
+
+
+def _told(sizes: Sizes, quantity: Quantity) -> dict[str, Any]:
+    """Return value and expanded uncertainty; null where these campaigns do not tell it alone."""
+    one = size_of(sizes, quantity)
+    told = one.identifiable
+    return finite({"value": one.value if told else None, "uncertainty": one.uncertainty if told else None})
 
 
 def figures_of(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

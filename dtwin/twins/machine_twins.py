@@ -10,9 +10,10 @@ from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.physics.agreed import Sizes, agreed, contradicting
+from dtwin.physics.agreed import Quantity, Sizes, agreed, contradicting
 from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.effect import Effect
+from dtwin.physics.fit import Estimate
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.schema import require_name
 from dtwin.twins._path_member import PathMember
@@ -28,8 +29,9 @@ from dtwin.twins.machine_twin import (
     effects_of,
     figures_of,
     shared_of,
+    size_of,
 )
-from dtwin.twins.members import HasMembers, Member, Version, known_to, widened
+from dtwin.twins.members import Cause, HasMembers, Member, Version, known_to, widened
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
@@ -171,6 +173,28 @@ class MachineTwins(TwinShelf):
             if sum(len(mine) > len(before) for mine, before in zip(new, old, strict=True)) > 1
         ]
         return sorted(shared, key=len)[:1] or every
+
+    def causes(self, campaigns: Sequence[str], effect: str) -> list[Cause]:
+        """Return what of the machine an effect measures, by the name that it has in one of the campaigns."""
+        told = [(member, known_to(member, effect, "")[0]) for member in self._members(campaigns)]
+        return [cause for member, terms in told for term in terms if (cause := member.cause(term)) is not None]
+
+    def sizes(self, campaigns: Sequence[str], effects: Sequence[str]) -> dict[Quantity, Estimate]:
+        """Return what campaigns together tell of effects, those left out that none of them shows."""
+        members = self._members(campaigns)
+        shown = [name for name in effects if any(known_to(member, name, "")[0] for member in members)]
+        terms = self._widened(members, [()] * len(members), shown, "")
+        fits = [m.sizes(m.fit(mine, robust=False, refine=True)) for m, mine in zip(members, terms, strict=True)]
+        groups, _ = contradicting(fits, [member.begun for member in members])
+        every = list(enumerate(agreed(fits, groups)))
+        # Of campaigns that contradict each other those count that most agree with.
+        return {
+            quantity: size_of(sizes, quantity)
+            for apart in (True, False)
+            for n, sizes in every
+            for quantity in sizes.of
+            if quantity is not None and bool(groups.get((n, quantity), 0)) == apart
+        }
 
     def of_paths(self, twin: MachineTwin) -> tuple[PathMember, SeveralTwin, Callable[[PathMember, Sizes], Sizes]]:
         """Return its tests of a path, the part of the twin that is of them, and what the other fits make of sizes of theirs."""

@@ -37,8 +37,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_laser(root / "laser-x", "mill-7", "X", 30.0, 3.0, 2)
     write_laser(root / "laser-y", "mill-7", "Y", 0.0, 0.0, 3)
     write_laser(root / "later", "mill-7", "X", 30.0, 7.0, 4)
+    write_laser(root / "mended", "mill-7", "X", 30.0, 0.2, 5)
     write_laser(root / "elsewhere", "mill-8", "X", 0.0, 0.0)
-    for name in (*ALL, "later", "elsewhere"):
+    for name in (*ALL, "later", "mended", "elsewhere"):
         ingest(root / name, Lake(root / "home" / "lake"))
     return root
 
@@ -130,6 +131,15 @@ def test_the_sizes_of_all_correct_the_path_of_one(home: Home) -> None:
     assert told["after_um"] < 0.3 * told["before_um"]
     rows = printed("export", "moved", "--as", "csv", "--out", str(home.root / "moved.csv"))
     assert "travel_mm: [-100.0, 100.0]" in rows
+    # Lost motion was mended; a laser says so by another name of the cause, and without one of the campaigns.
+    mended = said("twin", "confirm", "moved", "backlash:X", "--after", "mended", "--after", "laser-y")
+    assert (mended["grade"], mended["before_campaign"]) == ("intervention-confirmed", "bar, laser-x")
+    kept = said("twin", "confirm", "moved", "scale_mismatch:X", "--after", "mended")
+    assert kept["grade"] is None
+    assert kept["changes"][0]["after"] == pytest.approx(30.0, abs=1.0)
+    assert refused("twin", "confirm", "moved", "friction:X", "--after", "mended").code == "twin.no_effect"
+    every = [part for name in ALL for part in ("--after", name)]
+    assert refused("twin", "confirm", "moved", "backlash:X", *every).code == "twin.not_after"
     assert 'name="on"' in client(home).get("/twins/moved/versions").text
 
 

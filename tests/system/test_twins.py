@@ -425,16 +425,16 @@ def test_runs_with_errors_are_left_out_and_said_so(home: Home, tmp_path: Path) -
 def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(twins: Twins, tmp_path: Path) -> None:
     twins.fit("mill-march", [*KNOWN, "backlash:X"], "mill-a")
     mended = write_campaign(tmp_path / "mended", "none", name="mill-mended")
-    found = confirm(twins, "mill-a", "backlash:X", str(mended), "ball nut preloaded")
+    found = confirm(twins, "mill-a", "backlash:X", [str(mended)], "ball nut preloaded")
     (play,) = [c for c in found.changes if c.name == "backlash"]
     assert found.confirmed
     assert (abs(play.before), play.after) == (pytest.approx(6.0, abs=0.3), pytest.approx(0.0, abs=0.3))
     # The scales were not touched.
-    kept = confirm(twins, "mill-a", "scale_mismatch:XY", "mill-mended", "ball nut preloaded")
+    kept = confirm(twins, "mill-a", "scale_mismatch:XY", ["mill-mended"], "ball nut preloaded")
     assert not kept.confirmed
     assert [i["grade"] for i in interventions(twins, "mill-a")] == ["intervention-confirmed", None]
     with pytest.raises(InputError, match="other measurements of the same machine"):
-        confirm(twins, "mill-a", "backlash:X", "mill-march", "")
+        confirm(twins, "mill-a", "backlash:X", ["mill-march"], "")
 
 
 def test_a_home_that_can_only_be_read_gives_a_diagnosis_and_says_that_it_is_not_kept(
