@@ -75,6 +75,10 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
     assert isinstance(seen.twin, SeenTwin)
     stated = [e.uncertainty for e in seen.twin.estimates]
     assert 2.0 * np.sqrt(np.diag(seen.twin.covariance)) == pytest.approx(stated, rel=0.2)
+    turned = said("twin", "confirm", "found", "joint_offset:2", "--after", "june")
+    assert turned["grade"] is None
+    assert turned["changes"][0]["after"] == pytest.approx(900.0, abs=30.0)
+    assert refused("twin", "confirm", "found", "follows@frame", "--after", "june").code == "twin.not_told"
     rows = printed("export", "found", "--as", "dh", "--out", str(home.root / "arm.csv"))
     assert "left out, ambient_growth" in rows
 
@@ -117,10 +121,6 @@ def test_mistakes_are_refused_with_the_reason() -> None:
     assert refused("twin", "compare", "wrong", "--on", "bar").code == "twin.kind"
     assert refused("twin", "add", "wrong", "backlash:X").code == "effect.unknown"
     assert refused("twin", "remove", "wrong", "joint_zero").code == "twin.no_effect"
-    turned = said("twin", "confirm", "found", "joint_offset:2", "--after", "june")
-    assert turned["grade"] is None
-    assert turned["changes"][0]["after"] == pytest.approx(900.0, abs=30.0)
-    assert refused("twin", "confirm", "found", "follows@frame", "--after", "june").code == "twin.not_told"
     refusal = refused("twin", "correct", "wrong")
     assert (refusal.code, refusal.got) == ("kind.not_offered", "poses")
     assert "dtwin export" in str(refusal.hint)
