@@ -205,7 +205,7 @@ def learn_effect(
     from dtwin.train.symbolic import OperonEngine
     from dtwin.twins.learn import learn_formula, learn_law, learn_map
 
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     before = twins.newest(name)
     if symbolic:
         learned = learn_formula(twins, name, OperonEngine(), seed=seed)

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dtwin.errors import GateRefusal
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Instance
 from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import set_up
-from dtwin.physics.twin import Twin
+from dtwin.physics.problem import Term, set_up
+from dtwin.physics.several_diagnosis import SeveralDiagnosis
+from dtwin.physics.twin import predict_um
+from dtwin.schema import Floats
 from dtwin.train.place_map import place_map
 from dtwin.train.residual_formula import search_residual
 from dtwin.train.symbolic import Engine
-from dtwin.twins.measured import load
-from dtwin.twins.several import require_alone
-from dtwin.twins.verbs import Twins
+from dtwin.twins._learned import WithLearned
+from dtwin.twins.of_kind import AnyTwin, AnyTwins
+from dtwin.twins.seen import able_to, seen_on
 
 _CONDITION = "a plane, radius and feed"
 
@@ -35,65 +41,92 @@ class Learned:
     ``said``: what else people see of it.
     """
 
-    twin: Twin
+    twin: AnyTwin
     gain: float
     left_out: str
     said: str = ""
 
 
-def learn_law(twins: Twins, name: str, *, seed: int = 0) -> Learned:
+def learn_law(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
     """Add the scaling law that describes unknown structure best; ``seed``: of permutations."""
-    twin, diagnosis, obs = _unknown(twins, name, seed)
-    problem = set_up(obs, twin.terms, [])
-    for law in diagnosis.laws:
+    left = _unknown(twins, name, seed)
+    problem = set_up(left.obs, left.terms, [])
+    for law in left.found.laws:
         effect = learned_effect(learned_name(law))
-        gain = left_out_gain(problem, problem.whitened(obs.regressors(Instance(effect), {})))
+        gain = left_out_gain(problem, problem.whitened(left.obs.regressors(Instance(effect), {})))
         if gain > 0.0:
-            several = len(set(obs.place_of.tolist())) > 1
-            return Learned(twins.add(name, effect.name), gain, _CONDITION if several else "a run")
+            several = len(set(left.obs.place_of.tolist())) > 1
+            return Learned(twins.add(name, effect.name), gain, f"{_CONDITION}{left.of}" if several else "a run")
     raise _does_not_hold(
-        twin,
+        left.twin,
         "no power law holds on conditions that were left out",
-        diagnosis.laws[0].equation if diagnosis.laws else "no power law is significant",
+        left.found.laws[0].equation if left.found.laws else "no power law is significant",
         "--map or --symbolic may; or measure more feeds and radii, or write the effect yourself",
     )
 
 
-def learn_formula(twins: Twins, name: str, engine: Engine, *, seed: int = 0) -> Learned:
+def learn_formula(twins: AnyTwins, name: str, engine: Engine, *, seed: int = 0) -> Learned:
     """Add a formula for what is left, found by symbolic regression; ``seed``: of permutations and of the search."""
-    twin, _, obs = _unknown(twins, name, seed)
-    found = search_residual(obs, localise.residual_um(obs, twin.terms), engine, seed)
+    left = _unknown(twins, name, seed)
+    found = search_residual(left.obs, left.residual_um, engine, seed)
     if found.gain <= 0.0:
         got = f"{found.text[:120]}, gain {100 * found.gain:z.0f} %"
         hint = "measure more feeds or radii, or write the effect yourself"
-        raise _does_not_hold(twin, "no formula holds on conditions that were left out", got, hint)
-    twin = twins.add(name, twins.library.keep(found))
-    return Learned(twin, found.gain, f"{_CONDITION}, {found.groups}", f"\nformula, µm: {found.shown}")
+        raise _does_not_hold(left.twin, "no formula holds on conditions that were left out", got, hint)
+    twin = twins.add(name, left.library.keep(found))
+    return Learned(twin, found.gain, f"{_CONDITION}{left.of}, {found.groups}", f"\nformula, µm: {found.shown}")
 
 
-def learn_map(twins: Twins, name: str, *, seed: int = 0) -> Learned:
+def learn_map(twins: AnyTwins, name: str, *, seed: int = 0) -> Learned:
     """Add a map of what is left at the same place of a circle at every feed; ``seed``: of permutations."""
-    twin, diagnosis, obs = _unknown(twins, name, seed)
-    found = place_map(obs, localise.residual_um(obs, twin.terms))
+    left = _unknown(twins, name, seed)
+    found = place_map(left.obs, left.residual_um)
     if found.gain <= 0.0:
         got = f"gain {100 * found.gain:z.0f} %"
         hint = f"dtwin twin learn {name} looks for a law over feed and radius"
-        raise _does_not_hold(twin, "what is left is not the same at every feed", got, hint)
-    law = diagnosis.laws[0].equation if diagnosis.laws else ""
-    other = f"dtwin twin restore {name} --version {twin.version}, then dtwin twin learn {name}"
+        raise _does_not_hold(left.twin, "what is left is not the same at every feed", got, hint)
+    law = left.found.laws[0].equation if left.found.laws else ""
+    other = f"dtwin twin restore {name} --version {left.twin.version}, then dtwin twin learn {name}"
     said = f"\na law may tell more of it: {law}; {other}" if law else ""
-    left_out = f"a plane and radius, {found.groups}, and each feed"
-    return Learned(twins.add(name, twins.library.keep(found)), found.gain, left_out, said)
+    left_out = f"a plane and radius{left.of}, {found.groups}, and each feed"
+    return Learned(twins.add(name, left.library.keep(found)), found.gain, left_out, said)
 
 
-def _does_not_hold(twin: Twin, message: str, got: str, hint: str) -> GateRefusal:
+def _does_not_hold(twin: AnyTwin, message: str, got: str, hint: str) -> GateRefusal:
     where = f"twin {twin.name} version {twin.version}"
     return GateRefusal(message, code="twin.law_does_not_hold", where=where, got=got, hint=hint)
 
 
-def _unknown(twins: Twins, name: str, seed: int) -> tuple[Twin, Diagnosis, Observations]:
-    require_alone(twins.newest(name), "learning a law")
-    twin, diagnosis = twins.diagnose(name, seed=seed)
+@dataclass(frozen=True)
+class _Unknown:
+    """Unknown structure that a twin leaves.
+
+    ``obs``: the runs of one campaign; of several that can be learned from those of all, what the twin knows taken out.
+    ``terms``: effects that stand beside it in these runs.
+    ``found``: what was found out of them; of several those in which most is left.
+    ``of``: how people read what is left out of them.
+    """
+
+    twin: AnyTwin
+    library: WithLearned
+    obs: Observations
+    terms: tuple[Term, ...]
+    found: Diagnosis
+    of: str = ""
+
+    @property
+    def residual_um(self) -> Floats:
+        """What is left, shape (rows, n)."""
+        return localise.residual_um(self.obs, self.terms)
+
+
+def _unknown(twins: AnyTwins, name: str, seed: int) -> _Unknown:
+    twin = twins.newest(name)
+    able = able_to(twins.home, twin, "laws")
+    if not able:
+        kind_named(Lake(twins.home.lake).campaign(twin.campaigns[0]).kind).require("laws")
+    seen = seen_on(twins, name, able[0])
+    diagnosis = seen.lacks(None, seed)
     if diagnosis.verdict != "unknown_effect":
         raise GateRefusal(
             "there is no unknown structure to learn",
@@ -104,6 +137,36 @@ def _unknown(twins: Twins, name: str, seed: int) -> tuple[Twin, Diagnosis, Obser
             if diagnosis.found
             else f"dtwin twin diagnose {name}",
         )
-    obs = load(twins.home, twin.campaign).obs
-    kind_named(obs.grid.kind).require("laws")
-    return twin, diagnosis, obs
+    if not isinstance(diagnosis, SeveralDiagnosis):
+        return _Unknown(twin, seen.library, seen.obs, seen.twin.terms, diagnosis)
+    unknown = [test for test in diagnosis.tests if test.found.verdict == "unknown_effect"]
+    told = [test.found for test in unknown if test.campaign in able]
+    if not told:
+        kind_named(unknown[0].obs.grid.kind if unknown else seen.obs.grid.kind).require("laws")
+    worst = max(told or [diagnosis], key=lambda found: found.systematic_rms_um)
+    known = [(seen.whole.on(obs.campaign.name), obs) for obs in seen.tests if obs.campaign.name in able]
+    left = [obs.with_y(obs.y_um - predict_um(part, obs)) for part, obs in known]
+    of = " of all campaigns" if len(left) > 1 else ""
+    return _Unknown(twin, seen.library, _together(left), (), worst, of)
+
+
+def _together(tests: Sequence[Observations]) -> Observations:
+    """Return the runs of several tests on one grid as one: equal conditions are one, set-ups and runs stay apart."""
+    conditions = tuple(dict.fromkeys(c for obs in tests for c in obs.conditions))
+    setups = [f"{obs.campaign.name} {setup}" for obs in tests for setup in obs.setups]
+    first_setup = np.cumsum([0, *(len(obs.setups) for obs in tests[:-1])])
+    first_run = np.cumsum([0, *(int(obs.run_of.max()) + 1 for obs in tests[:-1])])
+    return replace(
+        tests[0],
+        campaign=replace(tests[0].campaign, name=", ".join(obs.campaign.name for obs in tests)),
+        runs=tuple(meta for obs in tests for meta in obs.runs),
+        y_um=np.concatenate([obs.y_um for obs in tests]),
+        mask=np.concatenate([obs.mask for obs in tests]),
+        conditions=conditions,
+        condition_of=np.array([conditions.index(obs.conditions[c]) for obs in tests for c in obs.condition_of]),
+        setups=tuple(setups),
+        setup_of=np.concatenate([obs.setup_of + first for obs, first in zip(tests, first_setup, strict=True)]),
+        run_of=np.concatenate([obs.run_of + first for obs, first in zip(tests, first_run, strict=True)]),
+        columns=tuple(column for obs in tests for column in obs.columns),
+        feed_mm_s=np.concatenate([obs.feed_mm_s for obs in tests]),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -16,7 +16,6 @@ from dtwin.physics.agreed import Sizes
 from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect
-from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.machine_terms import cause_of, key_of, seen_by
@@ -27,6 +26,7 @@ from dtwin.physics.several_sizes import covariance_in
 from dtwin.physics.several_twin import SeenTwin, SeveralTwin, seen_in
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import Twin, twin_of
+from dtwin.twins._learned import WithLearned
 from dtwin.twins._path_member import PathMember
 from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.measured import load
@@ -59,7 +59,7 @@ class Seen:
     whole: Twin
     tests: tuple[Observations, ...]
     contradictions: tuple[Contradiction, ...]
-    library: Mapping[str, Effect]
+    library: WithLearned
     refit: Callable[[Rows], Twin]
     lacks: Callable[[Term | None, int], Diagnosis]
 

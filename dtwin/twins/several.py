@@ -14,7 +14,6 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin, pooled_figures, several_twin_of, started_of
-from dtwin.physics.twin import Twin
 from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF
 from dtwin.twins.measured import Comparison, Loaded
 
@@ -105,18 +104,3 @@ def require_together(campaigns: Sequence[tuple[str, str, str]]) -> None:
                 allowed=", ".join(with_twins),
                 hint=f"leave out {name}",
             )
-
-
-def require_alone(twin: Twin, what: str) -> Twin:
-    """Refuse a twin of several campaigns for what needs the runs of a single one."""
-    if isinstance(twin, SeveralTwin):
-        first = twin.parts[0]
-        names = ",".join(label.replace(" ", ":") for label in first.labels)
-        raise InputError(
-            f"{what} is of a twin of one campaign",
-            code="twin.several",
-            where=f"twin {twin.name} version {twin.version}",
-            got=twin.campaign,
-            hint=f"dtwin twin fit {first.campaign} --effects '{names}' --name NAME",
-        )
-    return twin

@@ -79,7 +79,7 @@ def rendered(request: Request, template: str, status: int = 200, **context: Any)
         home=str(bench.home.root),
         shared=bench.access.shared,
         jobs=bench.jobs.unfinished(),
-        library=bench.library,
+        library=bench.twins.library,
         **context,
     )
     return HTMLResponse(text, status)

@@ -41,6 +41,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         compared=report_of(compared).comparison_text(compared),
         contradictions=contradiction_lines(twin.as_dict()),
         paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
+        learnable=able_to(bench.home, twin, "laws"),
         correctable=able_to(bench.home, twin, "twin_correction"),
         diagnosis=diagnosis,
         told=report_of(diagnosis).diagnosis_text(name, diagnosis) if diagnosis else "",

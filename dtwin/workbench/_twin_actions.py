@@ -113,8 +113,9 @@ def _changed(request: Request, name: str, wanted: _EffectRequest, verb: str) -> 
 def learn(request: Request, name: str, what: Literal["law", "map"]) -> JSONResponse:
     """Add a law, or a map, for structure that no effect explains."""
     bench = bench_of(request)
-    bench.twins.newest(name)
-    learned = partial(learn_law if what == "law" else learn_map, bench.twins, name)
+    twins = bench.twins_with(name)
+    twins.newest(name)
+    learned = partial(learn_law if what == "law" else learn_map, twins, name)
     return _start(bench, f"Learn a {what} for {name}", name, lambda: learned().twin, "/twins/{name}/versions")
 
 

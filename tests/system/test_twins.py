@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from dtwin.acquire.amending import amend, leave_out
@@ -30,6 +31,9 @@ from dtwin.twins.learn import learn_formula, learn_law, learn_map
 from dtwin.twins.measured import load
 from dtwin.twins.registration import diagnosis_path
 from dtwin.twins.verbs import Twins
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench.server import application
 
 pytestmark = pytest.mark.system
 
@@ -498,6 +502,8 @@ def test_a_map_of_what_is_left_foretells_a_feed_that_it_never_saw(home: Home, tm
     assert learned.left_out == "a plane and radius, 2, and each feed"
     after = twins.compare("guide", "guide-held").as_dict()
     assert after["systematic_rms_um"] < 0.5 * before["systematic_rms_um"]
+    page = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    assert "Learned map" in page.get("/twins/guide/versions").text
     # Nothing is foretold of a circle that was not measured, and no machine is moved by a description.
     assert not learned.twin.terms[-1].instance.effect.correctable
     other = load(home, str(write_campaign(tmp_path / "far", "guide", name="far", machine="ground", radii=(120.0,)))).obs

@@ -13,12 +13,14 @@ from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
+from dtwin.physics.localise import residual_um
 from dtwin.physics.machine_terms import machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
+from dtwin.twins.learn import _together
 
 LIBRARY = Library()
 NAMES = (("backlash", "backlash"), ("friction", "lag"))
@@ -247,3 +249,17 @@ def test_a_feed_that_is_left_out_is_left_out_of_all_circles() -> None:
     kept = [_other_rows(one, "circular", "feed_mm_min", 2000.0) for one in (*bars, laser("X", 30.0, 3.0))]
     assert [len(rows) for rows in kept] == [2, 0, 10]
     assert {bars[0].runs[row].feed_mm_min for row in kept[0]} == {1000.0}
+
+
+def test_circles_of_several_campaigns_are_learned_from_as_one() -> None:
+    first, second = circles(SCALED, name="first"), circles(SCALED, 2, "second", feeds_mm_min=(2000.0, 4000.0))
+    both = _together([first, second])
+    assert both.campaign.name == "first, second"
+    assert len(both.conditions) == 4
+    assert len(set(both.run_of.tolist())) == len(set(first.run_of.tolist())) + len(set(second.run_of.tolist()))
+    # What is left is that of each, for set-ups stay apart, and a place is left out of both at once.
+    left = [residual_um(obs, []) for obs in (first, second)]
+    assert residual_um(both, []) == pytest.approx(np.concatenate(left), abs=1e-9)
+    rows = both.place_of == both.place_of[0]
+    assert {both.runs[row].feed_mm_min for row in np.flatnonzero(rows)} == {2000.0}
+    assert {int(row) < first.n_rows for row in np.flatnonzero(rows)} == {True, False}
