@@ -48,10 +48,10 @@ COLUMNS = (
 )
 """Columns of a row, in their order."""
 
-_FORMAT = 2028.0
+_FORMAT = 2029.0
 _CAPACITY = 16384
 _HEADER = 32
-_FORMAT_AT, _PID, _STARTED, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
+_FORMAT_AT, _PID, _CORRECTS, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
 _REASONS = 8
 _SHOWN = 31
 _SHAPE = (_HEADER + _CAPACITY * len(COLUMNS),)
@@ -63,7 +63,7 @@ _MEMORY = Path("/dev/shm")
 class Seen:
     """What a board shows.
 
-    ``started_s``: seconds since 1970.
+    ``corrects``: whether its corrections are sent; a dry run sends zeros in their place.
     ``ticks``, ``late``, ``missed``: since the start.
     ``clamp_um``, ``period_s``: longest correction that is allowed, and nominal period.
     ``reasons``: how often each reason of the guard acted.
@@ -72,7 +72,7 @@ class Seen:
     """
 
     pid: int
-    started_s: float
+    corrects: bool
     ticks: int
     late: int
     missed: int
@@ -102,16 +102,15 @@ class LiveBoard:
     """The writing end.
 
     ``memory``, (words,): shared memory.
-    ``clamp_um``, ``period_s``: as in ``Seen``.
-    ``started_s``: seconds since 1970.
+    ``clamp_um``, ``period_s``, ``corrects``: as in ``Seen``.
     """
 
-    def __init__(self, memory: Floats, clamp_um: float, period_s: float, started_s: float) -> None:
+    def __init__(self, memory: Floats, clamp_um: float, period_s: float, corrects: bool) -> None:
         self._head = memory[:_HEADER]
         self._rows = memory[_HEADER:].reshape(_CAPACITY, len(COLUMNS))
         self._row = np.zeros(len(COLUMNS))
         self._count = 0
-        self._head[_PID], self._head[_STARTED] = os.getpid(), started_s
+        self._head[_PID], self._head[_CORRECTS] = os.getpid(), corrects
         self._head[_CLAMP], self._head[_PERIOD] = clamp_um, period_s
         self._head[_FORMAT_AT] = _FORMAT
 
@@ -153,12 +152,12 @@ class LiveBoard:
 
 @contextlib.contextmanager
 def live_board(
-    machine: str, home: Home, *, clamp_um: float, period_s: float, started_s: float
+    machine: str, home: Home, *, clamp_um: float, period_s: float, corrects: bool
 ) -> Iterator[LiveBoard | None]:
     """Open the board of a machine while the block runs; None where there is no memory for it.
 
     ``home``: state folder; two of them have two boards.
-    ``clamp_um``, ``period_s``, ``started_s``: as in ``Seen``.
+    ``clamp_um``, ``period_s``, ``corrects``: as in ``Seen``.
     """
     path = _path(machine, home)
     try:
@@ -180,7 +179,7 @@ def live_board(
     # Every page is touched now, none for the first time in a tick.
     memory[:] = 0.0
     try:
-        yield LiveBoard(memory, clamp_um, period_s, started_s)
+        yield LiveBoard(memory, clamp_um, period_s, corrects)
     finally:
         path.unlink(missing_ok=True)
 
@@ -213,7 +212,7 @@ def read_board(machine: str, home: Home) -> Seen | None:
     counts = head[_REASONS : _REASONS + len(REASONS)]
     return Seen(
         pid=int(head[_PID]),
-        started_s=float(head[_STARTED]),
+        corrects=bool(head[_CORRECTS]),
         ticks=ticks,
         late=int(head[_LATE]),
         missed=int(head[_MISSED]),

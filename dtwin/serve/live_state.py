@@ -24,8 +24,8 @@ class _LiveState:
     """What a served machine is doing now.
 
     ``word``, one of "starting", "correcting", "outside", "held", "silent": ``starting``: no tick was seen yet;
-    ``outside``: mostly outside the model's range; ``held``: zeros are sent now for another reason; ``silent``: the loop
-    shows no new ticks.
+    ``outside``: outside the model's range now; ``held``: zeros are sent now for another reason, as of a dry run;
+    ``silent``: the loop shows no new ticks.
     ``said``: the same as the end of a sentence that begins with the machine.
     ``outside_share``: share of the newest ticks outside the model's range.
     """
@@ -58,6 +58,8 @@ def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     if now[-1] == safety.LATCHED or 2 * len(held) > len(now):
         often = safety.LATCHED if now[-1] == safety.LATCHED else Counter(held.tolist()).most_common(1)[0][0]
         return _LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)
-    if outside >= 0.5:
-        return _LiveState("outside", f"is {beyond}, and is not corrected there", outside)
+    if 2 * np.count_nonzero(now == safety.OUTSIDE) > len(now):
+        return _LiveState("outside", f"is not corrected now: {beyond}", outside)
+    if not seen.corrects:
+        return _LiveState("held", "is not corrected: a dry run sends zeros", outside)
     return _LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import json
 import os
-import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
@@ -140,7 +139,7 @@ def _serve_resolved(
                     home,
                     clamp_um=bundle.safety.clamp_um,
                     period_s=1.0 / rate_hz,
-                    started_s=time.time(),
+                    corrects=request.mode == "live",
                 )
             )
         barred = BarredWatch(resolved.machine, home, resolved.version)

@@ -33,7 +33,7 @@ def home(tmp_path: Path) -> Home:
 
 def test_another_process_sees_the_newest_tick(home: Home) -> None:
     state = layout.empty_state()
-    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, started_s=1.0) as board:
+    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, corrects=True) as board:
         assert board is not None
         for tick in range(5):
             state[layout.TIMESTAMP] = 0.002 * tick
@@ -50,7 +50,7 @@ def test_another_process_sees_the_newest_tick(home: Home) -> None:
 
 def test_a_full_board_keeps_the_newest_in_order(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     state = layout.empty_state()
-    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, started_s=1.0) as board:
+    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, corrects=True) as board:
         assert board is not None
         for tick in range(20_000):
             state[layout.TIMESTAMP] = tick
@@ -71,7 +71,7 @@ def test_a_link_in_the_way_is_not_followed(home: Home, tmp_path: Path) -> None:
     path = boards._path("mill-a", home)
     path.symlink_to(victim)
     assert read_board("mill-a", home) is None
-    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, started_s=1.0) as board:
+    with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, corrects=True) as board:
         assert board is not None
         assert not path.is_symlink()
     assert victim.read_text() == "kept"

@@ -15,9 +15,11 @@ from dtwin.serve.live_board import live_board, read_board
 from dtwin.serve.live_state import live_state
 
 
-def told(home: Home, reasons: list[int], later_s: float = 0.0, restarted: int = 0) -> tuple[str, str]:
+def told(
+    home: Home, reasons: list[int], later_s: float = 0.0, restarted: int = 0, corrects: bool = True
+) -> tuple[str, str]:
     """Write a board of ticks at 100 Hz with these reasons, the first of them before a restart of the controller; what is said of it."""
-    with live_board("mill", home, clamp_um=90.0, period_s=0.01, started_s=0.0) as board:
+    with live_board("mill", home, clamp_um=90.0, period_s=0.01, corrects=corrects) as board:
         assert board is not None
         for n, reason in enumerate(reasons):
             state = np.zeros(layout.N)
@@ -33,14 +35,22 @@ def told(home: Home, reasons: list[int], later_s: float = 0.0, restarted: int = 
         ([], "starting", "no tick yet"),
         ([safety.OK] * 50, "correcting", "is being corrected"),
         ([safety.CLAMPED] * 50, "correcting", "is being corrected"),
-        ([safety.OK] * 60 + [safety.OUTSIDE] * 40, "correcting", "for 40 %"),
+        (
+            [safety.OK] * 60 + [safety.OUTSIDE] * 40,
+            "outside",
+            "is not corrected now: outside the model's range for 40 %",
+        ),
         ([safety.OUTSIDE] * 87 + [safety.OK] * 13, "outside", "for 87 %"),
         ([safety.STALE] * 30 + [safety.LATCHED] * 70, "held", "latched"),
         ([safety.OUTSIDE] * 900 + [safety.OK] * 501, "correcting", "is being corrected"),
         ([safety.OK] * 400 + [safety.STALE] * 90 + [safety.LATCHED], "held", "latched"),
         ([safety.OK] * 440 + [safety.DEVICE] * 60, "held", "device stopped"),
         ([safety.DEVICE] * 440 + [safety.OK] * 60, "correcting", "is being corrected"),
-        ([safety.OUTSIDE] * 435 + [safety.OK] * 65, "outside", "for 87 %"),
+        (
+            [safety.OUTSIDE] * 435 + [safety.OK] * 65,
+            "correcting",
+            "is being corrected, outside the model's range for 87 %",
+        ),
     ],
 )
 def test_what_is_said_is_what_the_newest_seconds_show(tmp_path: Path, reasons: list[int], word: str, said: str) -> None:
@@ -58,6 +68,11 @@ def test_a_loop_that_shows_no_new_tick_is_not_said_to_correct(tmp_path: Path) ->
     word, said = told(Home(tmp_path), [safety.OK] * 50, later_s=7.0)
     assert word == "silent"
     assert "7 s" in said
+
+
+def test_a_dry_run_is_not_said_to_correct(tmp_path: Path) -> None:
+    said = "is not corrected: a dry run sends zeros"
+    assert told(Home(tmp_path), [safety.OK] * 50, corrects=False) == ("held", said)
 
 
 def test_without_a_board_nothing_is_claimed() -> None:

@@ -297,7 +297,7 @@ def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_o
 
     with (
         lease("127.0.0.9", "mill-a", home),
-        live_board("mill-a", home, clamp_um=90.0, period_s=0.01, started_s=0.0) as board,
+        live_board("mill-a", home, clamp_um=90.0, period_s=0.01, corrects=True) as board,
     ):
         assert board is not None
         for n in range(100):
