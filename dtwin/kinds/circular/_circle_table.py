@@ -60,7 +60,9 @@ _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
 _TIME = re.compile(r"^(t|time|zeit)$", re.I)
 _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measured|ist))?$", re.I)
 _BESIDE = re.compile(
-    r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median",
+    r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median"
+    r"|tangential|command|cmd|nominal|\bsoll"
+    r"|^(?!.*(dev|err|abw|fehler)).*(correction|compensation|korrektur|kompensation)\b",
     re.I,
 )
 """What a head says whose column is no deviation of a run, though it names a direction."""
