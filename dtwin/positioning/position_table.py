@@ -277,8 +277,8 @@ def _from_wide(rows: Sequence[Sequence[str]], wide: Wide, path: Path, scale: Sca
     seen: Counter[float] = Counter()
     summed = [i for i in (wide.cycle, wide.target) if i is not None]
     numbered = [
-        (f"{path} row {number}", row)
-        for number, row in enumerate(body, start=2 if units is None else 3)
+        (f"{path}, row {number} below the heads", row)
+        for number, row in enumerate(body, start=1)
         if not any(SUMMARY.fullmatch(row[i].strip()) for i in summed if i < len(row))
     ]
     targets = [_cell(row, wide.target, where) * factor[wide.target] for where, row in numbered]
@@ -300,8 +300,8 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
     long = replace(long, cycle=_not_counting(long.cycle, long.target, body))
     below = [units[i] if units is not None and i < len(units) else "" for i in (long.target, long.value)]
     factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))
-    numbered = list(enumerate(body, start=2 if units is None else 3))
-    targets = [_cell(row, long.target, f"{path} row {number}") * factors[0] for number, row in numbered]
+    numbered = [(f"{path}, row {number} below the heads", row) for number, row in enumerate(body, start=1)]
+    targets = [_cell(row, long.target, where) * factors[0] for where, row in numbered]
     one = joined_targets(targets)
     if long.way is None and len(set(one.values())) == 1 < len(targets):
         value_um = [number_or_none(row[long.value]) for _, row in numbered if long.value < len(row)]
@@ -313,8 +313,7 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
         )
     out: list[Reading] = []
     seen: Counter[tuple[float, str]] = Counter()
-    for (number, row), target, in_order in zip(numbered, targets, ordered or [""] * len(targets), strict=True):
-        where = f"{path} row {number}"
+    for (where, row), target, in_order in zip(numbered, targets, ordered or [""] * len(targets), strict=True):
         told = row[long.value].strip().lower() if long.value < len(row) else ""
         lost = told in MISSING
         value = float("nan") if lost else _cell(row, long.value, where) * factors[1]

@@ -348,10 +348,10 @@ def test_what_was_not_read_is_left_out_and_what_is_no_number_is_refused(tmp_path
         path.write_text(text.replace(",2.5\n", f",{word}\n"), encoding="utf-8")
         assert np.isnan(read_position_table(path).forward_um[1, 1])
     for word in ("inf", "fehlt", "1e99"):
-        path.write_text(text.replace(",2.5\n", f",{word}\n"), encoding="utf-8")
+        path.write_text("Axis X\n\n" + text.replace(",2.5\n", f",{word}\n"), encoding="utf-8")
         with pytest.raises(InputError, match="not a number") as refused:
             read_position_table(path)
-        assert "row 5" in str(refused.value.where)
+        assert "row 4 below the heads" in str(refused.value.where)
 
 
 @pytest.mark.parametrize("sign", ["correction", "Korrektur", "nominal-actual", "soll - ist"])
