@@ -54,6 +54,8 @@ _PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([x
 _SAME = 0.01
 _LEAST_DEG, _BACK_DEG = 90.0, 20.0
 """Shortest arc that is a run, and how far an angle runs back where the direction changes."""
+_LONGEST_TURN_S = 3600.0
+"""Of a table without a clock: beyond it the feed is one in m/min, or 1.000 was meant as a thousand."""
 _MOST_OFF = 0.1
 """Of the programmed radius."""
 _ANGLE = re.compile(r"^(path )?(angle|winkel|phi|theta|[φθ])$", re.I)
@@ -335,6 +337,13 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
             samples = {name: column[::-1] for name, column in samples.items() if name != "t_s"}
         if "t_s" not in samples:
             per_deg_s = float(np.radians(1.0) * stated["radius_mm"] / (stated["feed_mm_min"] / 60.0))
+            if 360.0 * per_deg_s > _LONGEST_TURN_S:
+                raise _wrong(
+                    "a turn would take more than an hour at the programmed feed",
+                    Path(source),
+                    f"{stated['feed_mm_min']:g} mm/min",
+                    "mm/min, such as 1000; or a column of time",
+                )
             samples["t_s"] = np.abs(samples["angle_deg"] - samples["angle_deg"][0]) * per_deg_s
             text = "the table has no clock; its time follows from the programmed feed"
             findings.append(Finding("clock.assumed", "info", text))

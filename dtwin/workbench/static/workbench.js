@@ -18,7 +18,7 @@ async function ask(address, options) {
 const send = (address, content, method) =>
   ask(address, { method: method || "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(content) });
 
-// As dtwin.workbench._numbers: a single comma or point is the decimal sign.
+// As `decimal` of the server: a single comma or point is the decimal sign.
 function decimal(text) {
   const plain = text.replace(/[\s'\u2019]/g, "").replace("\u2212", "-");
   if (/^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d{1,3})?$/i.test(plain)) return Number(plain.replace(",", "."));

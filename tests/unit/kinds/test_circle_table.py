@@ -68,6 +68,9 @@ def test_a_column_for_each_direction_is_a_run_that_way_round(tmp_path: Path) -> 
         assert run.samples["t_s"][[0, -1]] == pytest.approx([0.0, turn_s * 719 / 720])
         assert run.samples["air_c"] == pytest.approx(20.0)
         assert [f.code for f in run.findings] == ["clock.assumed"]
+    # 1.000 as a German types a thousand, or m/min.
+    with pytest.raises(InputError, match="more than an hour"):
+        read(tmp_path / "b.csv", table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)), feed_mm_min=1.0)
 
 
 def test_a_radius_is_told_from_the_programmed_one(tmp_path: Path) -> None:
