@@ -15,7 +15,7 @@ from dtwin.report.html import figure_html
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
 
-_FIGURE_PX, _BESIDE_PX = 380, 300
+_FIGURE_PX, _BESIDE_PX = 360, 300
 """So that a picture and its table fit below the head of the first page; and beside each other."""
 _DECIMAL_POINT = {"de": ","}
 LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": GERMAN}
@@ -30,7 +30,7 @@ _PAGE = """<!doctype html>
 body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; margin: 0 auto; max-width: 182mm; padding: 1rem 0; }
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
-td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from { white-space: normal; } th { color: #44525d; font-weight: 600; }
+td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from, th.from { white-space: normal; text-align: left; } .figures td:first-child { width: 100%; } th { color: #44525d; font-weight: 600; }
 .overview { font-size: 9px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
 .beside { display: grid; grid-template-columns: 270px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
 .beside table { font-size: 10px; } .beside td, .beside th { padding: 3px; }
@@ -48,11 +48,11 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 {% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
-<table><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, {{ unit }}</th><th>U (95 %), {{ unit }}</th><th>{{ say("limit") }}, {{ unit }}</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, {{ unit }}</th><th>{{ say("change") }}, {{ unit }}</th>{% endif %}</tr></thead>
+<table class="figures"><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, {{ unit }}</th><th>U&nbsp;(95&nbsp;%), {{ unit }}</th><th>{{ say("limit") }}, {{ unit }}</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, {{ unit }}</th><th>{{ say("change") }}, {{ unit }}</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ tell(c.shown.value) }}</td><td>{{ tell(c.shown.expanded) }}</td><td>{{ tell(c.shown.limit) }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ tell(c.before) }}</td><td>{{ tell(c.change) }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>
 {% endfor %}
 {% if budget %}<section><h2>{{ say("Uncertainty budget") }}: {{ tell(budget[0]) }}</h2>
-<table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), {{ unit }}</th><th>{{ say("from") }}</th></tr></thead>
+<table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), {{ unit }}</th><th class="from">{{ say("from") }}</th></tr></thead>
 <tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
 {% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
