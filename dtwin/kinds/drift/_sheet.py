@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dtwin.kinds.drift._model import Series, moved_um, series_of
-from dtwin.report.plots import error_figure
+from dtwin.kinds.drift._model import Series, Term, moved_um, series_of
+from dtwin.kinds.kind import Drawing
+from dtwin.report.plots import error_figure, lacks_columns
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Floats, Run
@@ -80,6 +81,24 @@ def drift_figure(runs: Sequence[Run]) -> go.Figure:
     """Draw the displacement over the time."""
     curves = {run.meta.run_id: (run.samples["t_s"] / _HOUR_S, moved_um(run)) for run in runs}
     return error_figure(curves, title="Displacement", x_title="time, h", y_title="displacement, µm")
+
+
+def _over_time(run: Run, floor_um: Callable[[], float]) -> go.Figure:
+    """Draw the displacement over the time, and below it the temperatures."""
+    if not {"t_s", "displacement_um"} <= set(run.samples):
+        raise lacks_columns(run, "displacement over the time", "t_s, displacement_um")
+    figure = drift_figure([run]).update_traces(name="displacement")
+    hours = run.samples["t_s"] / _HOUR_S
+    for name, values in run.samples.items():
+        if name.startswith("temperature_"):
+            figure.add_scatter(x=hours, y=values, name=Term("steady", name).name, yaxis="y2", line_width=1.5)
+    if len(figure.data) > 1:
+        figure.update_layout(yaxis_domain=[0.55, 1.0], yaxis2={"domain": [0.0, 0.45], "title": "temperature, °C"})
+        figure.update_layout(xaxis_anchor="y2", showlegend=True, height=620)
+    return figure
+
+
+DRAWINGS = (Drawing("time", "Displacement and temperatures over the time", 620, _over_time),)
 
 
 def _means(series: Series) -> tuple[Floats, Floats]:

@@ -37,6 +37,7 @@ class _Drift(Kind):
         "judge_run": "_check:judge_drift",
         "sheet": "_sheet:drift_sheet",
         "sheet_figure": "_sheet:drift_figure",
+        "drawings": "_sheet:DRAWINGS",
         "variation": "_sheet:variation",
         "training": "_training:train_drift",
         "training_obstacle": "_training:obstacle",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dtwin.kinds.kind import Drawing
 from dtwin.kinds.poses._changes import changes_of, uncertainty_of_changes
 from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, lengths, means_of, measured_of
@@ -208,6 +209,34 @@ def pose_figure(runs: Sequence[Run]) -> go.Figure:
         x_title="reading",
         y_title="distance, µm",
     )
+
+
+def _by_reading(run: Run, floor_um: Callable[[], float]) -> go.Figure:
+    """Draw the distance of every reading from its commanded pose."""
+    return pose_figure([run])
+
+
+def _from_above(run: Run, floor_um: Callable[[], float]) -> go.Figure:
+    """Draw where the poses lie, seen from above, and how far each is off."""
+    series = problem_of(run)
+    size = 1000.0 * np.linalg.norm(series.error_mm, axis=1)
+    place = series.setup.in_base(series.poses.measured_mm)
+    figure = error_figure({}, title="Poses from above", x_title="X, mm", y_title="Y, mm")
+    figure.add_scatter(
+        x=place[:, 0].round(2),
+        y=place[:, 1].round(2),
+        mode="markers",
+        marker={"color": size.round(2), "colorscale": "Viridis", "size": 9, "colorbar": {"title": "µm"}},
+        hovertemplate="X %{x} mm, Y %{y} mm: %{marker.color} µm<extra></extra>",
+    )
+    figure.update_yaxes(scaleanchor="x")
+    return figure
+
+
+DRAWINGS = (
+    Drawing("reading", "Distance of every reading from its commanded pose", 460, _by_reading, half=True),
+    Drawing("above", "Poses from above, by how far they are off", 460, _from_above, half=True),
+)
 
 
 @dataclass(frozen=True)

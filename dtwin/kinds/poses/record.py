@@ -41,6 +41,7 @@ class _Poses(Kind):
         "judge_run": "_check:judge_poses",
         "sheet": "_sheet:pose_sheet",
         "sheet_figure": "_sheet:pose_figure",
+        "drawings": "_sheet:DRAWINGS",
         "export_twin": "_export:export_twin",
         "twin_report": "_twin_report",
     }

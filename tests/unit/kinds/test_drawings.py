@@ -60,7 +60,29 @@ def indexed() -> Run:
     return Run(RunMeta("i1", kind="rotary", condition={"axis": "C"}, sample_rate_hz=1.0), samples)
 
 
-RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone, "rotation": turning, "rotary": indexed}
+def warming() -> Run:
+    t_s = 3600.0 * np.arange(5.0)
+    samples = {"t_s": t_s, "displacement_um": 4.0 * np.arange(5.0), "temperature_ram_c": 20.0 + np.arange(5.0)}
+    return Run(RunMeta("w1", kind="drift", condition={"axis": "Z"}, sample_rate_hz=1.0 / 3600.0), samples)
+
+
+def places() -> Run:
+    x, y = (np.ravel(v) for v in np.meshgrid(np.arange(0.0, 500.0, 100.0), np.arange(0.0, 400.0, 100.0)))
+    off = np.zeros(x.size)
+    off[7] = 0.5
+    told = {"target_x_mm": x, "target_y_mm": y, "target_z_mm": 0.01 * x * y}
+    return Run(RunMeta("p1", kind="poses"), told | {"error_x_mm": off, "error_y_mm": 0.0 * x, "error_z_mm": 0.0 * x})
+
+
+RUNS = {
+    "circular": circle,
+    "linear": sweeps,
+    "sinusoidal": tone,
+    "rotation": turning,
+    "rotary": indexed,
+    "drift": warming,
+    "poses": places,
+}
 
 
 def no_floor() -> float:
@@ -122,6 +144,21 @@ def test_a_tone_is_drawn_over_the_phase_of_its_command() -> None:
     (curve,) = figure("sinusoidal", "along").data
     phase = np.radians(values(curve, "x"))
     assert values(curve) == pytest.approx(0.5 * np.sin(phase), abs=1e-3)
+
+
+def test_a_drift_is_drawn_above_the_temperatures() -> None:
+    moved, ram = figure("drift", "time").data
+    assert values(moved) == pytest.approx(4.0 * values(moved, "x"))
+    assert (ram.name, ram.yaxis) == ("ram", "y2")
+    assert values(ram) == pytest.approx(20.0 + values(ram, "x"))
+
+
+def test_poses_are_drawn_where_they_lie_with_the_worst_one() -> None:
+    (seen,) = figure("poses", "above").data
+    size = np.asarray(seen.marker.color, dtype=float)
+    assert (int(np.argmax(size)), float(size.max())) == (7, pytest.approx(450.0, abs=50.0))
+    # Along X the frame takes a tenth of an error that one pose has.
+    assert values(seen, "x")[7] - values(seen, "x")[6] == pytest.approx(100.5, abs=0.3)
 
 
 def test_a_turning_target_is_drawn_about_its_centre() -> None:
