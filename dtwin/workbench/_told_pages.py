@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import Request
+import plotly.graph_objects as go
+from fastapi import APIRouter, Request
 from starlette.responses import Response
 
+from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
 from dtwin.report.html import Table
 from dtwin.report.machine_twin import captioned
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of
-from dtwin.twins.machine_twin import MachineTwin
+from dtwin.twins.machine_twin import MachineComparison, MachineTwin
+from dtwin.twins.measured import Comparison
 from dtwin.twins.of_kind import AnyTwin
 from dtwin.twins.seen import able_to
+from dtwin.twins.several import SeveralComparison
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
-from dtwin.workbench._pages import rendered
+from dtwin.workbench._pages import drawn, rendered
+
+router = APIRouter()
 
 
 def told_page(request: Request, name: str, on: str = "") -> Response:
@@ -29,7 +35,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
     twins = bench.twins_with(name)
     twin = twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
-    compared = compared_with(bench, name, on)
+    compared, figures = _comparison(bench, name, on)
     return rendered(
         request,
         "told.html",
@@ -39,6 +45,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         on=on,
         campaigns=sorted(name for kind in kinds_of(bench, twin) for name in bench.campaigns_of(twin.machine, kind)),
         compared=report_of(compared).comparison_text(compared),
+        figures=[figure.layout.title.text for figure in figures],
         contradictions=contradiction_lines(twin.as_dict()),
         paths=[c for part in getattr(twin, "members", ()) if isinstance(part, Twin) for c in part.campaigns],
         learnable=able_to(bench.home, twin, "laws"),
@@ -58,12 +65,38 @@ def _captioned(twin: AnyTwin) -> list[tuple[str, Table]]:
 
 def compared_with(bench: Bench, name: str, on: str) -> dict[str, Any]:
     """Return a twin of no path against measurements; without, against those of its fit."""
+    return _comparison(bench, name, on)[0]
+
+
+@router.get("/api/twins/{name}/compared/{number}")
+def compared_figure(request: Request, name: str, number: int, on: str = "") -> Response:
+    """Return a figure of a twin of no path against measurements."""
+    figures = _comparison(bench_of(request), name, on)[1]
+    if not 0 <= number < len(figures):
+        raise InputError("no such figure", code="page.unknown", where=name, got=str(number), allowed=f"{len(figures)}")
+    return drawn(figures[number])
+
+
+def _comparison(bench: Bench, name: str, on: str) -> tuple[dict[str, Any], list[go.Figure]]:
+    """Return a comparison with its figures; those of circles and other paths have a page of their own."""
     twins = bench.twins_with(name)
     twin = twins.newest(name)
     campaigns = [on] if on else twin.campaigns
     made = reading.version_file(bench, name, twin.version).stat().st_mtime_ns
     key = ("compared", name, twin.version, made, *campaigns, *map(bench.stamp, campaigns))
-    return bench.cache.get(key, lambda: twins.compare(name, on or None).as_dict())
+
+    def compared() -> tuple[dict[str, Any], list[go.Figure]]:
+        found = twins.compare(name, on or None)
+        parts = [
+            part
+            for part in (found.parts if isinstance(found, MachineComparison) else [found])
+            if not isinstance(part, Comparison | SeveralComparison)
+        ]
+        told = [(part, part.as_dict()) for part in parts]
+        sections = [one for part, result in told for one in report_of(result).comparison_sections(part, result)]
+        return found.as_dict(), [figure for section in sections for figure in section.figures]
+
+    return bench.cache.get(key, compared)
 
 
 def kinds_of(bench: Bench, twin: AnyTwin) -> list[str]:

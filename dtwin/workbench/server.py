@@ -36,6 +36,7 @@ from dtwin.workbench import _model_routes as model_routes
 from dtwin.workbench import _models as models
 from dtwin.workbench import _plan_routes as plan_routes
 from dtwin.workbench import _reading as reading
+from dtwin.workbench import _told_pages as told_pages
 from dtwin.workbench import _twin_actions as twin_actions
 from dtwin.workbench import _twin_routes as twin_routes
 from dtwin.workbench._access import Access, Guarded
@@ -59,6 +60,7 @@ def application(bench: Bench) -> Guarded:
         import_routes,
         twin_routes,
         heat_pages,
+        told_pages,
         twin_actions,
         budget_routes,
         effect_routes,

@@ -124,7 +124,9 @@ def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Wor
         assert 'name="effect" value="lag@front"' in shown
         assert "noise of a reading" in shown
     assert json.loads(said(bench, "/api/twins/column/waterfall"))["data"][0]["x"][0] == "no effects"
-    for figure in ("motions", "days", "map", "overlay/angle", "ranked", "encoder", "runs"):
+    drawn = [json.loads(said(bench, f"/api/twins/column/compared/{number}")) for number in (0, 1)]
+    assert [[curve["name"] for curve in figure["data"]] for figure in drawn] == [["measured", "twin"], ["left"]]
+    for figure in ("motions", "days", "map", "overlay/angle", "ranked", "encoder", "runs", "compared/2"):
         assert bench.ask(f"/api/twins/column/{figure}")[0] in (400, 404), figure
     status, text = bench.act("/api/twins/column/add", json.dumps({"effect": "lag@front"}).encode())
     assert status == 202, text

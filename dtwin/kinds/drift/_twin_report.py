@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Section, Table
@@ -11,7 +12,9 @@ from dtwin.report.told_twins import candidate_table, missing_section
 from dtwin.report.told_twins import history_section as history_section
 
 if TYPE_CHECKING:
-    from dtwin.kinds.drift._twins import DriftTwin
+    import plotly.graph_objects as go
+
+    from dtwin.kinds.drift._twins import DriftComparison, DriftTwin
 
 _UNITS = {"um/K": "µm/K", "um/K^2": "µm/K²"}
 
@@ -99,9 +102,24 @@ def twin_section(twin: DriftTwin) -> Section:
     return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
 
 
-def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
-    """Return a comparison for a report."""
-    return [Section("Measured against predicted", code=[comparison_text(result)])]
+def comparison_sections(found: DriftComparison | None, result: Mapping[str, Any]) -> list[Section]:
+    """Return a comparison for a report; without ``found`` as text."""
+    drawn = [] if found is None else _figures(found)
+    return [Section("Measured against predicted", code=[comparison_text(result)], figures=drawn)]
+
+
+def _figures(found: DriftComparison) -> list[go.Figure]:
+    """Draw the log and the twin over the time, and what is left."""
+    # Commands that print no figure do not wait for plotly.
+    from dtwin.report.plots import error_figure
+
+    series, hours = found.loaded.series, found.loaded.series.t_s / 3600.0
+    curves = {"measured": (hours, series.moved_um), "twin": (hours, series.moved_um - found.left_um)}
+    over_time = partial(error_figure, x_title="time, h", y_title="displacement, µm")
+    return [
+        over_time(curves, title="Measured and twin"),
+        over_time({"left": (hours, found.left_um)}, title="What the twin leaves"),
+    ]
 
 
 def _fell(figures: Mapping[str, float | None]) -> str:

@@ -211,32 +211,33 @@ def pose_figure(runs: Sequence[Run]) -> go.Figure:
     )
 
 
-def _by_reading(run: Run, floor_um: Callable[[], float]) -> go.Figure:
-    """Draw the distance of every reading from its commanded pose."""
-    return pose_figure([run])
-
-
 def _from_above(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     """Draw where the poses lie, seen from above, and how far each is off."""
     series = problem_of(run)
-    size = 1000.0 * np.linalg.norm(series.error_mm, axis=1)
+    return above_figure(series, series.error_mm, "Poses from above")
+
+
+def above_figure(series: Series, left_mm: Floats, title: str) -> go.Figure:
+    """Draw where poses lie, seen from above in the frame of the base; ``left_mm`` (n, 3): how far each is off."""
     place = series.setup.in_base(series.poses.measured_mm)
-    figure = error_figure({}, title="Poses from above", x_title="X, mm", y_title="Y, mm")
+    figure = error_figure({}, title=title, x_title="X, mm", y_title="Y, mm")
     figure.add_scatter(
         x=place[:, 0].round(2),
         y=place[:, 1].round(2),
         mode="markers",
-        marker={"color": size.round(2), "colorscale": "Viridis", "size": 9, "colorbar": {"title": "µm"}},
+        marker={
+            "color": (1000.0 * np.linalg.norm(left_mm, axis=1)).round(2),
+            "colorscale": "Viridis",
+            "size": 9,
+            "colorbar": {"title": "µm"},
+        },
         hovertemplate="X %{x} mm, Y %{y} mm: %{marker.color} µm<extra></extra>",
     )
     figure.update_yaxes(scaleanchor="x")
     return figure
 
 
-DRAWINGS = (
-    Drawing("reading", "Distance of every reading from its commanded pose", 460, _by_reading, half=True),
-    Drawing("above", "Poses from above, by how far they are off", 460, _from_above, half=True),
-)
+DRAWINGS = (Drawing("above", "Poses from above, by how far they are off", 520, _from_above),)
 
 
 @dataclass(frozen=True)

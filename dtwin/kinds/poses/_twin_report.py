@@ -11,7 +11,9 @@ from dtwin.report.told_twins import candidate_table, missing_section
 from dtwin.report.told_twins import history_section as history_section
 
 if TYPE_CHECKING:
-    from dtwin.kinds.poses._twins import PoseTwin
+    import plotly.graph_objects as go
+
+    from dtwin.kinds.poses._twins import PoseComparison, PoseTwin
 
 _UNIT = "unit of replication: the block of neighbouring poses"
 
@@ -93,9 +95,28 @@ def twin_section(twin: PoseTwin) -> Section:
     return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
 
 
-def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
-    """Return a comparison for a report."""
-    return [Section("Measured against predicted", code=[comparison_text(result)])]
+def comparison_sections(found: PoseComparison | None, result: Mapping[str, Any]) -> list[Section]:
+    """Return a comparison for a report; without ``found`` as text."""
+    drawn = [] if found is None else _figures(found)
+    return [Section("Measured against predicted", code=[comparison_text(result)], figures=drawn)]
+
+
+def _figures(found: PoseComparison) -> list[go.Figure]:
+    """Draw every reading before and after, and where the poses lie that are left furthest off."""
+    # Commands that print no figure do not wait for plotly.
+    import numpy as np
+
+    from dtwin.kinds.poses._fit import left_mm
+    from dtwin.kinds.poses._sheet import above_figure
+    from dtwin.report.plots import error_figure
+
+    grams = found.loaded.grams
+    sizes = {"without": left_mm(grams, ()), "with the twin": found.left_mm}
+    rows = found.loaded.rows.astype(np.float64)
+    curves = {name: (rows, 1000.0 * np.linalg.norm(left, axis=1)) for name, left in sizes.items()}
+    title = "Distance from the commanded pose, frame and tool fitted"
+    by_reading = error_figure(curves, title=title, x_title="row of the table", y_title="distance, µm")
+    return [by_reading, above_figure(grams.series, found.left_mm, "What the twin leaves, from above")]
 
 
 def _fell(figures: Mapping[str, float | None]) -> str:
