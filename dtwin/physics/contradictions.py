@@ -72,13 +72,14 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class _Tested:
-    """A shared parameter on one side of the campaigns against the rest."""
+    """A shared parameter on one side of the campaigns against the rest; ``times``: the difference beyond what laws miss, in standard uncertainties."""
 
     side: _Side
     term: int
     parameter: int
     difference: float
     k2: float
+    times: float
     p_value: float
     beside: tuple[int, ...]
     beyond: _Side = frozenset()
@@ -127,7 +128,10 @@ def _of_waves(fitted: SeveralFit, started: Sequence[str]) -> list[Contradiction]
         _, c, difference, k2 = tests[i]
         mine = frozenset(seen_estimates(fitted.pool, fitted.fits, number))
         told = _told(
-            _Tested(frozenset([c]), number, 0, difference, k2, float(p_values[i]), ()), fitted.pool, mine, started
+            _Tested(frozenset([c]), number, 0, difference, k2, 2.0 * abs(difference) / k2, float(p_values[i]), ()),
+            fitted.pool,
+            mine,
+            started,
         )
         out.append(replace(told, parameter="amplitude"))
     return out
@@ -153,10 +157,9 @@ def _worst(fitted: SeveralFit, started: Sequence[str]) -> _Tested | None:
     if not tests:
         return None
     p_values = holm([t.p_value for t in tests])
-    first = min(
-        range(len(tests)), key=lambda i: (p_values[i], tests[i].p_value, -abs(tests[i].difference) / tests[i].k2)
-    )
-    return replace(tests[first], p_value=float(p_values[first])) if p_values[first] <= _ALPHA else None
+    surely = [replace(t, p_value=float(p)) for p, t in zip(p_values, tests, strict=True) if p <= _ALPHA]
+    # Where that one has a value of its own, the least is left that does not agree; a p-value says more of the degrees of freedom.
+    return max(surely, key=lambda test: (not test.beyond, test.times), default=None)
 
 
 def _comparisons(pool: Pool, started: Sequence[str]) -> list[tuple[_Side, _Side]]:
@@ -302,11 +305,12 @@ def _wald(
         if abs(float(x[at])) > pool.terms[term].instance.effect.parameters[parameter].largest:
             continue  # No machine changes by so much: the campaign errs in something else.
         excess = max(0.0, abs(float(x[at])) - float(missed[at]))
-        p_value = 2.0 * t_tail(excess / float(wide.standard[at]), float(wide.dof[at]))
+        times = excess / float(wide.standard[at])
+        p_value = 2.0 * t_tail(times, float(wide.dof[at]))
         name = pool.terms[term].instance.effect.name
         beside = tuple(t for t in dropped if pool.terms[t].instance.effect.name == name)
         own = side & _with_term(pool, term)
-        out.append(_Tested(own, term, parameter, float(x[at]), float(k2[at]), p_value, beside, beyond))
+        out.append(_Tested(own, term, parameter, float(x[at]), float(k2[at]), times, p_value, beside, beyond))
     return out
 
 

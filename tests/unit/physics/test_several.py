@@ -221,6 +221,18 @@ def twin_of_all(campaigns: list[Observations], *names: str) -> SeveralTwin:
     return several_twin_of(found, told, campaigns, name="all", version=1, action="fit", data=nothing)
 
 
+def test_of_differences_that_are_all_sure_the_one_is_named_that_explains_the_others() -> None:
+    # Their p-values are all next to nothing, and say how often each test was repeated.
+    worn = MillParameters().with_axis("X", scale_ppm=20.0, play_um=43.0)
+    mended = worn.with_axis("X", play_um=3.0)
+    campaigns = [circles(worn, 5, "bar", "2026-01-05"), circles(mended, 11, "again", "2026-03-09")]
+    lasers = [(24, "2026-01-13"), (34, "2026-03-10"), (14, "2026-01-12")]
+    campaigns += [laser("X", 20.0, 3.0, seed, f"laser-{seed}", day) for seed, day in lasers]
+    (told,) = apart(campaigns, "lead_error:X", "backlash:X")[1]
+    assert ("bar",) in (told.campaigns, told.others)
+    assert (told.what, told.since[:10]) == ("change", "2026-01-12")
+
+
 def test_a_contradiction_is_explained_by_what_one_campaign_takes_for_another_effect() -> None:
     stiff = MillParameters().with_axis("X", friction_mm_s2=150.0, play_um=3.0)
     campaigns = [circles(stiff, 2, day="2026-01-05"), laser("X", 0.0, 3.0, 2, day="2026-01-06")]
