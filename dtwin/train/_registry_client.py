@@ -28,10 +28,10 @@ def client_of(home: Home) -> MlflowClient:
     logging.getLogger("mlflow").setLevel(logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     uri = home.mlflow_uri
-    if uri.startswith("sqlite:///"):
+    database = Path(uri.removeprefix("sqlite:///")) if uri.startswith("sqlite:///") else None
+    if database is not None:
         try:
             home.made()
-            database = Path(uri.removeprefix("sqlite:///"))
             database.parent.mkdir(parents=True, exist_ok=True)
             database.touch(mode=0o600)
             with closing(sqlite3.connect(database)) as opened:
@@ -50,9 +50,23 @@ def client_of(home: Home) -> MlflowClient:
     # The first client of an empty database makes its tables; two at once would both make them.
     alone = uri.startswith(("sqlite", "postgresql"))
     with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
-        if uri == f"sqlite:///{home.root}/mlflow/mlflow.db" and isinstance(home.mlflow_artifacts, Path):
-            brought_here(Path(uri.removeprefix("sqlite:///")), home.mlflow_artifacts)
+        if database is not None and not database.stat().st_size:
+            _make_tables(database)
+        if database == home.root / "mlflow" / "mlflow.db" and isinstance(home.mlflow_artifacts, Path):
+            brought_here(database, home.mlflow_artifacts)
         return MlflowClient(tracking_uri=uri, registry_uri=uri)
+
+
+def _make_tables(database: Path) -> None:
+    """Make the tables of an empty database beside it, and copy them in one step: MLflow cannot go on with a part of them."""
+    begun = database.with_name(f"{database.name}.begun")
+    for left in (begun, begun.with_name(f"{begun.name}-journal")):
+        left.unlink(missing_ok=True)
+    begun.touch(mode=0o600)
+    MlflowClient(tracking_uri=f"sqlite:///{begun}", registry_uri=f"sqlite:///{begun}")
+    with closing(sqlite3.connect(begun)) as source, closing(sqlite3.connect(database)) as target:
+        source.backup(target)
+    begun.unlink()
 
 
 def _not_usable(database: Path, error: sqlite3.DatabaseError) -> StoreError:

@@ -148,6 +148,22 @@ def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> 
         Registry(lived_in)
 
 
+def test_tables_that_were_not_finished_are_made_anew(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a full disk, or a kill: MLflow said "table registered_models already exists" ever after."""
+
+    def full(tracking_uri: str, **_: str) -> None:
+        with closing(sqlite3.connect(tracking_uri.removeprefix("sqlite:///"))) as begun:
+            begun.execute("CREATE TABLE registered_models (name TEXT)")
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dtwin.train._registry_client.MlflowClient", full)
+        with pytest.raises(sqlite3.OperationalError):
+            Registry(lived_in)
+    assert Registry(lived_in).machines() == []
+    assert [path.name for path in (lived_in.root / "mlflow").iterdir()] == ["mlflow.db"]
+
+
 def test_a_database_that_another_holds_is_not_called_damaged(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     Registry(lived_in)
     at_once = partial(sqlite3.connect, timeout=0.0)
