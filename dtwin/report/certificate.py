@@ -15,7 +15,7 @@ from dtwin.report.html import figure_html
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
 
-_FIGURE_PX, _BESIDE_PX = 360, 300
+_FIGURE_PX, _BESIDE_PX = 360, 280
 """So that a picture and its table fit below the head of the first page; and beside each other."""
 _DECIMAL_POINT = {"de": ","}
 LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": GERMAN}
@@ -32,8 +32,8 @@ h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
 td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from, th.from { white-space: normal; text-align: left; } .figures td:first-child { width: 100%; } th { color: #44525d; font-weight: 600; }
 .overview { font-size: 9px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
-.beside { display: grid; grid-template-columns: 270px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
-.beside table { font-size: 10px; } .beside td, .beside th { padding: 3px; }
+.beside { display: grid; grid-template-columns: 250px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
+.beside table { font-size: 9.5px; } .beside td, .beside th { padding: 2.5px 3px; }
 dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 12px; margin: 10px 0; } dt { color: #44525d; } dd { margin: 0; }
 .decision { border: 2px solid #14212b; padding: 8px 12px; font-size: 17px; margin: 10px 0; } .note { color: #44525d; font-size: 12px; }
 section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1fr 1fr; gap: 30px; margin-top: 46px; break-inside: avoid; }
