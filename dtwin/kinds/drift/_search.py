@@ -101,7 +101,8 @@ class Addition:
     ``gain``, ``p_value``: share of them that it takes; over blocks, by Bonferroni over all that were tried.
     ``far_gain``: the share on sixths of the log: where more is left than noise, whatever is smooth fits short stretches.
     ``added``: the term that is new, which may stand in place of an old one of the same sensor.
-    ``by_time`` (blocks,): squares that a course of time alone, of one number, leaves in its place.
+    ``by_time`` (blocks,): squares that a course of time alone leaves in the place of a further sensor; None for a lag or a
+    curve of one that is there already.
     ``series``: of the log.
     """
 
@@ -112,7 +113,7 @@ class Addition:
     gain: float
     p_value: float
     far_gain: float
-    by_time: Floats
+    by_time: Floats | None
     series: Series
 
     @cached_property
@@ -126,6 +127,7 @@ class Addition:
             return False
         if (
             len(self.terms) > 1
+            and self.by_time is not None
             and share_taken(self.left, self.by_time) > _FAR_LESS
             and gain_tail(self.left, self.by_time) < ALPHA
         ):
@@ -137,7 +139,7 @@ class Addition:
     @cached_property
     def is_as_time(self) -> bool:
         """Whether time alone takes as much, for all that this log tells: what settles, or follows a body without a sensor."""
-        return _is_no_less(self.by_time, self.left)
+        return self.by_time is not None and _is_no_less(self.by_time, self.left)
 
     def equals(self, other: Addition) -> bool:
         """Tell whether another takes no more than chance may."""
@@ -186,7 +188,7 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             share_taken(before, left),
             min(1.0, len(tried) * gain_tail(before, left)),
             share_taken(far, held_out(series, new, _LONG)),
-            by_time,
+            by_time if term.kind == "steady" else None,
             series,
         )
         for left, new, term, said in tried
