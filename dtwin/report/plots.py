@@ -151,6 +151,22 @@ def error_figure(
     return styled(figure)
 
 
+def places_figure(
+    across_mm: Floats, up_mm: Floats, off_um: Floats, *, title: str, axes: tuple[str, str] = ("X", "Y")
+) -> go.Figure:
+    """Return places (n,) as seen along an axis, in the colour of how far each is off."""
+    figure = error_figure({}, title=title, x_title=f"{axes[0]}, mm", y_title=f"{axes[1]}, mm")
+    figure.add_scatter(
+        x=across_mm.round(2),
+        y=up_mm.round(2),
+        mode="markers",
+        marker={"color": off_um.round(2), "colorscale": "Viridis", "size": 9, "colorbar": {"title": "µm"}},
+        hovertemplate=f"{axes[0]} %{{x}} mm, {axes[1]} %{{y}} mm: %{{marker.color}} µm<extra></extra>",
+    )
+    figure.update_yaxes(scaleanchor="x")
+    return figure
+
+
 def draw_line(
     figure: go.Figure, x: Any, y: Any, name: str, *, mode: str | None = "lines", hover: str | None = None, **line: Any
 ) -> None:

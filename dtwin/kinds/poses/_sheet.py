@@ -15,7 +15,7 @@ from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, lengths, means_of, measured_of
 from dtwin.kinds.poses._series import Series
 from dtwin.kinds.poses._setup import left_by_setup
-from dtwin.report.plots import error_figure
+from dtwin.report.plots import error_figure, places_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Floats, Run
@@ -220,21 +220,7 @@ def _from_above(run: Run, floor_um: Callable[[], float]) -> go.Figure:
 def above_figure(series: Series, left_mm: Floats, title: str) -> go.Figure:
     """Draw where poses lie, seen from above in the frame of the base; ``left_mm`` (n, 3): how far each is off."""
     place = series.setup.in_base(series.poses.measured_mm)
-    figure = error_figure({}, title=title, x_title="X, mm", y_title="Y, mm")
-    figure.add_scatter(
-        x=place[:, 0].round(2),
-        y=place[:, 1].round(2),
-        mode="markers",
-        marker={
-            "color": (1000.0 * np.linalg.norm(left_mm, axis=1)).round(2),
-            "colorscale": "Viridis",
-            "size": 9,
-            "colorbar": {"title": "µm"},
-        },
-        hovertemplate="X %{x} mm, Y %{y} mm: %{marker.color} µm<extra></extra>",
-    )
-    figure.update_yaxes(scaleanchor="x")
-    return figure
+    return places_figure(place[:, 0], place[:, 1], 1000.0 * np.linalg.norm(left_mm, axis=1), title=title)
 
 
 DRAWINGS = (Drawing("above", "Poses from above, by how far they are off", 520, _from_above),)

@@ -1,15 +1,35 @@
-"""What thermal models do in a campaign, as a page to look at."""
+"""What thermal models do in a campaign, as a page to look at, and the pictures of a cycle."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 
+from dtwin.kinds.kind import Drawing
 from dtwin.kinds.volumetric._text import finding_lines
 from dtwin.report.html import Section, Table, page
-from dtwin.report.plots import COLOURS, draw_line, styled
+from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
+from dtwin.schema import Run
+
+
+def _seen(run: Run, floor_um: Callable[[], float], axes: tuple[str, str]) -> go.Figure:
+    """Draw how far the machine was off at each ball of a cycle."""
+    if not set(run.samples) >= _DRAWN:
+        raise lacks_columns(run, "error at places", ", ".join(sorted(_DRAWN)))
+    off = np.sqrt(sum(run.samples[f"error_{axis}_um"] ** 2 for axis in "xyz"))
+    across, up = (run.samples[f"{axis.lower()}_mm"] for axis in axes)
+    return places_figure(across, up, off, title=f"Error at the balls, {axes[0]} and {axes[1]}", axes=axes)
+
+
+_DRAWN = {f"{axis}_mm" for axis in "xyz"} | {f"error_{axis}_um" for axis in "xyz"}
+DRAWINGS = (
+    Drawing("above", "Error at the balls, seen from above", 460, partial(_seen, axes=("X", "Y")), half=True),
+    Drawing("front", "Error at the balls, seen from the front", 460, partial(_seen, axes=("X", "Z")), half=True),
+)
 
 
 def volumetric_page(result: Mapping[str, Any]) -> str:

@@ -38,6 +38,7 @@ class _Volumetric(Kind):
         "completed": "_check:with_strokes",
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
+        "drawings": "_page:DRAWINGS",
         "twin_report": "_twin_report",
         "training": "_training:train_volumetric",
         "recognises": "_bundle:is_volumetric_bundle",

@@ -74,7 +74,17 @@ def places() -> Run:
     return Run(RunMeta("p1", kind="poses"), told | {"error_x_mm": off, "error_y_mm": 0.0 * x, "error_z_mm": 0.0 * x})
 
 
+def balls() -> Run:
+    x = np.array([0.0, 100.0, 200.0])
+    samples = {"t_s": x, "x_mm": x, "y_mm": 2.0 * x, "z_mm": 3.0 * x}
+    return Run(
+        RunMeta("c0", kind="volumetric"),
+        samples | dict.fromkeys(("error_x_um", "error_y_um"), 0.03 * x) | {"error_z_um": 0.0 * x},
+    )
+
+
 RUNS = {
+    "volumetric": balls,
     "circular": circle,
     "linear": sweeps,
     "sinusoidal": tone,
@@ -159,6 +169,13 @@ def test_poses_are_drawn_where_they_lie_with_the_worst_one() -> None:
     assert (int(np.argmax(size)), float(size.max())) == (7, pytest.approx(450.0, abs=50.0))
     # Along X the frame takes a tenth of an error that one pose has.
     assert values(seen, "x")[7] - values(seen, "x")[6] == pytest.approx(100.5, abs=0.3)
+
+
+def test_balls_are_drawn_from_above_and_from_the_front() -> None:
+    for name, up in (("above", 2.0), ("front", 3.0)):
+        (seen,) = figure("volumetric", name).data
+        assert values(seen) == pytest.approx(up * values(seen, "x"))
+        assert np.asarray(seen.marker.color, dtype=float) == pytest.approx([0.0, 4.24, 8.49])
 
 
 def test_a_turning_target_is_drawn_about_its_centre() -> None:
