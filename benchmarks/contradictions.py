@@ -53,7 +53,7 @@ def apart(
 ) -> tuple[Contradiction, ...]:
     """Return what contradicts what on one machine, with more lost motion of X on the last day."""
     rng = np.random.default_rng([case, list(STORIES).index(story)])
-    of_x, of_y, lead_x, lead_y, lost_um, _ = STORIES[story](rng)
+    of_x, of_y, lead_x, lead_y, lost_um, _ = STORIES[story](rng, 0.0)
     mill = MillParameters().with_axis("X", **of_x).with_axis("Y", **of_y)
     later = mill.with_axis("X", play_um=lost_um + step_um)
     bar, of_laser_x, of_laser_y, again = DAYS

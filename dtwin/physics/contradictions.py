@@ -21,6 +21,8 @@ _ALPHA = 0.01
 _MOST = 6
 # What is alike in the repeats of a test is seen where its variance is a larger share than this of that of the noise.
 _UNSEEN = 0.05
+# Of the largest difference in standard uncertainties, what all campaigns together must show to be asked before equal tests are.
+_HIDDEN = 0.5
 # No law says what an effect does better than to this share of it.
 _INEXACT = 0.02
 
@@ -158,8 +160,11 @@ def _worst(fitted: SeveralFit, started: Sequence[str]) -> _Tested | None:
         return None
     p_values = holm([t.p_value for t in tests])
     surely = [replace(t, p_value=float(p)) for p, t in zip(p_values, tests, strict=True) if p <= _ALPHA]
-    # Where that one has a value of its own, the least is left that does not agree; a p-value says more of the degrees of freedom.
-    return max(surely, key=lambda test: (not test.beyond, test.times), default=None)
+    # Where the largest has a value of its own, the least is left that does not agree; a p-value says how often tests were repeated.
+    # Equal tests alone are believed where laws that are not exact hide most of a difference from all of them together.
+    least = _HIDDEN * max((test.times for test in surely), default=0.0)
+    every = [test for test in surely if not test.beyond and test.times >= least]
+    return max(every or surely, key=lambda test: test.times, default=None)
 
 
 def _comparisons(pool: Pool, started: Sequence[str]) -> list[tuple[_Side, _Side]]:
