@@ -79,7 +79,12 @@ class SeveralDiagnosis(Diagnosis):
 
 
 def diagnose_several(
-    twin: SeveralTwin, campaigns: Sequence[Observations], library: Mapping[str, Effect], *, seed: int = 0
+    twin: SeveralTwin,
+    campaigns: Sequence[Observations],
+    library: Mapping[str, Effect],
+    *,
+    seed: int = 0,
+    alone: Sequence[Diagnosis | None] = (),
 ) -> SeveralDiagnosis:
     """Find out what a twin of several campaigns lacks.
 
@@ -90,11 +95,13 @@ def diagnose_several(
     ----------
     campaigns : sequence of Observations
         Those of the twin, in its order.
+    alone : sequence of Diagnosis or None
+        What is known of each by itself, beside what the twin has.
     """
     tests = []
-    for obs in campaigns:
+    for obs, told in zip(campaigns, alone or [None] * len(campaigns), strict=True):
         known = twin.on(obs.campaign.name).terms
-        found = diagnose(obs, known, library, seed=seed)
+        found = told or diagnose(obs, known, library, seed=seed)
         tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, found, known))
     settled = joint(tests, library)
     groups, denied = _shown_together(twin, _merged(tests, settled, library), campaigns, library)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,8 @@ from dtwin.twins.registration import diagnosis_path
 
 MADE_FROM = "made_from"
 """Where a stored diagnosis says what it was made from."""
+ALONE = "alone"
+"""Where a stored diagnosis of several campaigns has that of each by itself."""
 _PACKAGE = Path(str(dtwin.__file__)).parent
 _DIAGNOSING = ("physics/**/*.py", "kinds/**/*.py", "statistics.py", "kinematics.py")
 
@@ -56,12 +58,26 @@ def kept_diagnosis(path: Path, check_sum: str) -> Diagnosis | None:
 
     ``path``, ``check_sum``: as ``made_from`` takes and gives them.
     """
+    document = _stored(path) if check_sum else {}
+    return _diagnosis(document) if document.get(MADE_FROM) == check_sum else None
+
+
+def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
+    """Return the same of each campaign of a twin of several, diagnosed by itself beside the effects of the twin.
+
+    ``check_sums``: of each.
+    """
+    documents = _stored(path).get(ALONE, [])
+    found = {document.get(MADE_FROM): document for document in documents}
+    return [_diagnosis(found[one]) if one and one in found else None for one in check_sums]
+
+
+def _stored(path: Path) -> dict[str, Any]:
     file = diagnosis_path(path)
     try:
-        document = read_document(file) if check_sum and file.exists() else {}
+        return read_document(file) if file.exists() else {}
     except StoreError:
-        return None
-    return _diagnosis(document) if document.get(MADE_FROM) == check_sum else None
+        return {}
 
 
 def _parts(obs: Observations) -> Iterator[bytes]:

@@ -27,7 +27,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.schema import require_name
-from dtwin.twins._kept_diagnosis import MADE_FROM, is_built_in, kept_diagnosis, made_from
+from dtwin.twins._kept_diagnosis import ALONE, MADE_FROM, is_built_in, kept_alone, kept_diagnosis, made_from
 from dtwin.twins._learned import WithLearned
 from dtwin.twins._path_member import PathMember
 from dtwin.twins._recorded import with_record
@@ -145,28 +145,30 @@ class Twins(TwinShelf):
         loaded = self._load(twin.campaigns)
         for one in loaded:
             require_same_machine(name, twin.machine, one.obs.campaign.name, one.obs.campaign.machine)
-        if isinstance(twin, SeveralTwin):
-            several = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
-            return twin, self._keep(twin, several, loaded)
-        (alone,) = loaded
-        check_sum = made_from(path, alone, self.library, seed)
+        check_sums = [made_from(path, one, self.library, seed) for one in loaded]
         # Another process may be at it; one that hangs is not waited for.
         with path.open() as version:
             until = time.monotonic() + _PATIENCE_S
             while not take(version) and time.monotonic() < until:
                 time.sleep(_LOOK_EVERY_S)
+            if isinstance(twin, SeveralTwin):
+                alone = kept_alone(path, check_sums)
+                campaigns = [one.obs for one in loaded]
+                several = diagnose_several(twin, campaigns, self.library, seed=seed, alone=alone)
+                each = zip(several.tests, check_sums, strict=True)
+                about = {ALONE: [{MADE_FROM: one, **test.found.as_dict()} for test, one in each]}
+                return twin, self._keep(twin, several, loaded, about)
+            obs, check_sum = loaded[0].obs, check_sums[0]
             kept = kept_diagnosis(path, check_sum)
             if kept is not None:
                 return twin, kept
-            found = diagnose(alone.obs, twin.terms, self.library, seed=seed)
-            found = replace(found, next_experiment=next_experiment(alone.obs, twin.terms, found, self.library))
+            found = diagnose(obs, twin.terms, self.library, seed=seed)
+            found = replace(found, next_experiment=next_experiment(obs, twin.terms, found, self.library))
             return twin, self._keep(twin, found, loaded, {MADE_FROM: check_sum})
 
-    def _keep(
-        self, twin: Twin, found: Diagnosis, loaded: Sequence[Loaded], about: Mapping[str, str] | None = None
-    ) -> Diagnosis:
+    def _keep(self, twin: Twin, found: Diagnosis, loaded: Sequence[Loaded], about: Mapping[str, Any]) -> Diagnosis:
         found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
-        document = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign, **(about or {})}
+        document = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign, **about}
         self.store_diagnosis(document | found.as_dict())
         return found
 
@@ -311,5 +313,5 @@ class Twins(TwinShelf):
             (one,) = loaded
             fitted = fit(one.obs, terms, robust=robust, refine=refine)
             twin = twin_of(fitted, one.obs, name=name, version=version, action=action, data=one.data)
-        self.store(twin.as_dict(), ahead=ahead and len(loaded) == 1 and is_built_in(self.library))
+        self.store(twin.as_dict(), ahead=ahead and is_built_in(self.library))
         return with_record(self.home, twin)

@@ -50,7 +50,7 @@ def home(made: Path, monkeypatch: pytest.MonkeyPatch) -> Home:
     return Home(made / "home")
 
 
-def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home) -> None:
+def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = said("twin", "fit", "bar", "--effects", "", "--name", "alone")
     assert "campaigns" not in alone
     assert said("twin", "diagnose", "alone")["verdict"] == "ambiguous"
@@ -61,6 +61,9 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home) -> None:
     assert [[s["effect"] for s in group] for group in told["found"]] == [["lead_error"], ["backlash"]]
     assert {s["campaign"] for s in told["settled"]} == {"bar"}
     assert {c["campaign"]: c["verdict"] for c in told["campaigns"]}["bar"] == "ambiguous"
+    # What each says by itself is kept.
+    monkeypatch.setattr("dtwin.physics.several_diagnosis.diagnose", None)
+    assert said("twin", "diagnose", "all") == told
     assert "settled: bar could not tell" in printed("twin", "diagnose", "all")
 
 
