@@ -55,7 +55,7 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), {{ unit }}</th><th class="from">{{ say("from") }}</th></tr></thead>
 <tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
-{% for severity, text in findings %}<p>{{ severity }}: {{ text }}</p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
+{% for severity, text in findings %}<p>{{ say(severity ~ ":") }} <span lang="en">{{ text }}</span></p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
 <p class="note">{{ tell(sheet.basis) }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" and (sheet.notes or findings) %} {{ say("Notes are in English.") }}{% endif %}</p>
 <div class="sign"><p>{{ say("operator") }}</p><p>{{ say("date and signature") }}</p></div>
 </body></html>

@@ -96,9 +96,14 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
     sheet["parts"] = [{**part, "characteristics": figures}]
     drawn = go.Figure(go.Scatter(x=[0.5], y=[1.5], name="r-1.5"))
     page = certificate_page(
-        {"campaign": "v1.5", "machine": "m", "temperature": "20.5 °C"}, sheet, [drawn], [], language="de"
+        {"campaign": "v1.5", "machine": "m", "temperature": "20.5 °C"},
+        sheet,
+        [drawn],
+        [("warning", "error: 1.5")],
+        language="de",
     )
     for told in (
+        'Warnung: <span lang="en">error: 1.5</span>',
         "Achse X, nur vorwärts, 0 bis 500,5 mm, 11 Zielpositionen",
         "bidirektionale Positioniergenauigkeit",
         "Abstandsgenauigkeit, größte",
