@@ -195,7 +195,9 @@ def _malformed(path: Path, error: Exception) -> InputError:
         else "the table cannot be read",
         code="table.malformed",
         where=str(path),
-        got=(got if uneven else str(error))[:200],
+        got="bytes that are no text"
+        if isinstance(error, UnicodeDecodeError)
+        else (got if uneven else str(error))[:200],
         allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
         hint=f"dtwin import {path.name} reads tables of other programs; else the file may be cut short or damaged",
     )

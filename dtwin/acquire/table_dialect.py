@@ -67,8 +67,9 @@ def _is_of(data: bytes, strict: str, leads: range) -> bool:
 
 
 def decoded(data: bytes) -> str:
-    """Return a text of any of the encodings; a letter that is none becomes a question mark. A spreadsheet's line ``sep=;`` is left away."""
-    return _SEPARATOR.sub("", data.decode(encoding_of(data), errors="replace"), count=1)
+    """Return a text of any of the encodings; a letter that is none becomes a question mark. A spreadsheet's line ``sep=;`` and the end mark of DOS are left away."""
+    text = data.decode(encoding_of(data), errors="replace").rstrip("\x1a")
+    return _SEPARATOR.sub("", text, count=1)
 
 
 def is_comment(line: str) -> bool:

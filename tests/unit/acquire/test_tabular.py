@@ -47,6 +47,13 @@ def test_a_word_far_down_is_refused_with_its_row(tmp_path: Path) -> None:
     assert "lost" in str(refused.value.got)
 
 
+def test_a_picture_under_the_name_of_a_table_is_told_in_words(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(bytes.fromhex("ffd8ffe000104a464946818f"))
+    with pytest.raises(InputError) as refused:
+        read_columns(tmp_path / "a.csv", "circular")
+    assert refused.value.got == "bytes that are no text"
+
+
 def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
     columns = {"t_s": [0.0, 1.0], "angle_deg": [0.0, 1.0], "deviation_um": [True, False]}
     pq.write_table(pa.table(columns), tmp_path / "a.parquet")
