@@ -26,7 +26,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         table(("effect", "corrected", "grade", "how, or why not"), terms),
         "",
         table(("condition", "before, µm RMS", "predicted, µm RMS"), predicted),
-        *_by_others(found),
+        *([found["by_others"]["told"]] if found["by_others"] else []),
         "",
         *gates,
         *([f"left: {found['left']}"] if found["left"] else []),
@@ -42,15 +42,3 @@ def correction_text(found: Mapping[str, Any]) -> str:
             f"that dtwin does not serve: dtwin export {found['twin']} --as FORM --out FILE"
         )
     return "\n".join(lines)
-
-
-def _by_others(found: Mapping[str, Any]) -> list[str]:
-    """Return what the other campaigns of a twin foretell of this one."""
-    told = found["by_others"]
-    if not told:
-        return []
-    unknown = f"; they do not tell {', '.join(told['unknown'])}" if told["unknown"] else ""
-    return [
-        f"by the other campaigns alone ({', '.join(told['campaigns'])}; unit: the campaign): {found['campaign']} "
-        f"{told['before_um']:z.3g} -> {told['after_um']:z.3g} µm RMS{unknown}"
-    ]

@@ -87,6 +87,14 @@ class _ByOthers:
     after_um: float
     unknown: tuple[str, ...]
 
+    def told(self, campaign: str) -> str:
+        """Return it for people."""
+        unknown = f"; they do not tell {', '.join(self.unknown)}" if self.unknown else ""
+        return (
+            f"by the other campaigns alone ({', '.join(self.campaigns)}; unit: the campaign): {campaign} "
+            f"{self.before_um:z.3g} -> {self.after_um:z.3g} µm RMS{unknown}"
+        )
+
 
 @dataclass(frozen=True)
 class Correction:
@@ -128,7 +136,9 @@ class Correction:
             "grades": [dict(vars(g)) for g in self.gradings],
             "gates": [dict(vars(g)) for g in self.gates],
             "predicted": [dict(p) for p in self.predicted],
-            "by_others": asdict(self.by_others) if self.by_others else None,
+            "by_others": {**asdict(self.by_others), "told": self.by_others.told(self.frozen.twin.campaign)}
+            if self.by_others
+            else None,
             "bundle_sha256": self.frozen.bundle.sha256,
         }
 
@@ -164,11 +174,12 @@ def correct(
         )
     left = _left(diagnosis, seen.whole, way)
     judged = way.judge(frozen, seen, twins.home)
+    by_others = _by_others(frozen, seen)
     report = _report(frozen, judged, twin, obs, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report, ids[report.proposed], report.candidates[0], _description(frozen, seen, diagnosis, objections, left)
+        report, ids[report.proposed], report.candidates[0], _description(frozen, diagnosis, objections, left, by_others)
     )
     geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
@@ -195,7 +206,7 @@ def correct(
         predicted=tuple(_predicted(frozen, obs)),
         virtual=bool(geometry.get("virtual", False)),
         left=left,
-        by_others=_by_others(frozen, seen),
+        by_others=by_others,
     )
 
 
@@ -326,15 +337,19 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
     return out
 
 
-def _description(frozen: TwinBundle, seen: Seen, diagnosis: Diagnosis, objections: Sequence[str], left: str) -> str:
+def _description(
+    frozen: TwinBundle, diagnosis: Diagnosis, objections: Sequence[str], left: str, by_others: _ByOthers | None
+) -> str:
     twin = frozen.twin
-    others = [name for name in seen.whole.campaigns if name != twin.campaign]
+    others = f", fitted with {', '.join(by_others.campaigns)}" if by_others else ""
     lines = [
         f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{diagnosis.verdict}`, "
-        f"on `{twin.campaign}`{', fitted with ' + ', '.join(others) if others else ''}.",
+        f"on `{twin.campaign}`{others}.",
         "",
         *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in frozen.terms),
     ]
+    if by_others:
+        lines += ["", by_others.told(twin.campaign)]
     if left:
         lines += ["", f"Left: {left}"]
     if objections:

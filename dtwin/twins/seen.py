@@ -104,7 +104,7 @@ def chosen(home: Home, twin: AnyTwin, verb: str, campaign: str | None) -> str:
             code="twin.which",
             where=f"twin {twin.name} version {twin.version}",
             allowed=", ".join(able),
-            hint=f"--on {able[-1]}",
+            hint=f"--on {able[0]}",
         )
     name = campaign or next(iter(able), twin.campaigns[0])
     kind_named(Lake(home.lake).campaign(name).kind).require(verb)
@@ -132,10 +132,10 @@ def _of_one(twins: Twins, twin: Twin) -> Seen:
     obs = load(twins.home, twin.campaign).obs
 
     def refit(rows: Rows) -> Twin:
-        chosen = rows(obs)
-        if not len(chosen):
+        kept = rows(obs)
+        if not len(kept):
             raise _nothing_left(obs.campaign.name)
-        rest = obs.take(chosen)
+        rest = obs.take(kept)
         return twin_of(fit(rest, list(twin.terms)), rest, name=twin.name, version=twin.version, action="", data={})
 
     def lacks(without: Term | None, seed: int) -> Diagnosis:

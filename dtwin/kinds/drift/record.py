@@ -29,6 +29,7 @@ class _Drift(Kind):
     always_fitted = "Where the zero of the log lies."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects follows --name NAME fits a twin of drift",
+        "laws": "dtwin twin discover TWIN adds every sensor that the log follows; dtwin train CAMPAIGN makes an equation",
         "twin_correction": "dtwin train CAMPAIGN makes the same terms an equation",
     }
     places: ClassVar[Mapping[str, str]] = {

@@ -33,6 +33,7 @@ class _Poses(Kind):
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
+        "laws": "dtwin twin discover TWIN adds every effect that the poses tell",
         "twin_correction": "dtwin export TWIN --as dh writes the corrected geometry of the arm",
     }
     places: ClassVar[Mapping[str, str]] = {

@@ -29,6 +29,7 @@ class _Volumetric(Kind):
     always_fitted = "Error motions, each driven by a few temperatures."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat",
+        "laws": "dtwin twin discover TWIN adds every error motion that the balls tell; dtwin train CAMPAIGN makes an equation",
         "twin_correction": "dtwin train CAMPAIGN makes an equation of the temperatures",
     }
     places: ClassVar[Mapping[str, str]] = {
