@@ -46,6 +46,24 @@ def lease(host: str, machine: str, home: Home) -> Iterator[None]:
         yield
 
 
+def is_leased(machine: str, home: Home) -> bool:
+    """Tell whether a process holds a machine, or may hold it: where that cannot be asked, nothing says that none does.
+
+    It is asked by holding the machine for a moment: ask only where nobody is thought to begin.
+    """
+    path = home.root / "locks" / f"machine-{machine_folder(machine, home).name}.lock"
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    try:
+        return not take(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 @contextlib.contextmanager
 def _locked(path: Path, what: str) -> Iterator[None]:
     try:

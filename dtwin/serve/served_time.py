@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.schema import MIXED_CORRECTION, require_name
 from dtwin.serve._journal import ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
+from dtwin.serve._lease import is_leased
 
 _ENDS = (RELEASED, NOT_RELEASED, ENDED, KILLED)
+_LAST_LINES_S = 0.3
 _FOREVER = datetime.max.replace(tzinfo=UTC)
 
 
@@ -43,10 +47,12 @@ def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
     """Return when a machine was corrected live, oldest first.
 
     A session that looked on or sent zeros corrected nothing. While a link was lost nothing is
-    known to have been corrected.
+    known to have been corrected. A session that a power cut ended, or the end of its container, wrote no last line:
+    it is over when its machine is held by nobody, and the journal says so from now on.
 
     Raises ``StoreError`` when the journal cannot be read.
     """
+    _end_what_is_dead(home, machine)
     return _stretches(_journal_of(home, machine))
 
 
@@ -83,6 +89,8 @@ def correction_in_force(home: Home, machine: str) -> Callable[[datetime, datetim
 
     ``home``, ``machine``: as for :func:`served_stretches`.
     """
+    # What is dead now corrects none of the runs to come; asked after them, it would seem to have died then.
+    _end_what_is_dead(home, machine)
 
     def between(begin: datetime, end: datetime) -> str:
         try:
@@ -108,6 +116,28 @@ def never_released(home: Home, machine: str) -> datetime | None:
         elif event.get("event") in (RELEASED, NOT_RELEASED, ENDED):
             begun.pop(event["session"], None)
     return next(iter(begun.values()), None)
+
+
+def _end_what_is_dead(home: Home, machine: str) -> None:
+    # A session that ends lets go of its machine first, and its last lines follow.
+    for wait_s in (_LAST_LINES_S, 0.0):
+        session = _not_ended(home, machine)
+        if not session or is_leased(machine, home):
+            return
+        time.sleep(wait_s)
+    line = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": KILLED, "session": session}
+    append_line(events_path(home, machine), json.dumps(line | {"found": "nobody holds the machine"}).encode())
+
+
+def _not_ended(home: Home, machine: str) -> str:
+    """Return the newest session that began to correct, when no line says that it ended."""
+    left = ""
+    for event in _journal_of(home, machine):
+        if _begins(event):
+            left = event["session"]
+        elif event["session"] == left and event.get("event") in _ENDS:
+            left = ""
+    return left
 
 
 def _told(stretch: ServedStretch) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.serve._lease import lease
 from dtwin.serve.served_time import (
     correction_in_force,
     events_path,
@@ -92,8 +93,9 @@ def test_who_looks_on_or_sends_zeros_corrects_nothing(home: Home) -> None:
         (9, "looks", "ended"),
         (12, "z", "serving", live(B) | {"mode": "dry-run"}),
     )
-    assert correction_in_force(home, "m")(at(1), at(30)) == A
-    assert serving_now(home, "m") == A
+    with lease("127.0.0.9", "m", home):
+        assert correction_in_force(home, "m")(at(1), at(30)) == A
+        assert serving_now(home, "m") == A
 
 
 def test_a_killed_session_and_one_that_never_ended_are_over(home: Home) -> None:
@@ -101,8 +103,15 @@ def test_a_killed_session_and_one_that_never_ended_are_over(home: Home) -> None:
     assert correction_in_force(home, "m")(at(30), at(40)) == ""
     # A power cut leaves no line at all; the next session holds the lease.
     journal(home, (50, "t", "serving", live()), (100, "u", "serving", live(B)))
-    assert correction_in_force(home, "m")(at(110), at(120)) == B
-    assert serving_now(home, "m") == B
+    with lease("127.0.0.9", "m", home):
+        assert correction_in_force(home, "m")(at(110), at(120)) == B
+        assert serving_now(home, "m") == B
+    # Nobody holds it: runs from now on are not corrected, though no line says so.
+    between = correction_in_force(home, "m")
+    begin = datetime.now(UTC) + timedelta(milliseconds=1)
+    assert between(begin, begin + timedelta(seconds=9)) == ""
+    assert serving_now(home, "m") == ""
+    assert never_released(home, "m") == at(100)
 
 
 def test_a_cut_line_and_a_session_of_an_older_version_are_no_evidence(home: Home) -> None:
