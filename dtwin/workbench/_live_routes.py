@@ -59,7 +59,7 @@ def live_page(request: Request) -> Response:
         serving=serving,
         dead=_dead(home, {s.machine for s in serving}),
         states={s.machine: live_state(_board(s, home), time.monotonic()) for s in serving},
-        seen=json.dumps(_seen(home)),
+        seen=_seen(home),
         sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
     )

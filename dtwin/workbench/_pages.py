@@ -53,6 +53,8 @@ def stated(row: Mapping[str, Any]) -> str:
 _ENVIRONMENT = Environment(
     loader=PackageLoader("dtwin.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
+# A page compares what it was made of with what it asks for, and is loaded anew where they differ: in one order.
+_ENVIRONMENT.policies["json.dumps_kwargs"] = {"sort_keys": False}
 _ENVIRONMENT.filters |= {
     "when": when,
     "um": um,
