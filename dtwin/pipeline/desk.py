@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.processes import process
 
 _QUESTION, _ANSWER = "desk.json", "desk.answer.json"
 DONE, REPEAT, KEEP = "done", "repeat", "keep"
@@ -27,7 +27,11 @@ _WORD = re.compile("[a-z0-9]{1,20}")
 
 @dataclass(frozen=True)
 class Question:
-    """What an operator is asked to do or to say. ``answers``: what may be answered, the usual one first."""
+    """What an operator is asked to do or to say.
+
+    ``answers``: what may be answered, the usual one first.
+    ``asked_by``: process that asks, as :func:`dtwin.processes.process` states it.
+    """
 
     run: str
     text: str
@@ -36,7 +40,7 @@ class Question:
     step: int = 0
     steps: int = 0
     id: str = field(default_factory=lambda: secrets.token_hex(6))
-    pid: int = field(default_factory=os.getpid)
+    asked_by: str = field(default_factory=process)
 
 
 class Desk:
@@ -107,13 +111,14 @@ def desks(home: Home) -> dict[str, tuple[Path, Mapping[str, Any]]]:
         except (OSError, ValueError):
             continue
         question = open_question(folder)
-        if question is not None and _alive(question.get("pid")):
+        if question is not None and _alive(question["asked_by"]):
             by_name[entry.name] = folder, question
     return by_name
 
 
-def _alive(pid: object) -> bool:
-    return isinstance(pid, int) and pid > 1 and Path(f"/proc/{pid}").exists()
+def _alive(stated: object) -> bool:
+    number = str(stated).split(" ")[1:2]
+    return bool(number) and number[0].isdigit() and process(int(number[0])) == stated
 
 
 def give_answer(folder: Path, question_id: str, answer: str) -> None:
