@@ -146,6 +146,12 @@ def test_a_page_that_is_not_answered_says_so(tmp_path: Path, artifacts: Path) ->
             heading, said = page.locator("#live h2"), page.locator("#unanswered")
             expect(heading).to_contain_text("has shown no tick yet", timeout=60_000)
             expect(said).to_be_hidden()
+            # As after a start of the workbench that made another token.
+            page.route("**/api/live", lambda asked: asked.fulfill(status=403, body="open the address"))
+            refused = "refuses this page, which may no longer be true: open the address"
+            expect(said).to_contain_text(refused, timeout=60_000)
+            page.unroute("**/api/live")
+            expect(said).to_be_hidden(timeout=60_000)
             workbench.process.send_signal(signal.SIGSTOP)
             expect(heading).to_have_text("mill-a does not answer this page", timeout=60_000)
             expect(said).to_be_visible(timeout=60_000)

@@ -11,7 +11,7 @@ async function ask(address, options) {
   });
   const kind = answer.headers.get("content-type") || "";
   const body = kind.includes("json") ? await answer.json() : { text: await answer.text() };
-  if (!answer.ok) throw new Error(body.text || `the server answered ${answer.status}`);
+  if (!answer.ok) throw Object.assign(new Error(body.text || `the server answered ${answer.status}`), { refused: true });
   return body;
 }
 
@@ -346,7 +346,7 @@ async function watchJobs() {
 
 // A workbench that is held up, or a computer that slept, answers nothing: for so long what is shown stays.
 const ANSWER_MS = 4000;
-const askNow = (address) => ask(address, { signal: AbortSignal.timeout(ANSWER_MS) }).catch(() => null);
+const askNow = (address, failed) => ask(address, { signal: AbortSignal.timeout(ANSWER_MS) }).catch((error) => { if (failed) failed(error); return null; });
 
 async function watchLive() {
   const followed = document.querySelector("[data-live]");
@@ -354,10 +354,14 @@ async function watchLive() {
   all("[data-now]").forEach(watchNow);
   // What the page was made of: a change before the first question must be noticed, too.
   const seen = JSON.stringify(JSON.parse(followed.dataset.seen));
+  const unanswered = byId("unanswered");
+  const silent = unanswered.textContent;
   for (;;) {
     await pause(1500);
-    const now = await askNow(followed.dataset.live);
-    byId("unanswered").hidden = Boolean(now);
+    let refusal = "";
+    const now = await askNow(followed.dataset.live, (error) => { if (error.refused) refusal = error.message; });
+    unanswered.hidden = Boolean(now);
+    unanswered.textContent = refusal ? `The workbench refuses this page, which may no longer be true: ${refusal}` : silent;
     if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
   }
 }
