@@ -8,7 +8,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.rotation._at_rest import judge_at_rest
 from dtwin.kinds.rotation._features import Feature
 from dtwin.kinds.rotation._heads import AT_REST, OVER_SPEED
-from dtwin.kinds.rotation._orders import orders_of, pulses_a_turn, said_orders
+from dtwin.kinds.rotation._orders import order_of_a_turn, orders_of, pulses_a_turn, said_orders
 from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
@@ -70,6 +70,13 @@ def judge_rotation(run: Run) -> list[Finding]:
             f"and all figures are of that part of a turn; keep one pulse of {times}"
         )
         findings.append(Finding("rotation.several_pulses", "error", said, {"pulses_1": float(times)}))
+    elif run.meta.condition.get("angle") == "speed" and (order := order_of_a_turn(lines, turns)) != 1.0:
+        rpm = order * 60.0 * turned / float(np.ptp(run.samples["t_s"][stretch]))
+        said = (
+            f"nearly all that is read comes at order {order:z.3g} and its multiples, and next to nothing with the turn: the speed is "
+            f"{rpm:z.4g} rpm, most likely, not the stated one, and no figure but TIR is right; state the true speed, or log the angle"
+        )
+        findings.append(Finding("rotation.other_speed", "error", said, {"order_1": order, "speed_rpm": rpm}))
     elif lines:
         said = said_orders(lines)
         numbers = {"order_1": [line.order for line in lines], "amplitude_um": [line.amplitude_um for line in lines]}

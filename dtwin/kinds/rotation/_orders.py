@@ -114,6 +114,21 @@ def pulses_a_turn(lines: Sequence[Order], turns: Turns) -> int:
     return times if exact and lines[0].amplitude_um > _FAR_ABOVE * mean_turn else 1
 
 
+def order_of_a_turn(lines: Sequence[Order], turns: Turns) -> float:
+    """Return the order at which a turn comes, where all but the smallest part of what is read is whole multiples of it; else 1.
+
+    As of a speed that was stated wrongly: what repeats with the true turns then repeats with no turn.
+    """
+    mean_turn = 0.5 * float(np.ptp(turns.moved_um.mean(axis=0)))
+    large = [line for line in lines if line.amplitude_um > _FAR_ABOVE * mean_turn]
+    first = min(large, key=lambda line: line.order, default=None)
+    if first is None:
+        return 1.0
+    times = [line.order / first.order for line in lines if line.order > 1.5 * first.order]
+    whole = all(abs(n - round(n)) < n * first.resolution / (2.0 * first.order) for n in times)
+    return first.order if times and whole else 1.0
+
+
 def said_orders(lines: Sequence[Order]) -> str:
     """Return lines in words, with what can turn so."""
     told = []

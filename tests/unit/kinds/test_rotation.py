@@ -712,6 +712,22 @@ def test_the_share_of_slots_is_theirs() -> None:
     assert 35.0 < told.numbers["share_pct"] < 60.0
 
 
+@pytest.mark.parametrize(("stated", "others", "code"), [(1.2, {}, "other_speed"), (1.0, {0.4: (0.5, 0.0)}, "orders")])
+def test_a_speed_that_was_stated_wrongly_is_told(
+    tmp_path: Path, stated: float, others: dict[float, tuple[float, float]], code: str
+) -> None:
+    angle = turned(25.0)
+    um = Target(others=others).read(angle, 1)
+    t_s = np.arange(angle.size) / 2000.0
+    rpm = float(np.ptp(angle)) / 6.0 / float(np.ptp(t_s))
+    columns = {"t_s": t_s, "speed [rpm]": np.full(angle.size, rpm / stated), "radial_um": um}
+    (run,) = read(tmp_path, table(columns))
+    (found,) = [f for f in judged(run) if f.code in ("rotation.other_speed", "rotation.orders")]
+    assert found.code == f"rotation.{code}"
+    if code == "other_speed":
+        assert found.numbers["speed_rpm"] == pytest.approx(rpm, rel=0.01)
+
+
 def test_run_outs_below_their_speeds_are_read(tmp_path: Path) -> None:
     for head in ("Speed [rpm],1000,2000,3000", "Probe,1000 rpm,2000 rpm,3000 rpm"):
         path = tmp_path / "a.csv"
