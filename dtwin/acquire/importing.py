@@ -372,7 +372,7 @@ def _kind(lone: Path, names: Sequence[str], columns: Sequence[Column], path: Pat
         where=str(path),
         got="; ".join(f"{c.head}: {c.name or c.why_not}" for c in columns)[:300],
         allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
-        hint=f"{_example(names, columns, told)} says what a column is, with the unit that the file has",
+        hint=f"{_example(names, columns, told)} says what a column is, with the unit that the file has; heads that need no such word, as X [mm], Y [mm] of a circle: docs/how-to/ingest-your-own.md",
     )
 
 
