@@ -176,7 +176,7 @@ def test_a_twin_is_compared_shown_and_put_back(said: Said, tmp_path: Path) -> No
         (("remove", "kept", "EYY1"), "twin.no_effect"),
         (("compare", "kept", "--on", "hidden"), "twin.machine"),
         (("compare", "kept", "--split-hz", "5"), "split.no_columns"),
-        (("learn", "kept"), "twin.kind"),
+        (("learn", "kept"), "kind.not_offered"),
         (("show", "kept", "--version", "9"), "twin.version"),
     ],
 )

@@ -35,6 +35,10 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
             SCALE_PPM if axis == "x" else 0.0,
             PLAY_UM if axis == "x" else 0.0,
         )
+    campaign, runs = measured(mill.with_axis("X", scale_ppm=SCALE_PPM, play_um=0.5), 5)
+    (tmp_path / "ball-bar-2").mkdir()
+    write_runs(tmp_path / "ball-bar-2", replace(campaign, name="ball-bar-2", machine="mill-7"), runs)
+    write_laser(tmp_path / "laser-x-2", "mill-7", "X", SCALE_PPM, 0.5)
     off_mrad = np.array([0.0, 0.6, -0.3, 0.0, 0.2, 0.0])
     write_cobot_circles(tmp_path / "circles", off_mrad, day="2026-03-01", growth_um_m_k=15.0, n=60)
     write_poses(tmp_path / "tracker", off_mrad, day="2026-03-05", growth_um_m_k=15.0, n=80)

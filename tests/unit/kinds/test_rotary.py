@@ -474,7 +474,7 @@ def test_a_machine_has_a_decision_a_history_and_a_certificate(tmp_path: Path) ->
     assert {one["difference_arcsec"] for one in changes["figures"]} == {0.0}
     page = tmp_path / "c.html"
     said("certificate", "spring", "--out", page)
-    assert "U (95 %), ″" in page.read_text("utf-8")
+    assert "U&nbsp;(95&nbsp;%), ″" in page.read_text("utf-8")
     assert " µm" not in page.read_text("utf-8").partition("<table")[2].partition("plotly")[0]
 
 
