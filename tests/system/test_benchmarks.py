@@ -79,6 +79,7 @@ def test_none_is_left_out() -> None:
         assert f"`{name}`" in listed, f"{name} is not described"
 
 
+@pytest.mark.long
 def test_a_plant_over_months_tells_what_happened_and_nothing_else() -> None:
     found = short("plant_year.py")
     assert found["told"] == {"spoilt.b5r failed": 3, "mill-002 overdue": 6, "mill-000 changed": 7}

@@ -16,6 +16,7 @@ pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system
 
 
+@pytest.mark.long
 def test_the_table_is_published(shared_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(shared_up.home.root))
     small = Size(("sim2",), (0.0, 5.0), (1200.0, 6000.0), 4, 4)

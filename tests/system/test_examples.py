@@ -14,6 +14,7 @@ EXAMPLES = ROOT / "data" / "examples"
 pytestmark = pytest.mark.system
 
 
+@pytest.mark.long
 def test_the_tutorial_about_the_three_mills_prints_what_it_shows(tmp_path: Path) -> None:
     said = follow(blocks(page("docs/tutorials/three-mills.md")), tmp_path, here)
     assert len(said) >= 8

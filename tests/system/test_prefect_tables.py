@@ -52,6 +52,7 @@ def revision(path: Path) -> list[tuple[str]]:
         return connection.execute("select version_num from alembic_version").fetchall()
 
 
+@pytest.mark.long
 def test_tables_made_at_once_are_of_the_newest_revision_and_have_what_the_server_uses(tmp_path: Path) -> None:
     ours = tmp_path / "ours.db"
     head, used = json.loads(made(ours, _MADE_AND_USED).splitlines()[-1])

@@ -223,6 +223,7 @@ def test_what_was_measured_once_is_told_with_a_bound_of_its_floor_and_never_conf
     assert {s.grade for group in found.found for s in group} == {"shape-consistent"}
 
 
+@pytest.mark.long
 def test_small_effects_stay_beside_a_loud_unknown_of_one_harmonic() -> None:
     def lobe(moment: Moment) -> Floats:
         return np.asarray(3.0 * np.cos(7 * moment.angle_rad))
@@ -235,6 +236,7 @@ def test_small_effects_stay_beside_a_loud_unknown_of_one_harmonic() -> None:
     assert found.unresolved is not None
 
 
+@pytest.mark.long
 def test_ten_faults_with_laws_that_are_not_the_library_s_are_named_without_a_false_one() -> None:
     mill = (
         MillParameters(squareness_um_m={"XY": 20.0}, changeover_um=2.0)
