@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _READING_UM = 0.5
+# A median of neighbours that share readings tells a fifth of what as many readings at rest would.
+_OF_NEXT = 0.2
 _HOUR_S = 3600.0
 _NO_EXTREME = 10.0
 AT_REST = "environment"
@@ -39,7 +41,14 @@ def drift_sheet(runs: Sequence[Run], under: Circumstances) -> Sheet:
         t_s, moved = _means(series)
         hours = _hours(t_s)
         of_mean = series.floor_um / math.sqrt(len(series.t_s) / len(t_s))
-        dof = float(len(series.t_s) - len(t_s)) if math.isfinite(of_mean) else 0.0
+        dof = float(len(series.t_s) - len(t_s))
+        if not math.isfinite(of_mean):
+            of_mean, dof = series.next_um, 0.0
+            if math.isfinite(of_mean):
+                dof = _OF_NEXT * len(series.t_s)
+                notes.append(
+                    f"{run.meta.run_id}: no sample was read twice; U takes what readings that follow each other scatter by."
+                )
         found = [("d", "range of the drift", moved)]
         if hours:
             worst = max(hours, key=lambda hour: np.ptp(moved[hour]))

@@ -74,6 +74,18 @@ def test_the_uncertainty_of_a_drift_is_that_of_its_range() -> None:
     assert told["expanded_um"] < 2.2
 
 
+def test_readings_that_follow_each_other_tell_the_uncertainty_where_none_was_taken_twice() -> None:
+    def single(hours: float, seed: int) -> Run:
+        run = log(hours, 5.0, noise_um=1.0, seed=seed)
+        samples = {name: values[::2] for name, values in run.samples.items() if name != "sample_1"}
+        return Run(run.meta, samples)
+
+    told = of_drift({"uncertainty_um": 0.0}, single(6.0, 0))[0]
+    scatter = np.std([of_drift({}, single(6.0, n))[0]["value_um"] for n in range(40)], ddof=1)
+    assert told["expanded_um"] == pytest.approx(2.0 * scatter, rel=0.3)
+    assert of_drift({}, single(1.0, 0))[0]["expanded_um"] is None
+
+
 def test_a_probe_reads_a_share_of_the_figure_wrongly() -> None:
     run = log(6.0, 5.0, noise_um=0.01)
     d, in_an_hour = of_drift({"uncertainty_um": 0.0, "uncertainty_percent": 4.0}, run)
