@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dtwin.acquire._held import Held, Observed
+from dtwin.acquire._held import Held, Observed, replace_time
 from dtwin.acquire._mtconnect_documents import seconds
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError, InputError, MissingPart
@@ -26,6 +26,8 @@ _MAX_BYTES = 100_000
 _MOST_WAITING = 200_000
 _AWAY = "the broker could not be reached"
 _BEHIND_S = 0.5
+# By how much a sender's clock is ahead of the time that has passed before it was set, or never was right.
+_CLOCK_SET_S = 30.0
 _ABSENT = object()
 
 
@@ -80,11 +82,13 @@ class MqttRecorder(OpenAndClose):
         self._rate_hz, self._tls, self._user, self._password_from = rate_hz, tls, user, password_from
         self._timeout_s, self._patience_s = timeout_s, patience_s
         self._client: Client | None = None
-        self._heard: queue.SimpleQueue[tuple[float, str, bytes]] = queue.SimpleQueue()
+        self._heard: queue.SimpleQueue[tuple[float, str, bytes, bool]] = queue.SimpleQueue()
         self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
         self._running, self._away_s, self._refused = False, math.nan, 0
         self._newest_s = self._monotonic_s = self._offset_s = math.nan
         self._spoilt: set[str] = set()
+        self._retained: dict[str, list[Observed]] = {}
+        self._set_s: dict[str, float] = {}
 
     def open(self) -> None:
         """Connect and subscribe."""
@@ -120,7 +124,9 @@ class MqttRecorder(OpenAndClose):
 
         client.on_connect = connected
         client.on_subscribe = lambda *_: ready.put(True)
-        client.on_message = lambda c, d, message: self._hear(message.topic, bytes(message.payload))
+        client.on_message = lambda c, d, message: self._hear(
+            message.topic, bytes(message.payload), retained=message.retain
+        )
         try:
             client.connect(self._host, self._port)
             client.loop_start()
@@ -149,7 +155,8 @@ class MqttRecorder(OpenAndClose):
         self._require_open()
         self._set_clock()
         self._held.restart()
-        self._spoilt.clear()
+        for kept in (self._spoilt, self._retained, self._set_s):
+            kept.clear()
         self._newest_s = self._monotonic_s = self._away_s = math.nan
         self._running = True
 
@@ -193,10 +200,13 @@ class MqttRecorder(OpenAndClose):
         """Take this computer's clock as it is now: it may be set while recording, and times run on."""
         self._offset_s = time.time() - time.monotonic()
 
-    def _hear(self, topic: str, payload: bytes) -> None:
-        """Keep a message; called by the thread of the client."""
+    def _hear(self, topic: str, payload: bytes, *, retained: bool = False) -> None:
+        """Keep a message; called by the thread of the client.
+
+        ``retained``: whether it was published before, and the broker kept it.
+        """
         if self._heard.qsize() < _MOST_WAITING:
-            self._heard.put((self._offset_s + time.monotonic(), topic, payload[: _MAX_BYTES + 1]))
+            self._heard.put((self._offset_s + time.monotonic(), topic, payload[: _MAX_BYTES + 1], retained))
         else:
             self._refused += 1
 
@@ -204,13 +214,22 @@ class MqttRecorder(OpenAndClose):
         """Turn what was heard into observations."""
         while True:
             try:
-                came_s, topic, payload = self._heard.get_nowait()
+                came_s, topic, payload, retained = self._heard.get_nowait()
             except queue.Empty:
                 return
             observed, wrong = self._observed(came_s, topic, payload)
             self._refused += wrong
             if not observed:
                 continue
+            if self._sender_time and math.isnan(self._newest_s):
+                if retained:
+                    # Its time may be yesterday's, and no clock begins with that.
+                    self._retained[topic] = observed
+                    continue
+                held = [one for kept in self._retained.values() for one in kept]
+                observed = [*(replace_time(one, observed[0].time_s) for one in held), *observed]
+            elif self._sender_time:
+                observed = self._as_before(topic, observed)
             if not math.isnan(self._away_s):
                 self._held.lose(observed[0].time_s, _AWAY)
                 self._away_s = math.nan
@@ -218,6 +237,16 @@ class MqttRecorder(OpenAndClose):
             newest_s = max(one.time_s for one in observed)
             if not newest_s <= self._newest_s:
                 self._newest_s, self._monotonic_s = newest_s, time.monotonic()
+
+    def _as_before(self, topic: str, observed: list[Observed]) -> list[Observed]:
+        """Return what a message tells, its time as if the sender's clock had not been set forward: nobody observed the hours between."""
+        expected_s = self._newest_s + time.monotonic() - self._monotonic_s
+        told_s = observed[0].time_s
+        step_s = min((0.0, self._set_s.get(topic, 0.0)), key=lambda step_s: abs(told_s - step_s - expected_s))
+        if told_s - step_s - expected_s > _CLOCK_SET_S:
+            self._set_s[topic] = step_s = told_s - expected_s
+            self._held.say(f"{topic}: the sender's clock is {step_s:+z.0f} s ahead; times run on as before")
+        return [replace_time(one, one.time_s - step_s) for one in observed]
 
     def _known_s(self) -> float:
         """Return until when everything has been heard: by the sender's clock as far as it is known here."""

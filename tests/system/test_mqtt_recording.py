@@ -30,7 +30,7 @@ T0_S = 1_790_000_000.0
 
 
 @contextmanager
-def machine(port: int) -> Iterator[Callable[[str, Any], None]]:
+def machine(port: int, *, retain: bool = False) -> Iterator[Callable[[str, Any], None]]:
     """Yield what publishes, and waits until the broker has it."""
     client = Client(CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", port)
@@ -38,7 +38,7 @@ def machine(port: int) -> Iterator[Callable[[str, Any], None]]:
 
     def publish(topic: str, what: Any) -> None:
         text = what if isinstance(what, str | bytes) else json.dumps(what)
-        client.publish(topic, text, qos=1).wait_for_publish(10.0)
+        client.publish(topic, text, qos=1, retain=retain).wait_for_publish(10.0)
 
     try:
         yield publish
@@ -102,6 +102,26 @@ def test_members_of_json_by_the_clock_of_the_sender(tmp_path: Path) -> None:
         ("drive", "", True),
     ]
     assert [e.at_s for e in events_of] == pytest.approx([0.0, 0.7, 0.9], abs=1e-5)
+
+
+def test_no_hours_are_made_of_a_message_of_yesterday_or_of_a_time_to_come(tmp_path: Path) -> None:
+    changes = {"columns": {"mill#x": "x_mm", "hall#t": "hall_c"}, "clock": "sender", "time": "at"}
+    with running_broker(tmp_path) as port, machine(port, retain=True) as publish, ExitStack() as stack:
+        publish("hall", {"at": T0_S - 80_000.0, "t": 21.0})
+        device = stack.enter_context(recorder(port, **changes))
+        device.start()
+        publish("mill", {"at": T0_S, "x": 1.0})
+        publish("mill", {"at": T0_S + 4e8, "x": 2.0})
+        publish("mill", {"at": T0_S + 1.0, "x": 3.0})
+        found, readings = until(
+            device, lambda c: len(c["x_mm"]) > 6000 or (c["x_mm"].size > 0 and c["x_mm"][-1] == 3.0)
+        )
+    assert found["timestamp_s"][0] == pytest.approx(T0_S)
+    assert len(found["x_mm"]) < 6000
+    assert set(found["hall_c"]) == {21.0}
+    assert [e.text for r in readings for e in r.events] == [
+        "mill: the sender's clock is +400000000 s ahead; times run on as before"
+    ]
 
 
 def test_plain_numbers_by_the_clock_of_this_computer(tmp_path: Path) -> None:
