@@ -167,20 +167,21 @@ def _is_of_database(error: Exception) -> bool:
     """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
     raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
     libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    in_them = bool(raised & libraries) and (bool(home().file.registry) or "(sqlite3." in str(error))
+    elsewhere = not home().mlflow_uri.startswith("sqlite")
+    in_them = bool(raised & libraries) and (elsewhere or "(sqlite3." in str(error))
     return in_them or "sqlite3.Error" in raised
 
 
 def _registry_away(error: Exception) -> StoreError:
     """Say that the registry was lost, held by another, or out of space while a command asked it; a library may put a line before."""
-    lines = str(error).split("\n")
+    lines, elsewhere = str(error).split("\n"), not home().mlflow_uri.startswith("sqlite")
     return StoreError(
         "the model registry was lost, or refused",
         code="registry.away",
-        where=home().file.registry or str(home().root / "mlflow"),
+        where=home().mlflow_uri.rpartition("@")[2] if elsewhere else str(home().root / "mlflow"),
         got=next((line for line in lines if "(sqlite3." in line), lines[0])[:200],
         hint="run this again when it is back: what is done already is not done twice"
-        if home().file.registry
+        if elsewhere
         else "see that there is free space, and run this again: another process may have held it; dtwin home check says whether it is damaged",
     )
 

@@ -9,6 +9,9 @@ from contextlib import closing, nullcontext
 from pathlib import Path
 
 from mlflow import MlflowClient
+from mlflow.exceptions import MlflowException
+from mlflow.utils.credentials import get_default_host_creds
+from mlflow.utils.rest_utils import http_request
 from sqlalchemy import create_engine
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -18,6 +21,8 @@ from dtwin.locks import locked
 from dtwin.registry_places import brought_here
 
 _CONNECT_S = 10
+# A server that is under load answers late.
+_ANSWER_S = 30
 
 
 def client_of(home: Home) -> MlflowClient:
@@ -47,6 +52,8 @@ def client_of(home: Home) -> MlflowClient:
         os.environ.setdefault("MLFLOW_S3_ENDPOINT_URL", home.file.endpoint)
     if uri.startswith("postgresql"):
         _require_answer(uri)
+    elif uri.startswith("http"):
+        _require_server(uri)
     # The first client of an empty database makes its tables; two at once would both make them.
     alone = uri.startswith(("sqlite", "postgresql"))
     with locked(home.made().root / "locks" / "registry-tables.lock", wait=True) if alone else nullcontext():
@@ -112,3 +119,32 @@ def _require_answer(uri: str) -> None:
         ) from error
     finally:
         engine.dispose()
+
+
+def _require_server(uri: str) -> None:
+    """Ask a server for one model: MLflow would try again for minutes, and another server's answer end in a traceback."""
+    try:
+        answer = http_request(  # type: ignore[no-untyped-call]
+            get_default_host_creds(uri),  # type: ignore[no-untyped-call]
+            "/api/2.0/mlflow/registered-models/search",
+            "GET",
+            params={"max_results": 1},
+            max_retries=0,
+            timeout=_ANSWER_S,
+            raise_on_status=False,
+        )
+        got = "" if answer.status_code == 200 else f"HTTP {answer.status_code}"
+        if not got and not isinstance(answer.json(), dict):
+            got = "an answer that is not MLflow's"
+    except ValueError:
+        got = "an answer that is not MLflow's"
+    except (MlflowException, OSError) as error:
+        got = str(error).split("\n")[0].rpartition("with exception ")[2]
+    if got:
+        raise StoreError(
+            "the model registry does not answer",
+            code="registry.away",
+            where=uri.rpartition("@")[2],
+            got=got[:200],
+            hint="its address (MLFLOW_TRACKING_URI, or registry in `home.toml`), and whether it runs; run this again when it is back",
+        )

@@ -263,6 +263,11 @@ def test_a_registry_that_is_lost_in_the_middle_is_said_and_a_bad_home_file_does_
     monkeypatch.setattr("dtwin.cli.app", lost)
     with pytest.raises(OperationalError):
         cli.main()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("MLFLOW_TRACKING_URI", "http://models.plant:5000")
+        with pytest.raises(SystemExit):
+            cli.main()
+    assert "registry.away" in capsys.readouterr().err
     file.write_text('registry = "http://models.plant:5000"\n')
     with pytest.raises(SystemExit) as ended:
         cli.main()

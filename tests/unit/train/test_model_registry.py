@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+import socket
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
-from dtwin.config import Home
+from dtwin.config import Home, home
 from dtwin.errors import InputError, StoreError
+from dtwin.train._registry_client import client_of
 from dtwin.train.registry import Registry, model_name
 
 
@@ -81,3 +84,21 @@ def test_a_home_that_is_opened_by_a_link_keeps_the_names_of_its_files(tmp_path: 
     (tmp_path / "link").symlink_to(home.root)
     found = Registry(Home(tmp_path / "link")).client.get_run(run_id)
     assert found.info.artifact_uri == f"{home.mlflow_artifacts}/{run_id}/artifacts"
+
+
+@pytest.mark.parametrize("said", ["404 Not Found", "200 OK"])
+def test_a_server_that_is_no_registry_is_told_at_once(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        uri = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+
+        def answer() -> None:
+            with listening.accept()[0] as asked:
+                asked.recv(65536)
+                asked.sendall(f"HTTP/1.1 {said}\r\nContent-Length: 5\r\n\r\nlogin".encode())
+
+        Thread(target=answer, daemon=True).start()
+        with pytest.raises(StoreError) as caught:
+            client_of(home())
+    assert (caught.value.code, caught.value.where) == ("registry.away", uri)
+    assert caught.value.got in ("HTTP 404", "an answer that is not MLflow's")
