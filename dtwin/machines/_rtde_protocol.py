@@ -21,6 +21,7 @@ REQUEST_VERSION, CONTROLLER_VERSION, TEXT_MESSAGE = 86, 118, 77
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE, DATA = 79, 73, 83, 80, 85
 _HEADER = struct.Struct(">HB")
+_LONGEST = 0xFFFF
 _CONTROLLER = (5, 15, 0, 0)
 
 _FORMATS = {
@@ -190,6 +191,8 @@ def output_recipe(number: int, payload: bytes, rate_hz: float) -> OutputRecipe:
         blank = (0,) * (int(form[0]) if len(form) > 1 else 1)
         readers.append(_READERS.get(name, lambda state, blank=blank: blank))
     packer = struct.Struct(">B" + "".join(formats))
+    if packer.size + _HEADER.size > _LONGEST:
+        raise ValueError("data frame longer than its length can say")
     return OutputRecipe(number, types, max(1, round(rate_hz / wanted_hz)), tuple(readers), packer)
 
 

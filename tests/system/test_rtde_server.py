@@ -90,6 +90,8 @@ def test_unknown_variables_are_named(robot: VirtualRobot) -> None:
         b"\x00\x03\xc8",  # unknown type
         b"\x00\x03\x4f",  # output recipe without a frequency
         struct.pack(">HBd", 11, 79, float("nan")),
+        # A recipe whose data are longer than a frame.
+        struct.pack(">HBd", 12_611, 79, 500.0) + b"target_q," * 1400,
         b"GET / HTTP/1.1\r\n\r\n" + b"x" * 30000,
     ],
 )
