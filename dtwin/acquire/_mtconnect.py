@@ -108,14 +108,26 @@ class MTConnectRecorder(OpenAndClose):
         held = self._sink()
         if not self._running:
             raise DeviceError("recording was not started", code="mtconnect.stopped", where=self.url)
+        patience_s = self._patience_s + _CLOCK_SET_S
+        until_s = time.monotonic() + patience_s
         while True:
             reading = held.reading(self._known_s)
             if reading.n_samples or reading.lost:
                 return reading
-            before = self._next
+            before, known_s = self._next, self._known_s
             self._ask()
             if self._next == before:
                 time.sleep(self._poll_s)
+            if self._next != before or self._known_s > known_s:
+                until_s = time.monotonic() + patience_s
+            elif time.monotonic() >= until_s:
+                raise DeviceError(
+                    "the agent's answers stay the same, their time included",
+                    code="mtconnect.still",
+                    where=self.url,
+                    got=f"the same for {patience_s:g} s",
+                    hint="a proxy that keeps answers, or an agent whose clock stands still",
+                )
 
     def stop(self) -> None:
         """End recording."""

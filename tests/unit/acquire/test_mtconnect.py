@@ -212,6 +212,16 @@ def test_an_agent_in_whose_place_a_page_stays_is_said(agent: Agent, url: str) ->
     assert caught.value.code == "mtconnect.document"
 
 
+def test_an_agent_whose_answers_stay_the_same_is_said(agent: Agent, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dtwin.acquire._mtconnect._CLOCK_SET_S", 0.2)
+    with recorder(url) as device:
+        device.start()
+        until(device, 0.0)
+        with pytest.raises(DeviceError) as caught:
+            until(device, 5.0)
+    assert caught.value.code == "mtconnect.still"
+
+
 def test_an_agent_that_stays_away_is_said(agent: Agent, url: str) -> None:
     with recorder(url) as device:
         device.start()
