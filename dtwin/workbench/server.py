@@ -186,12 +186,13 @@ def _unknown(request: Request, error: Exception) -> Response:
 
 
 class Connection(H11Protocol):
-    """A connection that is closed when the head of its next request is not whole in time.
+    """A connection that is closed when the head of its next request is not whole in time, or nothing of an answer is taken.
 
     The server itself limits only how long nothing at all comes after an answer.
     """
 
     _until: asyncio.TimerHandle | None = None
+    _taking: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for the first request."""
@@ -213,6 +214,30 @@ class Connection(H11Protocol):
         """Wait for nothing."""
         super().connection_lost(exc)
         self._wait_no_more()
+        self._taken()
+
+    def pause_writing(self) -> None:
+        """Wait until more of the answer is taken: it is held in memory."""
+        super().pause_writing()
+        self._require_less(None)
+
+    def resume_writing(self) -> None:
+        """Write on."""
+        super().resume_writing()
+        self._taken()
+
+    def _require_less(self, held: int | None) -> None:
+        """Close a connection that still holds as much as it did; else look again later."""
+        now_held = self.transport.get_write_buffer_size()
+        if held is not None and now_held >= held:
+            self.transport.abort()
+        else:
+            self._taking = self.loop.call_later(_PATIENCE_S, self._require_less, now_held)
+
+    def _taken(self) -> None:
+        if self._taking is not None:
+            self._taking.cancel()
+            self._taking = None
 
     def _wait(self) -> None:
         self._wait_no_more()

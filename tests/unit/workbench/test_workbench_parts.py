@@ -391,13 +391,18 @@ def test_a_session_after_the_clock_was_set_back_is_the_newest_of_its_machine(tmp
 
 
 def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing, a head that comes byte by byte, and one after an answer."""
+    """Nothing, a head that comes byte by byte, one after an answer, and an answer that nobody takes."""
     monkeypatch.setattr(_server, "_PATIENCE_S", 0.4)
 
     async def slow(scope: Any, receive: Any, send: Any) -> None:
-        await asyncio.sleep(1.0)
-        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
-        await send({"type": "http.response.body", "body": b"ok"})
+        body = b"ok"
+        if scope["path"] == "/much":
+            body = bytes(40_000_000)
+        else:
+            await asyncio.sleep(1.0)
+        head = [(b"content-length", b"%d" % len(body))]
+        await send({"type": "http.response.start", "status": 200, "headers": head})
+        await send({"type": "http.response.body", "body": body})
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
         config = uvicorn.Config(slow, http=Connection, lifespan="off", log_level="error", timeout_keep_alive=600)
@@ -421,5 +426,14 @@ def test_a_connection_that_asks_nothing_is_closed_and_slow_work_is_not(monkeypat
                         break
                 else:
                     pytest.fail(f"open still: {asked!r}")
+        with socket.create_connection(listening.getsockname(), timeout=60.0) as client:
+            client.sendall(b"GET /much HTTP/1.1\r\nHost: a\r\n\r\n")
+            assert client.recv(12) == b"HTTP/1.1 200"
+            for _ in range(1200):
+                if not server.server_state.connections:
+                    break
+                time.sleep(0.05)
+            else:
+                pytest.fail("an answer that nobody takes is held still")
         server.should_exit = True
         serving.join(60.0)
