@@ -96,8 +96,10 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
 
 
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
+    # Before it is kept: what a worker of another version answers may be no diagnosis.
+    told = {name: result[name] for name in ("verdict", "headline")}
     keep(home, DIAGNOSES, unit.name, unit.stamp, result)
-    return {name: result[name] for name in ("verdict", "headline")}
+    return told
 
 
 def _trainable(home: Home, machines: Collection[str]) -> _Units:

@@ -19,6 +19,7 @@ from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, Unit
 from dtwin.fleet.run import run_fleet
 from dtwin.fleet.view import fleet_view
 from dtwin.locks import locked
+from dtwin.pipeline.kept import kept_already
 
 
 @pytest.fixture
@@ -177,3 +178,11 @@ def test_in_line_is_one_slot() -> None:
     with engine_of("local", 1) as at:
         assert at.slots == 1
         assert at.executor.submit(len, "abc").result() == 3
+
+
+@pytest.mark.parametrize("answer", [{"half": 1}, [1.0], "no_findings"])
+def test_an_answer_that_is_no_diagnosis_is_not_kept(tmp_path: Path, answer: Any) -> None:
+    asked = Unit("c", "m", "stamp")
+    with pytest.raises((KeyError, TypeError)):
+        DIAGNOSE.keep(Home(tmp_path), asked, answer)
+    assert kept_already(Home(tmp_path), DIAGNOSES, "c") is None
