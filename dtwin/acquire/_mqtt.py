@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from dtwin.acquire._held import Held, Observed, replace_time
 from dtwin.acquire._mtconnect_documents import seconds
 from dtwin.acquire.instrument import Description, Reading
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding
@@ -324,10 +325,7 @@ def _member(content: Any, path: str) -> Any:
 
 def _number(value: Any) -> float | None:
     if isinstance(value, str):
-        try:
-            value = float(value.replace(",", ".", 1))
-        except ValueError:
-            return None
+        return number_or_none(value.replace(",", ".", 1))
     return float(value) if is_number(value) else None
 
 

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from xml.etree.ElementTree import Element
 
 from dtwin.acquire._held import Observed
-from dtwin.acquire.xmlsafe import parse_vendor_xml
+from dtwin.acquire.xmlsafe import number_or_none, parse_vendor_xml
 from dtwin.errors import DeviceError, InputError
 
 # Unit of the standard, with the suffix of a column and the factor into it.
@@ -221,11 +221,8 @@ def _whole(text: str) -> int:
 
 
 def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
+    value = number_or_none(text)
+    return math.nan if value is None else value
 
 
 def _tag(element: Element) -> str:

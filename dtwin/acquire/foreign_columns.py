@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.units import G_MM_S2, LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
 
@@ -354,7 +355,4 @@ def _plain(unit: str) -> str:
 
 def is_number(cell: str) -> bool:
     """Tell whether a cell is a finite number."""
-    try:
-        return math.isfinite(float(cell))
-    except ValueError:
-        return False
+    return number_or_none(cell) is not None

@@ -137,9 +137,9 @@ def child_text(element: Element, tag: str) -> str:
 
 
 def number_or_none(text: str) -> float | None:
-    """Return a finite number, None when the text is none."""
+    """Return a finite number, None when the text is none; ``1_000`` is one to Python alone."""
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         return None
     return value if math.isfinite(value) else None

@@ -15,6 +15,7 @@ import pytest
 
 from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
 from dtwin.report.checking import check_source
@@ -52,6 +53,10 @@ def test_a_picture_under_the_name_of_a_table_is_told_in_words(tmp_path: Path) ->
     with pytest.raises(InputError) as refused:
         read_columns(tmp_path / "a.csv", "circular")
     assert refused.value.got == "bytes that are no text"
+
+
+def test_a_number_is_one_to_others_than_python_too() -> None:
+    assert [number_or_none(text) for text in ("1e3", "1_000", "inf", "nan", "")] == [1000.0, None, None, None, None]
 
 
 def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
