@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from fastapi import APIRouter, Request
+from fastapi import Request
 from starlette.responses import Response
 
-from dtwin.errors import InputError
-from dtwin.kinds.volumetric import FAMILIES, HeatTwins, day_figure, motion_figure, term_table
+from dtwin.kinds.volumetric import FAMILIES, HeatTwins, term_table
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import bench_of
-from dtwin.workbench._pages import drawn, rendered
+from dtwin.workbench._pages import rendered
 from dtwin.workbench._told_pages import compared_with
-
-router = APIRouter()
 
 
 def heat_page(request: Request, name: str, on: str = "") -> Response:
@@ -40,22 +35,3 @@ def heat_page(request: Request, name: str, on: str = "") -> Response:
         terms=term_table(twin),
         families=FAMILIES.values(),
     )
-
-
-@router.get("/api/twins/{name}/motions")
-def motions(request: Request, name: str, on: str = "") -> Response:
-    """Return every error motion at the balls, measured and left."""
-    return drawn(motion_figure(_compared(request, name, on)))
-
-
-@router.get("/api/twins/{name}/days")
-def days(request: Request, name: str, on: str = "") -> Response:
-    """Return the error at the balls day by day."""
-    return drawn(day_figure(_compared(request, name, on)))
-
-
-def _compared(request: Request, name: str, on: str) -> dict[str, Any]:
-    bench = bench_of(request)
-    if not isinstance(bench.twins_with(name), HeatTwins):
-        raise InputError("the twin is not one of heat", code="page.unknown", where=name, hint="begin at /twins")
-    return compared_with(bench, name, on)

@@ -87,14 +87,15 @@ def _comparison(bench: Bench, name: str, on: str) -> tuple[dict[str, Any], list[
 
     def compared() -> tuple[dict[str, Any], list[go.Figure]]:
         found = twins.compare(name, on or None)
-        parts = [
-            part
-            for part in (found.parts if isinstance(found, MachineComparison) else [found])
-            if not isinstance(part, Comparison | SeveralComparison)
-        ]
-        told = [(part, part.as_dict()) for part in parts]
-        sections = [one for part, result in told for one in report_of(result).comparison_sections(part, result)]
-        return found.as_dict(), [figure for section in sections for figure in section.figures]
+        result = found.as_dict()
+        each = (
+            zip(found.parts, result["members"], strict=True)
+            if isinstance(found, MachineComparison)
+            else [(found, result)]
+        )
+        told = [(part, one) for part, one in each if not isinstance(part, Comparison | SeveralComparison)]
+        sections = [section for part, one in told for section in report_of(one).comparison_sections(part, one)]
+        return result, [figure for section in sections for figure in section.figures]
 
     return bench.cache.get(key, compared)
 

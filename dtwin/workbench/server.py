@@ -27,7 +27,6 @@ from dtwin.workbench import _budget_routes as budget_routes
 from dtwin.workbench import _campaign_routes as campaign_routes
 from dtwin.workbench import _delivery_routes as delivery_routes
 from dtwin.workbench import _effect_routes as effect_routes
-from dtwin.workbench import _heat_pages as heat_pages
 from dtwin.workbench import _import_routes as import_routes
 from dtwin.workbench import _live_routes as live_routes
 from dtwin.workbench import _machine_routes as machine_routes
@@ -59,7 +58,6 @@ def application(bench: Bench) -> Guarded:
         campaign_routes,
         import_routes,
         twin_routes,
-        heat_pages,
         told_pages,
         twin_actions,
         budget_routes,

@@ -126,7 +126,7 @@ def test_a_twin_that_is_told_in_words_has_a_page_and_is_changed_there(bench: Wor
     assert json.loads(said(bench, "/api/twins/column/waterfall"))["data"][0]["x"][0] == "no effects"
     drawn = [json.loads(said(bench, f"/api/twins/column/compared/{number}")) for number in (0, 1)]
     assert [[curve["name"] for curve in figure["data"]] for figure in drawn] == [["measured", "twin"], ["left"]]
-    for figure in ("motions", "days", "map", "overlay/angle", "ranked", "encoder", "runs", "compared/2"):
+    for figure in ("map", "overlay/angle", "ranked", "encoder", "runs", "compared/2"):
         assert bench.ask(f"/api/twins/column/{figure}")[0] in (400, 404), figure
     status, text = bench.act("/api/twins/column/add", json.dumps({"effect": "lag@front"}).encode())
     assert status == 202, text
@@ -145,9 +145,9 @@ def test_a_twin_of_heat_has_one_page_and_is_changed_there(bench: Workbench) -> N
         shown = said(bench, f"/twins/heat{tab}")
         assert "An effect is missing" in shown
         assert 'name="effect" value="EA0"' in shown
-    names = json.loads(said(bench, "/api/twins/heat/motions"))["data"][0]["x"]
+    names = json.loads(said(bench, "/api/twins/heat/compared/0"))["data"][0]["x"]
     assert {"EX0", "EXX1", "EXZ1"} <= set(names)
-    assert json.loads(said(bench, "/api/twins/heat/days"))["data"]
+    assert json.loads(said(bench, "/api/twins/heat/compared/1"))["data"]
     assert json.loads(said(bench, "/api/twins/heat/waterfall"))["data"][0]["x"][0] == "no effects"
     status, text = bench.act("/api/twins/heat/add", json.dumps({"effect": "EA0"}).encode())
     assert status == 202, text

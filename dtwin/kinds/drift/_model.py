@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats, Run
@@ -22,7 +23,7 @@ _DIGITS = 4
 _FEWEST_EVEN = 100
 _SETTLING = (0.05, 0.1, 0.2, 0.4, 0.8)
 """Time constants of what settles, as shares of a log."""
-_FINER = ((0.7, 0.84, 1.0, 1.19, 1.41), (0.92, 0.96, 1.0, 1.04, 1.09), (0.98, 1.0, 1.02))
+_TAU_TO = 0.01
 MATERIAL = 0.02
 """Share of the squares left on blocks held out that something must take to count."""
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
@@ -269,12 +270,18 @@ def left_with_time(series: Series, terms: Sequence[Term]) -> Floats:
     def left(course: Floats) -> Floats:
         return _without_each(series, np.column_stack([design, course]))[1]
 
-    best, tau = left(part), 1.0
-    for tried in (_SETTLING, *_FINER):
-        near = [(left(np.exp(-part / (tau * times))), tau * times) for times in tried]
-        least, tau = min(near, key=lambda pair: float(pair[0].sum()))
-        best = min(best, least, key=lambda one: float(one.sum()))
-    return best
+    def settling(tau: float) -> Floats:
+        return left(np.exp(-part / tau))
+
+    near = min(_SETTLING, key=lambda tau: float(settling(tau).sum()))
+    # Where it is a little off, what is left looks like more than noise.
+    best = scipy.optimize.minimize_scalar(
+        lambda log: float(settling(float(np.exp(log))).sum()),
+        bounds=(np.log(0.5 * near), np.log(2.0 * near)),
+        method="bounded",
+        options={"xatol": _TAU_TO},
+    )
+    return min(left(part), settling(float(np.exp(best.x))), key=lambda one: float(one.sum()))
 
 
 def _by_time(series: Series, late: Term) -> Floats:

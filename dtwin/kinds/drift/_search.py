@@ -178,7 +178,9 @@ def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
             left = held_out(series, (*terms, term))
             said = f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"
             tried.append((left, (*terms, term), term, said))
-    far, by_time = held_out(series, terms, _LONG), left_with_time(series, terms)
+    far = held_out(series, terms, _LONG)
+    further = any(term.kind == "steady" for _, _, term, _ in tried)
+    by_time = left_with_time(series, terms) if further else None
     made = [
         Addition(
             left,

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from dtwin.kinds.volumetric._text import judged_text as judged_text
     from dtwin.kinds.volumetric._thermal_model import ThermalModel as ThermalModel
     from dtwin.kinds.volumetric._training import serving_bundle as serving_bundle
-    from dtwin.kinds.volumetric._twin_report import day_figure as day_figure
     from dtwin.kinds.volumetric._twin_report import family_dict as family_dict
     from dtwin.kinds.volumetric._twin_report import family_named as family_named
     from dtwin.kinds.volumetric._twin_report import family_text as family_text
-    from dtwin.kinds.volumetric._twin_report import motion_figure as motion_figure
     from dtwin.kinds.volumetric._twin_report import term_table as term_table
     from dtwin.kinds.volumetric._twins import HeatComparison as HeatComparison
     from dtwin.kinds.volumetric._twins import HeatTwins as HeatTwins
@@ -32,7 +30,7 @@ _PLACES = {
     "_text": "judged_text",
     "_thermal_model": "ThermalModel",
     "_training": "serving_bundle",
-    "_twin_report": "day_figure family_dict family_named family_text motion_figure term_table",
+    "_twin_report": "family_dict family_named family_text term_table",
     "_twins": "HeatComparison HeatTwins",
 }
 __all__ = " ".join(_PLACES.values()).split()

@@ -15,6 +15,8 @@ from dtwin.report.html import Section, Table, page
 from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
 from dtwin.schema import Run
 
+_DRAWN = {f"{axis}_mm" for axis in "xyz"} | {f"error_{axis}_um" for axis in "xyz"}
+
 
 def _seen(run: Run, floor_um: Callable[[], float], axes: tuple[str, str]) -> go.Figure:
     """Draw how far the machine was off at each ball of a cycle."""
@@ -25,7 +27,6 @@ def _seen(run: Run, floor_um: Callable[[], float], axes: tuple[str, str]) -> go.
     return places_figure(across, up, off, title=f"Error at the balls, {axes[0]} and {axes[1]}", axes=axes)
 
 
-_DRAWN = {f"{axis}_mm" for axis in "xyz"} | {f"error_{axis}_um" for axis in "xyz"}
 DRAWINGS = (
     Drawing("above", "Error at the balls, seen from above", 460, partial(_seen, axes=("X", "Y")), half=True),
     Drawing("front", "Error at the balls, seen from the front", 460, partial(_seen, axes=("X", "Z")), half=True),

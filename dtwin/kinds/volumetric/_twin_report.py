@@ -118,7 +118,7 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
             "Measured against predicted",
             [said],
             [("warning", warning) for warning in result["warnings"]],
-            figures=[motion_figure(result), day_figure(result)],
+            figures=[_motion_figure(result), _day_figure(result)],
         ),
         Section("Where it fails", [_place(place) for place in result["where"]]),
     ]
@@ -212,7 +212,7 @@ def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
     return Table(("motion", "in the twin", "before, µm", "after, µm", "of it noise"), rows)
 
 
-def motion_figure(result: Mapping[str, Any]) -> go.Figure:
+def _motion_figure(result: Mapping[str, Any]) -> go.Figure:
     """Return every error motion at the balls, of a comparison as a mapping: measured, left, and its noise."""
     rows = sorted(result["motions"], key=lambda m: -m["rms_before_um"])
     figure = go.Figure()
@@ -233,7 +233,7 @@ def motion_figure(result: Mapping[str, Any]) -> go.Figure:
     return styled(figure)
 
 
-def day_figure(result: Mapping[str, Any]) -> go.Figure:
+def _day_figure(result: Mapping[str, Any]) -> go.Figure:
     """Return the error at the balls day by day, of a comparison as a mapping: measured and left."""
     days = result["conditions"]
     named = [f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days]
