@@ -233,20 +233,23 @@ class Hunt:
         return best
 
     def _simplified(self, chosen: list[Entry]) -> list[Entry]:
-        """Return the set with an effect of many numbers, on all its axes, replaced by simpler ones that leave noise only.
+        """Return the set with general effects replaced by simpler ones, where that is cheaper or leaves noise only.
 
-        Guideways of any shape take up what axes do that lean in three planes, and none of them alone can be replaced.
+        Guideways of any shape take up what axes do that lean in three planes, and a pitch error beside them what scales and
+        squareness do: none of them alone can be replaced. All are tried together, then those of each name.
         """
         best = chosen
-        for name in dict.fromkeys(entry.term.instance.effect.name for entry in chosen if entry.width >= _MANY):
-            own = [entry for entry in chosen if entry.term.instance.effect.name == name]
+        general = [entry for entry in chosen if _is_general(entry)]
+        names = dict.fromkeys(entry.term.instance.effect.name for entry in general)
+        by_name = [[e for e in general if e.term.instance.effect.name == name] for name in names]
+        for own in [general, *by_name] if len(by_name) > 1 else by_name:
             rest = [entry for entry in chosen if entry not in own]
             for _ in range(len(own) + 2):
                 found = self._best(rest, min(entry.free for entry in own))
                 if found is None:
                     break
                 rest = [*rest, found[0]]
-                if self.left(rest) < _MISFIT * self._noise:
+                if self.left(rest) < _MISFIT * self._noise or self._cost(rest) < self._cost(best):
                     # What was there for what the effect misses is no more needed.
                     best = min(best, self._improved(rest), key=self._cost)
                     break
@@ -257,6 +260,11 @@ class Hunt:
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]
+
+
+def _is_general(entry: Entry) -> bool:
+    """Tell whether an effect may stand for several simpler ones."""
+    return entry.width >= _MANY or bool(entry.term.instance.effect.special_cases)
 
 
 def _near_reversal(obs: Observations) -> NDArray[np.bool_]:

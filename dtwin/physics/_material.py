@@ -25,6 +25,9 @@ _EXACT = 0.035
 _EXACT_LEAST = 0.015
 # So much misfit, of the noise floor, would not be noticed there.
 _IN_NOISE = 0.22
+# An effect so many times that, of all and beside what is alike or acts where it does, is none of it: the larger the error is
+# beside the noise, the smaller the part of it that laws can be off unnoticed.
+_UNNOTICED, _UNNOTICED_ALIKE, _UNNOTICED_THERE = 5.0, 7.0, 30.0
 # So much of a law that hangs on several shapes another such law may take of it, of the same axis and alike.
 _AFTER = 0.15
 # As RMS, of what all explain.
@@ -46,7 +49,8 @@ def material(
 
     Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
     explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are ``exact`` a tenth
-    of what all explain where it acts. A stand-in, by the label of
+    of what all explain where it acts, or less where the error is so large beside the noise that laws are shown to be off by
+    far less. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
 
     ``library``: the candidates for what told the effects; ``problem``: the whole campaign.
@@ -63,7 +67,12 @@ def material(
     # That laws are exact is shown to within the noise only.
     in_noise = (_IN_NOISE * floor_um(problem)) ** 2 * float(obs.mask.sum())
     exact = exact and in_noise < _LEAST**2 * whole
-    least_share, inexact = (_EXACT_LEAST, _EXACT) if exact else (_LEAST, _INEXACT)
+    least_share, inexact, local_share = _LEAST, _INEXACT, _LOCAL
+    if exact:
+        unnoticed = (in_noise / whole) ** 0.5
+        least_share = min(_EXACT_LEAST, _UNNOTICED * unnoticed)
+        inexact = min(_EXACT, _UNNOTICED_ALIKE * unnoticed)
+        local_share = min(_LOCAL, _UNNOTICED_THERE * unnoticed)
     if obs.there_and_back:
         least_share = _LEAST_OF_FEW
     floor = max(floor, least_share**2 * whole)
@@ -74,7 +83,7 @@ def material(
     least = {
         entry.label: max(
             floor,
-            min(shaped, max(in_noise, beside[entry.label], _LOCAL**2 * local))
+            min(shaped, max(in_noise, beside[entry.label], local_share**2 * local))
             if len(entry.term.shape) > 1
             else inexact**2 * alike,
         )
