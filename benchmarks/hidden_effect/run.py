@@ -45,7 +45,7 @@ SHORT_CASES = 1
 SHORT_CONTROLS = 1
 WITH_CONTROLS = 20
 _ROUNDING = 1e-6
-_WORDS = ("title", "meaning", "formula", "looks_like", "separate_by", "remedy", "reference")
+_WORDS = ("group", "title", "meaning", "formula", "looks_like", "separate_by", "remedy", "reference")
 Key = tuple[str, int]
 
 
@@ -75,10 +75,11 @@ def _code_of(file: Path) -> str:
 
 
 def _says_nothing(node: ast.stmt) -> bool:
-    """Tell whether a statement is an import, a list of exports or a string."""
+    """Tell whether a statement is an import, a list of exports, a string, or the declaration of an effect's words."""
     text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     exports = isinstance(node, ast.Assign | ast.AnnAssign) and "__all__" in ast.unparse(node).split("=")[0]
-    return text or exports or isinstance(node, ast.Import | ast.ImportFrom)
+    words = isinstance(node, ast.AnnAssign) and ast.unparse(node.target) in _WORDS
+    return text or exports or words or isinstance(node, ast.Import | ast.ImportFrom)
 
 
 CODE = {kind: _check_sum(kind) for kind in {row.kind for row in ROWS.values()}}

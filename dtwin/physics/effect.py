@@ -146,6 +146,8 @@ class Effect:
         Differs between repeats of a condition, as heat and time do.
     on_spread : bool
         Shows in the spread of repeats and not in their mean.
+    group : str
+        Of what it is on pages: geometry, drive, dynamics, heat or instrument; your own when empty.
     meaning, formula, looks_like, separate_by, remedy, reference : str
         For people: what it is, how it is computed, what the plot shows, which run tells it from
         its confusables, what to do about it, where it is described.
@@ -185,6 +187,7 @@ class Effect:
     at_one_speed: str = ""
     cause: str = ""
     correctable: str = ""
+    group: str = ""
     setup: bool = False
     within_condition: bool = False
     on_spread: bool = False

@@ -18,6 +18,7 @@ class Family:
 
     ``meaning``, ``looks_like``, ``separate_by``, ``remedy``: what it is, what balls show, which test tells its causes
     apart, what to do about it.
+    ``group``: of what it is on pages.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Family:
     looks_like: str
     separate_by: str
     remedy: str
+    group: str = "heat"
 
 
 @dataclass(frozen=True)

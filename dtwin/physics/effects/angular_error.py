@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="angular_error",
     title="Angular error (Abbe)",
+    group="geometry",
     parameters=(Parameter("tilt_over_100_mm", "urad", 10.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),

@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="axis_changeover",
     title="Axis changeover",
+    group="drive",
     parameters=(Parameter("step", "um", 2.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),

@@ -21,6 +21,7 @@ EFFECT = Effect(
     name="backlash",
     cause="backlash",
     title="Backlash",
+    group="drive",
     parameters=(Parameter("backlash", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),

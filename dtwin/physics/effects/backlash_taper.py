@@ -21,6 +21,7 @@ EFFECT = Effect(
     name="backlash_taper",
     cause="backlash_taper",
     title="Backlash that changes along the axis",
+    group="drive",
     parameters=(Parameter("change_per_100_mm", "um", 2.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "odd"),

@@ -15,6 +15,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="centre_offset",
     title="Centre offset",
+    group="instrument",
     parameters=(Parameter("first", "um", 20.0), Parameter("second", "um", 20.0)),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),

@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="cyclic_error",
     title="Cyclic error",
+    group="drive",
     parameters=(Parameter("cosine", "um", 2.0), Parameter("sine", "um", 2.0)),
     regressors=_columns,
     law=Law(0.0, None, "even"),

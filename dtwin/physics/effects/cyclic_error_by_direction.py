@@ -22,6 +22,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="cyclic_error_by_direction",
     title="Cyclic error that depends on direction",
+    group="drive",
     parameters=(Parameter("cosine", "um", 1.0), Parameter("sine", "um", 1.0)),
     regressors=_columns,
     law=Law(0.0, None, "odd"),

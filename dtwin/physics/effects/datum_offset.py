@@ -16,6 +16,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="datum_offset",
     title="Datum offset",
+    group="instrument",
     parameters=(Parameter("datum", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),

@@ -29,6 +29,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="friction",
     title="Friction",
+    group="drive",
     parameters=(Parameter("lag", "um", 3.0), Parameter("extra_lag_when_slow", "um", 3.0)),
     regressors=_columns,
     law=Law(None, None, "odd"),

@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="gravity_sag",
     title="Gravity sag",
+    group="geometry",
     parameters=(Parameter("sag_at_100_mm", "um", 2.0),),
     regressors=_columns,
     law=Law(0.0, 3.0, "even"),

@@ -23,6 +23,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="guideway_friction",
     title="Guideway friction",
+    group="drive",
     parameters=(Parameter("deflection", "um", 0.2),),
     regressors=_columns,
     law=Law(None, None, "even"),

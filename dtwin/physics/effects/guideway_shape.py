@@ -21,6 +21,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="guideway_shape",
     title="Shape of a guideway",
+    group="geometry",
     parameters=tuple(
         Parameter(f"{side}order_{order}_at_100_mm", "um", 5.0) for side in ("", "second_axis_") for order in _ORDERS
     ),

@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="inertial_compliance",
     title="Inertial compliance",
+    group="dynamics",
     parameters=(
         Parameter("compliance_x", "um/(m/s2)", 5.0),
         Parameter("compliance_y", "um/(m/s2)", 5.0),

@@ -16,6 +16,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="instrument_artefact",
     title="Instrument artefact",
+    group="instrument",
     parameters=(Parameter("cosine", "um", 1.0), Parameter("sine", "um", 1.0)),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),

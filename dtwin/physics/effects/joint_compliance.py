@@ -17,6 +17,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="joint_compliance",
     title="Compliance of a joint",
+    group="dynamics",
     parameters=(Parameter("compliance_per_kg", "urad/(N m)/kg", 20.0),),
     regressors=_columns,
     law=Law(0.0, None, "even"),

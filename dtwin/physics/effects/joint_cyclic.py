@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="joint_cyclic",
     title="Cyclic error of a joint",
+    group="drive",
     parameters=(Parameter("cosine", "urad", 30.0), Parameter("sine", "urad", 30.0)),
     regressors=_columns,
     law=Law(0.0, None, "even"),

@@ -16,6 +16,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="joint_offset",
     title="Zero offset of a joint",
+    group="geometry",
     parameters=(Parameter("offset", "urad", 100.0),),
     regressors=_columns,
     law=Law(0.0, None, "even"),

@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="joint_reversal",
     title="Joint backlash",
+    group="drive",
     parameters=(Parameter("backlash", "urad", 50.0),),
     regressors=_columns,
     law=Law(0.0, None, "odd"),

@@ -18,6 +18,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="lateral_play",
     title="Lateral play",
+    group="geometry",
     parameters=(Parameter("play", "um", 3.0), Parameter("second_axis_play", "um", 3.0, once="play")),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),

@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="lateral_play_taper",
     title="Lateral play that changes along the axis",
+    group="geometry",
     parameters=(
         Parameter("change_per_100_mm", "um", 2.0),
         Parameter("second_axis_change_per_100_mm", "um", 2.0, once="change_per_100_mm"),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     name="lead_error",
     cause="scale",
     title="Lead error",
+    group="geometry",
     parameters=(Parameter("lead", "ppm", 20.0),),
     regressors=_columns,
     law=Law(None, None, "even"),

@@ -18,6 +18,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="measurement_delay",
     title="Measurement delay",
+    group="instrument",
     parameters=(Parameter("delay", "ms", 1.0),),
     regressors=_columns,
     law=Law(1.0, None, "odd"),

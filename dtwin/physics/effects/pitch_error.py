@@ -43,6 +43,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="pitch_error",
     title="Pitch error",
+    group="geometry",
     parameters=tuple(
         Parameter(name, "um", 5.0) for name in ("cosine", "sine", *(f"half_wave_{k}" for k in _HALF_WAVES))
     ),

@@ -22,6 +22,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="reversal_ringing",
     title="Ringing after reversal",
+    group="dynamics",
     parameters=(Parameter("cosine_at_100_mm_s", "um", 3.0), Parameter("sine_at_100_mm_s", "um", 3.0)),
     regressors=_columns,
     law=Law(None, None, "even"),

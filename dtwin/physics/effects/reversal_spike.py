@@ -62,6 +62,7 @@ def _peak(slow_s: float, fast_s: float) -> float:
 EFFECT = Effect(
     name="reversal_spike",
     title="Reversal spike",
+    group="drive",
     parameters=(Parameter("height_at_positive_end", "um", 5.0), Parameter("height_at_negative_end", "um", 5.0)),
     regressors=_columns,
     law=Law(None, None, "even"),

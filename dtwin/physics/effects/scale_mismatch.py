@@ -24,6 +24,7 @@ EFFECT = Effect(
     name="scale_mismatch",
     cause="scale",
     title="Scale mismatch",
+    group="geometry",
     parameters=(Parameter("scale", "ppm", 20.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),

@@ -15,6 +15,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="screw_error",
     title="Screw error within a turn",
+    group="drive",
     parameters=tuple(
         Parameter(f"{part}_{order}", "um", 5.0 / order) for order in range(1, ORDERS + 1) for part in ("cosine", "sine")
     ),

@@ -15,6 +15,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="screw_error_by_direction",
     title="Screw error within a turn that depends on direction",
+    group="drive",
     parameters=tuple(
         Parameter(f"{part}_{order}", "um", 5.0 / order) for order in range(1, ORDERS + 1) for part in ("cosine", "sine")
     ),

@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="servo_lag",
     title="Servo lag (radius loss)",
+    group="dynamics",
     parameters=(
         Parameter("squared_delay_x", "ms2", 400.0),
         Parameter("squared_delay_y", "ms2", 400.0),

@@ -23,6 +23,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="servo_mismatch",
     title="Servo mismatch",
+    group="dynamics",
     parameters=(Parameter("delay", "ms", 0.05),),
     regressors=_columns,
     law=Law(1.0, 0.0, "odd"),

@@ -11,6 +11,7 @@ _FREQUENCIES_HZ = (10.0, 18.0, 30.0, 50.0, 80.0, 130.0, 210.0, 350.0, 600.0)
 EFFECT = Effect(
     name="servo_response",
     title="Response of the servo loop",
+    group="dynamics",
     parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=mode_columns,
     law=Law(None, None, "even"),

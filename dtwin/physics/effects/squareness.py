@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="squareness",
     title="Squareness",
+    group="geometry",
     parameters=(Parameter("squareness", "um/m", 20.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),

@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="stick_slip",
     title="Stick-slip",
+    group="drive",
     parameters=(Parameter("log_variance", "1", 1.0),),
     regressors=_columns,
     law=Law(None, None, "even"),

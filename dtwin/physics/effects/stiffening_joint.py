@@ -21,6 +21,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="stiffening_joint",
     title="Stiffening joint",
+    group="dynamics",
     parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=_columns,
     law=Law(None, None, "even"),

@@ -16,6 +16,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="straightness",
     title="Straightness",
+    group="geometry",
     parameters=(
         Parameter("bow_at_100_mm", "um", 5.0),
         Parameter("second_axis_bow_at_100_mm", "um", 5.0, once="bow_at_100_mm"),

@@ -11,6 +11,7 @@ _FREQUENCIES_HZ = (10.0, 15.0, 22.0, 33.0, 50.0, 70.0, 100.0, 140.0, 200.0, 300.
 EFFECT = Effect(
     name="structural_mode",
     title="Structural mode",
+    group="dynamics",
     parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=mode_columns,
     law=Law(None, None, "even"),

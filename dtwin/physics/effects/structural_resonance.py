@@ -23,6 +23,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="structural_resonance",
     title="Structural resonance",
+    group="dynamics",
     parameters=(
         Parameter("compliance", "um/(m/s2)", 5.0),
         Parameter("cosine_at_100_mm_s", "um", 2.0),

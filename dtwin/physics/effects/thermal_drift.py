@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="thermal_drift",
     title="Drift",
+    group="heat",
     parameters=(
         Parameter("shift_x", "um/h", 5.0),
         Parameter("shift_y", "um/h", 5.0),

@@ -20,6 +20,7 @@ EFFECT = Effect(
     name="thermal_growth",
     cause="thermal_growth",
     title="Thermal growth",
+    group="heat",
     parameters=(Parameter("expansion", "um/(m K)", 10.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),

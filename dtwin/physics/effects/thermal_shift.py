@@ -14,6 +14,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="thermal_shift",
     title="Thermal shift of the zero",
+    group="heat",
     parameters=(Parameter("shift", "um/K", 2.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),

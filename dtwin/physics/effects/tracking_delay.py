@@ -18,6 +18,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="tracking_delay",
     title="Tracking delay",
+    group="dynamics",
     parameters=(Parameter("delay", "ms", 0.1),),
     regressors=_columns,
     law=Law(1.0, 0.0, "even"),

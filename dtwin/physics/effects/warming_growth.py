@@ -19,6 +19,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="warming_growth",
     title="Growth with time",
+    group="heat",
     parameters=(Parameter("growth", "um/(m h)", 30.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),

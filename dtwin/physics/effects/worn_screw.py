@@ -30,6 +30,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="worn_screw",
     title="Worn stretch of a screw",
+    group="drive",
     parameters=(Parameter("additional_backlash", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, None, "odd"),

@@ -100,7 +100,7 @@ def test_the_size_of_a_group_is_that_of_its_first_alone() -> None:
 def test_every_effect_that_dtwin_ships_belongs_to_a_group_of_the_shop() -> None:
     groups = dict(grouped([*Library().values(), *FAMILIES.values()]))
     assert list(groups) == ["geometry", "drive", "dynamics", "heat", "instrument"]
-    mine = replace(Library()["backlash"], name="cable_chain")
+    mine = replace(Library()["backlash"], name="cable_chain", group="")
     assert grouped([mine]) == [("your own", [mine])]
 
 
