@@ -60,6 +60,7 @@ def test_none_is_left_out() -> None:
         "cobot_family.py",
         "contradictions.py",
         "correction_band.py",
+        "heat_decoys.py",
         "machine_years.py",
         "mechanism_bias.py",
         "next_test.py",
@@ -231,6 +232,13 @@ def test_contradictions() -> None:
     assert len(quiet) == 5
     assert [row["a false contradiction"] for row in quiet] == [0] * 5
     assert [row["since the right day"] for row in quiet] == [1] * 5
+
+
+@pytest.mark.long
+def test_heat_decoys() -> None:
+    for row in short("heat_decoys.py"):
+        assert row["told with a decoy"] <= row["fitted with a decoy"]
+        assert row["sure"] + row["in a group"] + row["nowhere"] == row["causes"] > 0
 
 
 @pytest.mark.long

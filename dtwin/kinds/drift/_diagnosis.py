@@ -9,18 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.documents import finite
+from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, share_taken
 from dtwin.kinds.drift._effects import effect_of, written
-from dtwin.kinds.drift._model import (
-    ALPHA,
-    MATERIAL,
-    Series,
-    Term,
-    fitted,
-    held_out,
-    held_out_um,
-    left_with_time,
-    share_taken,
-)
+from dtwin.kinds.drift._model import Series, Term, fitted, held_out, held_out_um, left_with_time
 from dtwin.kinds.drift._search import Addition, additions, idle
 from dtwin.statistics import gain_tail, rms
 
@@ -54,7 +45,7 @@ class DriftDiagnosis:
     @property
     def alike(self) -> tuple[str, ...]:
         """What this log cannot tell apart: what to add, and time alone where that takes as much."""
-        return (*self.additions, *(["time alone"] if any(one.is_as_time for one in self.group) else []))
+        return (*self.additions, *([TIME_ALONE] if any(one.is_as_time for one in self.group) else []))
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -125,7 +116,7 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
     group = tuple(one for one in paying if one is paying[0] or one.equals(paying[0]))
     verdict: Verdict
     if group:
-        names = [_words(one) for one in group] + ["time alone"] * any(one.is_as_time for one in group)
+        names = [_words(one) for one in group] + [TIME_ALONE] * any(one.is_as_time for one in group)
         verdict = "missing_effect" if len(names) == 1 else "ambiguous"
         said = " or ".join(names) + (" is missing" if len(names) == 1 else ": this log does not tell which")
     else:
@@ -134,7 +125,7 @@ def diagnose(series: Series, terms: Sequence[Term]) -> DriftDiagnosis:
             known = next((one.by_time for one in tried if one.by_time is not None), None)
             before, after = held_out(series, terms), left_with_time(series, terms) if known is None else known
             if gain_tail(before, after) < ALPHA and (share := share_taken(before, after)) > MATERIAL:
-                said += f"; time alone takes {100.0 * share:z.0f} % of the squares: something settles, or follows a body without a sensor"
+                said += f"; {TIME_ALONE} takes {100.0 * share:z.0f} % of the squares: something settles, or follows a body without a sensor"
     return DriftDiagnosis(verdict, said, figures, tuple(tried), group, idle(series, terms))
 
 

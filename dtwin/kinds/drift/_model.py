@@ -11,21 +11,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
 from dtwin.errors import InputError
+from dtwin.features import time_alone
+from dtwin.features.time_alone import ALPHA, MATERIAL, share_taken
 from dtwin.schema import Floats, Run
 from dtwin.statistics import gain_tail, t_quantile, usual_size
 
 _BLOCKS = 24
-ALPHA = 0.05
 _DIGITS = 4
 _FEWEST_EVEN = 100
-_SETTLING = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Time constants of what settles, as shares of a log."""
-_TAU_TO = 0.01
-MATERIAL = 0.02
-"""Share of the squares left on blocks held out that something must take to count."""
 # A step of a probe: times the usual step, times the largest of so many beside it, of the whole range, and of it what stays;
 # between readings that are not farther apart than so many times the usual.
 _TIMES_USUAL, _TIMES_AROUND, _BESIDE, _OF_SPAN, _STAYS, _PAUSE = 10.0, 5.0, 6, 0.05, 0.7, 3.0
@@ -263,25 +258,10 @@ def held_out(series: Series, terms: Sequence[Term], blocks: int = _BLOCKS) -> Fl
 
 def left_with_time(series: Series, terms: Sequence[Term]) -> Floats:
     """Return the least squares in each block held out with a course of time beside the terms: straight, or an exponential."""
-    span_s = float(np.ptp(series.t_s)) or 1.0
-    part = (series.t_s - series.t_s.min()) / span_s
     design = _design(series, terms)
-
-    def left(course: Floats) -> Floats:
-        return _without_each(series, np.column_stack([design, course]))[1]
-
-    def settling(tau: float) -> Floats:
-        return left(np.exp(-part / tau))
-
-    near = min(_SETTLING, key=lambda tau: float(settling(tau).sum()))
-    # Where it is a little off, what is left looks like more than noise.
-    best = scipy.optimize.minimize_scalar(
-        lambda log: float(settling(float(np.exp(log))).sum()),
-        bounds=(np.log(0.5 * near), np.log(2.0 * near)),
-        method="bounded",
-        options={"xatol": _TAU_TO},
+    return time_alone.left_with_time(
+        series.t_s, lambda course: _without_each(series, np.column_stack([design, course]))[1]
     )
-    return min(left(part), settling(float(np.exp(best.x))), key=lambda one: float(one.sum()))
 
 
 def _by_time(series: Series, late: Term) -> Floats:
@@ -303,11 +283,6 @@ def _without_each(series: Series, x: Floats, most: int = _BLOCKS) -> tuple[Float
         values[block] = np.linalg.lstsq(others[:, :-1], others[:, -1], rcond=None)[0]
         squares[block] = float(((part[:, -1] - part[:, :-1] @ values[block]) ** 2).sum())
     return values, squares
-
-
-def share_taken(before: Floats, after: Floats) -> float:
-    """Return the share of the squares on blocks held out that something takes."""
-    return 1.0 - float(after.sum()) / float(before.sum())
 
 
 def _design(series: Series, terms: Sequence[Term]) -> Floats:

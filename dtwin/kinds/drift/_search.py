@@ -8,17 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from dtwin.kinds.drift._model import (
-    ALPHA,
-    MATERIAL,
-    Fitted,
-    Series,
-    Term,
-    fitted,
-    held_out,
-    left_with_time,
-    share_taken,
-)
+from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, is_no_less, needed, share_taken
+from dtwin.kinds.drift._model import Fitted, Series, Term, fitted, held_out, left_with_time
 from dtwin.schema import Floats
 from dtwin.statistics import gain_tail
 
@@ -64,7 +55,7 @@ def missing(series: Series, base: Fitted) -> list[Step]:
         if best is None:
             out[-1] = replace(out[-1], fitted=model)
             continue
-        said = f"{best.said} or time alone" if best.is_as_time else best.said
+        said = f"{best.said} or {TIME_ALONE}" if best.is_as_time else best.said
         out.append(Step(model, said, best.gain, best.p_value))
         added.append(best.added.channel)
     last = {term.channel for term in out[-1].fitted.terms} if out else set()
@@ -139,16 +130,11 @@ class Addition:
     @cached_property
     def is_as_time(self) -> bool:
         """Whether time alone takes as much, for all that this log tells: what settles, or follows a body without a sensor."""
-        return self.by_time is not None and _is_no_less(self.by_time, self.left)
+        return self.by_time is not None and is_no_less(self.by_time, self.left)
 
     def equals(self, other: Addition) -> bool:
         """Tell whether another takes no more than chance may."""
-        return _is_no_less(self.left, other.left)
-
-
-def _is_no_less(left: Floats, other: Floats) -> bool:
-    """Tell whether another leaves less only as chance may, of squares in each block."""
-    return share_taken(left, other) <= MATERIAL or gain_tail(left, other) >= ALPHA
+        return is_no_less(self.left, other.left)
 
 
 def additions(series: Series, terms: Sequence[Term]) -> list[Addition]:
@@ -224,10 +210,4 @@ def idle(series: Series, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Return the terms each of which pays nothing beside the others."""
     now = held_out(series, terms)
     without = {term: held_out(series, [t for t in terms if t != term]) for term in terms}
-    return tuple(t for t, left in without.items() if not _needed(left, now))
-
-
-def _needed(without: Floats, now: Floats) -> bool:
-    """Return whether a term takes enough, by the squares in each block without it and with it: surely, or much."""
-    share = share_taken(without, now)
-    return share > MATERIAL and (share > _SURELY or gain_tail(without, now) < ALPHA)
+    return tuple(t for t, left in without.items() if not needed(left, now, _SURELY))

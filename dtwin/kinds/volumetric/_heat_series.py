@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
+from dtwin.kinds.volumetric._drivers import Drivers, drivers_of
 from dtwin.schema import Floats
 
 _SPANS = 5
@@ -70,9 +70,7 @@ class HeatSeries:
     rise_c: Mapping[str, Floats]
     begun_c: Mapping[str, float]
     thermocouples: tuple[str, ...]
-    _fits: dict[tuple[bytes, tuple[str, ...]], tuple[ThermalModel, Floats]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
+    _fits: dict[tuple[bytes, tuple[str, ...]], Drivers] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def offered(self) -> tuple[str, ...]:
@@ -118,28 +116,17 @@ class HeatSeries:
         require_temperatures(names, self.rise_c, self.campaign, [*self.bodies, *self.offered])
         return np.column_stack([np.zeros((len(self.hour), 0)), *(self.rise_c[n] for n in names)])
 
-    def allowed(self, sources: Sequence[str]) -> tuple[str, ...]:
-        """Return the temperatures that a term may use: of bodies and by name; all when empty."""
-        if not sources:
-            return self.thermocouples
-        names = [name for source in sources for name in self.bodies.get(source, (source,))]
-        self.rises(names)
-        return tuple(dict.fromkeys(names))
+    def driven(self, name: str, motion: Floats, sources: Sequence[str] = ()) -> Drivers:
+        """Fit a motion, values (n,), to temperatures of these sources, or of the bodies that are found to drive it without any.
 
-    def driven(self, name: str, motion: Floats, sensors: Sequence[str]) -> tuple[ThermalModel, Floats]:
-        """Fit a motion to temperatures; return the model and what it says of hours that were left out.
-
-        ``motion``, (n,): its values.
-        Returns (n,): spans of hours left out in turn; the temperatures were chosen without them, too.
+        ``sources``: bodies, or temperatures by name. What a user names is not doubted.
         """
-        key = (name.encode() + motion.tobytes(), tuple(sensors))
+        names = tuple(dict.fromkeys(name for source in sources for name in self.bodies.get(source, (source,))))
+        key = (name.encode() + motion.tobytes(), names)
         if key not in self._fits:
-            rise = self.rises(sensors)
-            expected = np.zeros(len(motion))
-            for span in self.spans():
-                kept = np.delete(np.arange(len(motion)), span)
-                model = fit_thermal(name, motion[kept], rise[kept], sensors, static=True)
-                expected[span] = model.run(self.rises(model.sensors))[span]
-            whole = fit_thermal(name, motion, rise, sensors, static=True)
-            self._fits[key] = whole, expected
+            self.rises(names)
+            rises: dict[str, dict[str, Floats]] = {}
+            for one in names or self.thermocouples:
+                rises.setdefault(body_of(one), {})[one] = self.rise_c[one]
+            self._fits[key] = drivers_of(name, motion, rises, self.hour, self.spans(), named=bool(sources))
         return self._fits[key]

@@ -191,8 +191,9 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     for term in terms:
         column = series.names.index(term.motion)
         motion = series.values[:, column]
-        model, left_out[:, column] = series.driven(term.motion, motion, series.allowed(term.sources))
-        models.append(model)
+        found = series.driven(term.motion, motion, term.sources)
+        left_out[:, column] = found.expected
+        models.append(found.model)
     return HeatFit(tuple(models), _expected(series, models), left_out)
 
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.volumetric._chain import COEFFICIENTS
-from dtwin.kinds.volumetric._heat_diagnosis import MATERIAL
 from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric._heat_twin import HeatTwin
 from dtwin.kinds.volumetric._motions import FAMILIES, Family, family_of, motion_words
+from dtwin.kinds.volumetric._movers import MATERIAL
 from dtwin.report.html import Section, Table
 from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.report.text import micrometres, table
@@ -45,7 +46,7 @@ def term_table(twin: HeatTwin) -> Table:
             motion_words(term.motion),
             family_of(term.motion).name,
             str(len(model.sensors)),
-            _bodies(model.sensors),
+            _bodies(model.sensors) or f"nothing surely: {term.motion}@BODY names it",
         )
         for term, model in zip(twin.terms, twin.models, strict=True)
     ]
@@ -99,6 +100,9 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         now = result["residual_rms_um"]
         if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
             lines.append("more after than now: it offsets another at these balls until both are in")
+    apart = [said for c in result["candidates"] if c["add"] and (said := _not_told_apart(c))]
+    if apart:
+        lines += ["these hours do not tell apart:", *(f"  {said}" for said in apart)]
     if result["quiet"]:
         lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
     if result["next_experiment"]:
@@ -169,8 +173,18 @@ def _told_by(candidate: Mapping[str, Any]) -> str:
         return str(candidate["explained_by"])
     if not candidate["add"]:
         return "nothing logged"
+    if not candidate["temperatures"]:
+        return f"{_bodies(candidate['as_time_alone'])} or {TIME_ALONE}"
     alone = [label.partition("@")[2] for label in candidate["confounded_with"]]
     return " or ".join(alone) if alone else _bodies(candidate["temperatures"])
+
+
+def _not_told_apart(candidate: Mapping[str, Any]) -> str:
+    """Return which causes of a motion these hours do not tell apart; empty when they do."""
+    pairs = [f"{body} or {' or '.join(others)}" for body, others in candidate["alike"].items()]
+    if candidate["as_time_alone"]:
+        pairs.append(f"{_bodies(candidate['as_time_alone'])} or {TIME_ALONE}")
+    return f"{candidate['effect']}: {'; '.join(pairs)}" if pairs else ""
 
 
 def _bodies(sensors: Sequence[str]) -> str:
@@ -256,6 +270,8 @@ def _advice(name: str, result: Mapping[str, Any]) -> list[str]:
     best = next((c for c in group if c["add"]), None)
     if best is None:
         return ["nothing to add"] if not group else ["nothing that was logged would help"]
+    if best["confounded_with"] == [TIME_ALONE]:
+        return [f"only if that is known to be the cause: dtwin twin add {name} {best['add']}"]
     lines = [f"try: dtwin twin add {name} {best['add']}"]
     if result["verdict"] == "ambiguous":
         alone = best["confounded_with"][0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,6 +107,44 @@ def test_a_motion_of_the_twin_that_lacks_a_temperature_gets_it() -> None:
     assert "lacks temperatures" in lacking.headline
     assert set(lacking.group[0].sensors) <= {"ram_01_c", "ram_02_c", "bed_01_c", "bed_02_c"}
     assert found(made, "EXX1").verdict == "nothing_missing"
+
+
+def with_room(made: HeatSeries, room: np.ndarray) -> HeatSeries:
+    return replace(
+        made,
+        rise_c={**made.rise_c, "room_01_c": room},
+        begun_c={**made.begun_c, "room_01_c": 20.0},
+        thermocouples=(*made.thermocouples, "room_01_c"),
+        _fits={},
+    )
+
+
+def test_what_only_rises_beside_a_cause_is_told_as_no_cause_and_taken_as_no_input() -> None:
+    hours = np.arange(120.0)
+    settles = 2.0 * (1.0 - np.exp(-hours / 40.0))
+    made = with_room(series({"EXX1": 2.0 * BED + settles, "EX0": settles}), 0.04 * hours)
+    said = {m.motion: m for m in found(made).movers}
+    assert (tuple(said["EXX1"].alike), said["EXX1"].as_time) == (("bed",), ("room",))
+    assert (said["EX0"].sensors, said["EX0"].as_time) == ((), ("room",))
+    told = found(with_room(series({"EX0": settles}), 0.04 * hours))
+    assert (told.verdict, told.additions) == ("ambiguous", ())
+    assert {label for c in told.as_dict()["candidates"] for label in c["confounded_with"]} == {"time alone"}
+    assert "so does time alone" in told.headline
+    # A user may know better.
+    (model,) = fit_heat(made, heat_terms(["EX0@room"])).models
+    assert model.sensors == ("room_01_c",)
+    logged = with_room(series({"EX0": 1.5 * settles}), 0.04 * hours)
+    (mover,) = found(replace(logged, thermocouples=logged.thermocouples[:-1])).movers
+    assert (mover.channel, mover.as_time, mover.told) == (None, ("room_01_c",), True)
+
+
+def test_a_room_that_wanders_by_itself_is_hardly_ever_a_cause_of_what_no_thermocouple_tells() -> None:
+    told = 0
+    for seed in range(40):
+        walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.3, 120))
+        made = with_room(series({"EX0": BED + lasting(200 + seed, hours=60.0)}, seed=seed), walk - walk[0])
+        told += any("room" in m.alike for m in found(made).movers if m.told)
+    assert told <= 1
 
 
 def test_noise_alone_is_not_taken_for_a_motion() -> None:
