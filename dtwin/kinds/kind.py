@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
     from dtwin.train.twin_axes import AxisErrors
-    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.correct import CorrectionWay
     from dtwin.twins.verbs import Twins
 
 
@@ -345,7 +345,7 @@ class Kind:
         """Tell by its inputs whether a bundle that does not say so was made of such a campaign."""
         return self._done("recognises")(bundle) if "recognises" in self.places else False
 
-    def twin_correction(self) -> TwinWay:
+    def twin_correction(self) -> CorrectionWay:
         """Return how a twin of such a campaign becomes a correction."""
         return self._done("twin_correction")
 

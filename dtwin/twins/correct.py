@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.machine_terms import key_of
@@ -41,12 +42,19 @@ _STRUCTURE = (*_NAMED, "unknown_effect")
 LITTLE = 0.01
 # What differs in its spread only leaves nothing for a correction of the mean.
 MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
-_NOT_NEEDED = "not needed: without it the residual is at the floor"
+NOT_NEEDED = "not needed: without it the residual is at the floor"
+
+
+class CorrectionWay(Protocol):
+    """How a twin of one kind becomes a correction."""
+
+    def case(self, twins: AnyTwins, name: str, on: str, seed: int) -> Case:
+        """Return what speaks for and against it; ``on``: the campaign that is corrected."""
 
 
 @dataclass(frozen=True)
 class TwinWay:
-    """How a twin of one kind becomes a correction.
+    """The same for a twin of tests of a path.
 
     ``freeze``: returns the bundle of a twin, or refuses.
     ``judge``: returns what is known of that bundle from runs that were left out of all tests that they would tell of.
@@ -62,9 +70,57 @@ class TwinWay:
     little: float
     geometry: Mapping[str, str] = field(default_factory=dict)
 
+    def case(self, twins: AnyTwins, name: str, on: str, seed: int) -> Case:
+        """Return what speaks for and against a twin of tests of a path."""
+        seen = seen_on(twins, name, on)
+        twin, obs = seen.twin, seen.obs
+        require_uncorrected(obs.campaign)
+        diagnosis = seen.lacks(None, seed)
+        frozen = self.freeze(twin, obs, twins.home)
+        gradings = tuple(_grading(term, seen, seen.lacks(term, seed), self) for term in frozen.twin.terms)
+        return Case(
+            frozen=frozen,
+            verdict=diagnosis.verdict,
+            gradings=gradings,
+            objections=tuple(_objections(diagnosis, gradings, frozen.twin, seen, self)),
+            confirms=f"every corrected effect {self.grades[0]}",
+            advice=lambda: _advice(name, gradings, frozen.twin, obs),
+            judge=lambda: self.judge(frozen, seen, twins.home),
+            size=(len(set(obs.run_of.tolist())), obs.n_rows),
+            data=twin.data,
+            geometry=dict(self.geometry) | dict(obs.campaign.machine_geometry),
+            predicted=tuple(_predicted(frozen, obs)),
+            left=_left(diagnosis, seen.whole, self),
+            by_others=lambda: _by_others(frozen, seen),
+        )
+
 
 @dataclass(frozen=True)
-class _Grading:
+class Case:
+    """What speaks for and against the correction of a twin.
+
+    ``confirms``: what must hold of its effects, beside nothing missing; ``advice``: returns the first thing to do else.
+    ``judge``: returns what is known of the bundle from what was left out.
+    ``size``: numbers of runs and of readings; ``data``: what was used of the lake. Others: as of :class:`Correction`.
+    """
+
+    frozen: TwinBundle
+    verdict: str
+    gradings: tuple[Grading, ...]
+    objections: tuple[str, ...]
+    confirms: str
+    advice: Callable[[], str]
+    judge: Callable[[], Judged]
+    size: tuple[int, int]
+    data: Mapping[str, Any]
+    geometry: Mapping[str, Any]
+    predicted: tuple[Mapping[str, Any], ...]
+    left: str = ""
+    by_others: Callable[[], _ByOthers | None] = lambda: None
+
+
+@dataclass(frozen=True)
+class Grading:
     """How well an effect of a twin is confirmed, by leaving it out and asking what is missing.
 
     ``grade``: ``law-confirmed`` and the like; else what a diagnosis without it says.
@@ -111,7 +167,7 @@ class Correction:
     frozen: TwinBundle
     version: RegisteredVersion
     verdict: str
-    gradings: tuple[_Grading, ...]
+    gradings: tuple[Grading, ...]
     objections: tuple[str, ...]
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
@@ -155,64 +211,53 @@ def correct(
     correction.
     """
     on = chosen(twins.home, twins.newest(name), "twin_correction", campaign)
-    seen = seen_on(twins, name, on)
-    twin, obs = seen.twin, seen.obs
-    require_uncorrected(obs.campaign)
-    diagnosis = seen.lacks(None, seed)
-    way = kind_named(obs.grid.kind).twin_correction()
-    frozen = way.freeze(twin, obs, twins.home)
-    gradings = tuple(_grading(term, seen, seen.lacks(term, seed), way) for term in frozen.twin.terms)
-    objections = tuple(_objections(diagnosis, gradings, frozen.twin, seen, way))
-    if objections and not trial:
+    case = kind_named(Lake(twins.home.lake).campaign(on).kind).twin_correction().case(twins, name, on, seed)
+    twin = case.frozen.twin
+    if case.objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
             code="correct.not_confirmed",
             where=f"twin {name} version {twin.version}",
-            got="; ".join(objections),
-            allowed=f"nothing missing, and every corrected effect {way.grades[0]}",
-            hint=_advice(name, gradings, frozen.twin, obs) + "; --trial registers it for a trial only",
+            got="; ".join(case.objections),
+            allowed=f"nothing missing, and {case.confirms}",
+            hint=f"{case.advice()}; --trial registers it for a trial only",
         )
-    left = _left(diagnosis, seen.whole, way)
-    judged = way.judge(frozen, seen, twins.home)
-    by_others = _by_others(frozen, seen)
-    report = _report(frozen, judged, twin, obs, seed)
+    judged, by_others = case.judge(), case.by_others()
+    report = _report(case, judged, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
-    version = registry.register(
-        report, ids[report.proposed], report.candidates[0], _description(frozen, diagnosis, objections, left, by_others)
-    )
-    geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
+    version = registry.register(report, ids[report.proposed], report.candidates[0], _description(case, by_others))
     registry.attach(
         version,
         {
-            "geometry.json": json.dumps(geometry, default=str),
+            "geometry.json": json.dumps(dict(case.geometry), default=str),
             CONDITIONS_FILE: json.dumps(judged.conditions),
-            "terms.json": json.dumps([vars(t) for t in frozen.terms], indent=1),
+            "terms.json": json.dumps([vars(t) for t in case.frozen.terms], indent=1),
         },
     )
     tags = {"twin": twin.name, "twin_version": str(twin.version), "twin_campaign": twin.campaign}
-    if objections:
-        tags[TRIAL_ONLY] = "; ".join(objections)[:500]
+    if case.objections:
+        tags[TRIAL_ONLY] = "; ".join(case.objections)[:500]
     registry.mark(version, tags)
     version = registry.version(version.machine, version.version)
     _, gates = check_version(registry, version)
     return Correction(
-        frozen=frozen,
+        frozen=case.frozen,
         version=version,
-        verdict=diagnosis.verdict,
-        gradings=gradings,
-        objections=objections,
+        verdict=case.verdict,
+        gradings=case.gradings,
+        objections=case.objections,
         gates=tuple(gates),
-        predicted=tuple(_predicted(frozen, obs)),
-        virtual=bool(geometry.get("virtual", False)),
-        left=left,
+        predicted=case.predicted,
+        virtual=bool(case.geometry.get("virtual", False)),
+        left=case.left,
         by_others=by_others,
     )
 
 
-def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Observations) -> str:
+def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
     """Name the first thing to do: take out the weakest effect that is not needed, or look again."""
-    idle = {g.label for g in gradings if g.grade == _NOT_NEEDED}
+    idle = {g.label for g in gradings if g.grade == NOT_NEEDED}
     unneeded = [t for t in corrected.terms if t.label in idle]
     if not unneeded:
         return f"dtwin twin diagnose {name}"
@@ -228,28 +273,28 @@ def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Obser
     return f"dtwin twin remove {name} {weakest.effect.name}{axis}"
 
 
-def _grading(term: Term, seen: Seen, without: Diagnosis, way: TwinWay) -> _Grading:
+def _grading(term: Term, seen: Seen, without: Diagnosis, way: TwinWay) -> Grading:
     """Say whether an effect that was left out is found again, and its law confirmed; by any of the tests, where there are several."""
     if without.verdict in way.quiet:
-        return _Grading(term.label, _NOT_NEEDED, False)
+        return Grading(term.label, NOT_NEEDED, False)
     key = key_of(term)
     group = next((g for g in without.found if any(seen.key_of(s) == key for s in g)), None)
     if group is None or without.verdict not in _NAMED:
-        return _Grading(term.label, f"not found again: {without.verdict}", False)
+        return Grading(term.label, f"not found again: {without.verdict}", False)
     if len(group) > 1:
         alike = ", ".join(s.label for s in group if seen.key_of(s) != key)
-        return _Grading(term.label, f"not told from {alike or 'others'}", False)
+        return Grading(term.label, f"not told from {alike or 'others'}", False)
     own, (cause, axis) = group[0].grade, key
     tests = without.tests if isinstance(without, SeveralDiagnosis) else ()
     every = [s for test in tests for g in test.found.found for s in g]
     # A circle shows the difference of its two axes, of which another test tells one.
     mine = [s for s in every if seen.key_of(s)[0] == cause and axis in (s.axis, *AXES_OF.get(s.axis, ()))]
     grade = next((s.grade for s in mine if s.grade in way.grades), own)
-    return _Grading(term.label, str(grade), grade in way.grades)
+    return Grading(term.label, str(grade), grade in way.grades)
 
 
 def _objections(
-    diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, seen: Seen, way: TwinWay
+    diagnosis: Diagnosis, gradings: Sequence[Grading], corrected: Twin, seen: Seen, way: TwinWay
 ) -> list[str]:
     out = []
     if diagnosis.verdict not in way.quiet and not _left(diagnosis, seen.whole, way):
@@ -297,22 +342,23 @@ def _by_others(frozen: TwinBundle, seen: Seen) -> _ByOthers | None:
     return _ByOthers(others, before, after, unknown)
 
 
-def _report(frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int) -> TrainingReport:
-    out = (t for t in frozen.terms if not t.included)
+def _report(case: Case, judged: Judged, seed: int) -> TrainingReport:
+    twin = case.frozen.twin
+    out = (t for t in case.frozen.terms if not t.included)
     findings = (f"{t.label} is not corrected: {t.how}" for t in out)
     candidate = replace(
         judged.candidate,
         findings=(*findings, *judged.candidate.findings),
-        numbers={**judged.candidate.numbers, "terms": float(len(frozen.twin.terms))},
+        numbers={**judged.candidate.numbers, "terms": float(len(twin.labels))},
     )
     return TrainingReport(
         machine=twin.machine,
         campaign=twin.campaign,
-        table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)},
+        table_versions={k: v for k, v in case.data.items() if isinstance(v, int)},
         noise_floor_um=judged.noise_floor_um,
         rms_before_um=judged.rms_before_um,
-        n_runs=len(set(obs.run_of.tolist())),
-        n_rows=obs.n_rows,
+        n_runs=case.size[0],
+        n_rows=case.size[1],
         candidates=(candidate,),
         proposed=candidate.name,
         seed=seed,
@@ -337,21 +383,19 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
     return out
 
 
-def _description(
-    frozen: TwinBundle, diagnosis: Diagnosis, objections: Sequence[str], left: str, by_others: _ByOthers | None
-) -> str:
-    twin = frozen.twin
+def _description(case: Case, by_others: _ByOthers | None) -> str:
+    twin = case.frozen.twin
     others = f", fitted with {', '.join(by_others.campaigns)}" if by_others else ""
     lines = [
-        f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{diagnosis.verdict}`, "
+        f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{case.verdict}`, "
         f"on `{twin.campaign}`{others}.",
         "",
-        *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in frozen.terms),
+        *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in case.frozen.terms),
     ]
     if by_others:
         lines += ["", by_others.told(twin.campaign)]
-    if left:
-        lines += ["", f"Left: {left}"]
-    if objections:
-        lines += ["", "**For a trial only:** " + "; ".join(objections)]
+    if case.left:
+        lines += ["", f"Left: {case.left}"]
+    if case.objections:
+        lines += ["", "**For a trial only:** " + "; ".join(case.objections)]
     return "\n".join(lines)

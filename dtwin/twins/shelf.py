@@ -164,6 +164,11 @@ class TwinShelf:
             write_document(diagnosis_path(self._file(document)), document, "the twin")
             self._tell(document["twin"], at_once=at_once)
 
+    def kept_diagnosis(self, name: str, version: int) -> dict[str, Any] | None:
+        """Return the diagnosis that is kept beside a version; None without."""
+        path = diagnosis_path(self.folder(name) / f"{version_name(version)}.json")
+        return read_document(path) if path.exists() else None
+
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return every rung of a twin, oldest first.
 

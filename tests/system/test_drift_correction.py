@@ -132,6 +132,25 @@ def test_a_log_is_trained_tried_and_takes_the_drift_of_another_day(home: Path) -
     assert (refused.exit_code, refused.exception.code) == (1, "evidence.real")
 
 
+def test_a_twin_of_a_log_is_a_correction_once_nothing_is_missing_and_nothing_idle(home: Path) -> None:
+    said("ingest", str(write(home / "warm", {"monday": machine(1), "tuesday": machine(2, 4.0)})))
+    said("twin", "fit", "warm", "--effects", "follows@skin,follows@bed", "--name", "column")
+    refused = CliRunner().invoke(app, ["twin", "correct", "column"])
+    assert (refused.exit_code, refused.exception.code) == (1, "correct.not_confirmed")
+    assert "lag@skin" in refused.exception.got
+    said("twin", "add", "column", "lag@skin")
+    made = said("twin", "correct", "column")
+    assert (made["objections"], made["verdict"], made["trial_only"]) == ([], "nothing_missing", False)
+    assert {g["label"]: g["confirmed"] for g in made["grades"]} == {"lag@skin": True, "follows@bed": True}
+    told = {one["condition"]: one["rms_predicted_um"] / one["rms_before_um"] for one in made["predicted"]}
+    assert set(told) == {"log monday-log", "log tuesday-log"}
+    assert max(told.values()) < 0.06
+    registry = Registry(home_of())
+    bundle = Bundle.from_dict(registry.bundle(registry.version("mill-d", made["version"])))
+    before, after = left_um(bundle, machine(5, 3.0), 7, machine(1)[3][0])
+    assert after < 0.06 * before
+
+
 def test_logs_that_name_no_axis_cannot_correct_one(home: Path) -> None:
     folder = write(home / "warm", {"monday": machine(1, 3.0)}, condition="")
     said("ingest", str(folder))
@@ -140,6 +159,9 @@ def test_logs_that_name_no_axis_cannot_correct_one(home: Path) -> None:
     assert "which axis moved" in kind.training_obstacle(lake.runs("warm"))
     with pytest.raises(InputError, match="which axis moved"):
         kind.training()(lake, "warm")
+    said("twin", "fit", "warm", "--effects", "follows", "--name", "column")
+    refused = CliRunner().invoke(app, ["twin", "correct", "column", "--trial"])
+    assert refused.exception.code == "correct.axis"
 
 
 def test_warm_ups_by_turns_make_a_correction_champion(home: Path) -> None:

@@ -121,7 +121,7 @@ def test_mistakes_are_refused_with_the_reason() -> None:
     assert refused("twin", "compare", "wrong", "--on", "bar").code == "twin.kind"
     assert refused("twin", "add", "wrong", "backlash:X").code == "effect.unknown"
     assert refused("twin", "remove", "wrong", "joint_zero").code == "twin.no_effect"
-    refusal = refused("twin", "correct", "wrong")
+    refusal = refused("twin", "correct", "wrong", "--on", "tracker")
     assert (refusal.code, refusal.got) == ("kind.not_offered", "poses")
     assert "dtwin export" in str(refusal.hint)
     assert refused("twin", "fit", "bar", "tracker", "--name", "no", "--robust").code == "twin.robust"

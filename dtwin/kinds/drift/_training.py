@@ -82,14 +82,14 @@ def train_drift(
     tell("candidates", 2, 2, "what that lacks")
     forms = {"temperatures at once": base, **({"temperatures late": steps[-1].fitted} if steps else {})}
     (axis,) = axes
-    made = [_candidate(title, found, series, campaign.machine, axis, versions) for title, found in forms.items()]
+    made = [log_candidate(title, found, series, campaign.machine, axis, versions) for title, found in forms.items()]
     candidates = sorted([_zero(series), *made], key=lambda c: c.held_out.rms_um)
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
         table_versions=versions,
         noise_floor_um=series.floor_um,
-        rms_before_um=rms(_moved(series)),
+        rms_before_um=rms(moved_since(series)),
         n_runs=len(runs),
         n_rows=len(series.t_s),
         candidates=tuple(candidates),
@@ -150,7 +150,7 @@ def drift_bundle(
     inputs = [_input(channel, series.temperatures_c[channel]) for channel in channels]
     if late:
         inputs.append(Input(_TIME, "s", "none", _RATE_HZ, "controller", 0.0, 1e11))
-    largest = float(np.abs(_moved(series)).max())
+    largest = float(np.abs(moved_since(series)).max())
     return create_bundle(
         corrects="drift",
         name=name.replace(" ", "-"),
@@ -170,9 +170,10 @@ def _input(channel: str, values: Floats) -> Input:
     return Input(channel, "degC", "none", _RATE_HZ, "covariate", low, high)
 
 
-def _candidate(
+def log_candidate(
     title: str, model: Fitted, series: Series, machine: str, axis: str, table_versions: Mapping[str, int]
 ) -> Candidate:
+    """Return a model of a log as an equation, judged by stretches of time that were left out of its fit."""
     bundle = drift_bundle(model, series, title, machine, axis, table_versions) if model.terms else None
     equation = " ".join(f"{v:+.4g} µm/K {t.label}" for t, v in zip(model.terms, model.value[1:], strict=True))
     return Candidate(
@@ -189,17 +190,17 @@ def _candidate(
 
 
 def _zero(series: Series) -> Candidate:
-    moved = _moved(series)
+    moved = moved_since(series)
     return Candidate("zero", "baseline", False, 0, {HELD_OUT: _scores(series, moved)}, rms(moved))
 
 
-def _moved(series: Series) -> Floats:
+def moved_since(series: Series) -> Floats:
     """Return how far the place has moved since the log began."""
     return series.moved_um - float(series.moved_um[series.t_s == series.t_s[0]].mean())
 
 
 def _scores(series: Series, left: Floats) -> Scores:
-    moved = _moved(series)
+    moved = moved_since(series)
     usual = rms(moved)
     ratios = {}
     for block in np.unique(series.block):

@@ -30,7 +30,6 @@ class _Drift(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects follows --name NAME fits a twin of drift",
         "laws": "dtwin twin discover TWIN adds every sensor that the log follows; dtwin train CAMPAIGN makes an equation",
-        "twin_correction": "dtwin train CAMPAIGN makes the same terms an equation",
     }
     places: ClassVar[Mapping[str, str]] = {
         "machines": "_machines:MACHINES",
@@ -43,6 +42,7 @@ class _Drift(Kind):
         "training": "_training:train_drift",
         "training_obstacle": "_training:obstacle",
         "gates": "_training:drift_gates",
+        "twin_correction": "_correction:WAY",
         "run_errors": "_evidence:drift_errors",
         "champion_error": "_champion:logs_error",
         "held_out": "_champion:logs_held_out",

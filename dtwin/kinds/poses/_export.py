@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses._data import chain_in
-from dtwin.kinds.poses._twins import PoseTwin
+from dtwin.kinds.poses._twins import PoseTwin, PoseTwins
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.export import Export
 from dtwin.schema import Floats
@@ -67,7 +67,30 @@ def export_twin(home: Home, twin: PoseTwin, form: str) -> Export:
     arm = _arm(twin, chain_in(run), held)
     unknown = sum(p["value"] is None for p in twin.document["parameters"])
     notes = [_NOT_LOADED, *([f"{unknown} parameters cannot be told and are left as they were"] if unknown else [])]
+    notes += _confirmed(home, twin)
     return Export(write(arm), {"joints": len(arm.rows)}, left_out, tuple(notes), twin.version, twin.machine)
+
+
+def _confirmed(home: Home, twin: PoseTwin) -> list[str]:
+    """Return what poses that were held out say of a twin, by its newest diagnosis where that is of this version."""
+    figures = twin.figures
+    told = [
+        f"poses held out: mean error {figures['mean_before_mm']:z.3g} -> {figures['held_out_mean_mm']:z.3g} mm"
+        " (unit of replication: the block of neighbouring poses)"
+    ]
+    kept = PoseTwins(home).kept_diagnosis(twin.name, twin.version)
+    # Of a twin of several kinds the part that is of these poses.
+    said = next(
+        (one for one in (kept or {}).get("members", [kept]) if one and twin.campaign in one.get("of", twin.campaigns)),
+        None,
+    )
+    if said is None:
+        return [*told, f"not confirmed: dtwin twin diagnose {twin.name} has not been asked of this version"]
+    if nested := said.get("nested_mean_mm"):
+        told.append(f"poses held out of the choice of effects, too: {nested:z.3g} mm")
+    doubts = [] if said["verdict"] == "nothing_missing" else [f"{said['verdict']}: {said['headline']}"]
+    doubts += [f"pays nothing beside the others: {', '.join(said['idle'])}"] if said["idle"] else []
+    return [*told, *(f"not confirmed: {doubt}" for doubt in doubts)]
 
 
 def _arm(twin: PoseTwin, chain: Floats, held: set[str]) -> _Arm:

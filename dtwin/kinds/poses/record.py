@@ -34,7 +34,8 @@ class _Poses(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
         "laws": "dtwin twin discover TWIN adds every effect that the poses tell",
-        "twin_correction": "dtwin export TWIN --as dh writes the corrected geometry of the arm",
+        "twin_correction": "an arm takes corrected geometry, and no offset while it moves: dtwin export TWIN --as dh; measure "
+        "again, then dtwin twin confirm TWIN EFFECT --after CAMPAIGN",
     }
     places: ClassVar[Mapping[str, str]] = {
         "takes_alone": "_read:is_pose_table",

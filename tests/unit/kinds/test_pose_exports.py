@@ -194,3 +194,16 @@ def test_what_a_form_cannot_hold_is_refused(home: Home) -> None:
         export_twin(home, "plain", "urdf", "other")
     assert export_twin(home, "plain", "urdf", "arm") is not None
     assert export_twin(home, "latest", "urdf") is None
+
+
+def test_what_poses_held_out_say_of_the_twin_is_written_beside_the_file(home: Home) -> None:
+    twins = PoseTwins(home)
+    twins.fit("c", GEOMETRY, "asked")
+    assert (
+        "not confirmed: dtwin twin diagnose asked has not been asked of this version" in made(home, "asked", "dh").notes
+    )
+    twins.diagnose("asked")
+    notes = made(home, "asked", "dh").notes
+    assert any(note.startswith("poses held out: mean error ") for note in notes)
+    (doubt,) = [note for note in notes if note.startswith("not confirmed")]
+    assert "need_repeats" in doubt
