@@ -48,6 +48,14 @@ def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: i
     return digest.hexdigest()
 
 
+def made_from_rows(path: Path, rows: Sequence[Mapping[str, Any]], seed: int) -> str:
+    """Return the same of a campaign that has no grid; ``rows``: its runs in the lake, with all that is said of them."""
+    digest = hashlib.sha256(path.read_bytes())
+    digest.update(repr(([sorted(row.items()) for row in rows], seed)).encode())
+    digest.update(_code())
+    return digest.hexdigest()
+
+
 def is_built_in(library: Mapping[str, Effect]) -> bool:
     """Tell whether all effects are dtwin's own."""
     return all(effect.regressors.__module__.startswith(f"{dtwin.__name__}.") for effect in library.values())
@@ -70,6 +78,15 @@ def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
     documents = _stored(path).get(ALONE, [])
     found = {document.get(MADE_FROM): document for document in documents}
     return [_diagnosis(found[one]) if one and one in found else None for one in check_sums]
+
+
+def kept_document(path: Path, check_sums: Sequence[str]) -> dict[str, Any]:
+    """Return what is stored of the diagnosis of a twin of several kinds; empty where it was made from something else.
+
+    ``check_sums``: of each fit.
+    """
+    document = _stored(path) if all(check_sums) else {}
+    return document if document.get(MADE_FROM) == list(check_sums) else {}
 
 
 def _stored(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dtwin.physics.agreed import Sizes
@@ -16,6 +17,7 @@ from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import sizes_of, with_sizes
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
+from dtwin.twins._kept_diagnosis import made_from
 from dtwin.twins.measured import Loaded
 from dtwin.twins.members import Cause, Member, Told, Version, known_to
 from dtwin.twins.several import SeveralComparison
@@ -44,6 +46,11 @@ class PathMember(Member):
         chosen = ((one, rows(one.obs)) for one in self._loaded)
         kept = [replace(one, obs=one.obs.take(own)) for one, own in chosen if len(own)]
         return PathMember(self._twins, kept) if kept else None
+
+    def made_from(self, path: Path, seed: int) -> str:
+        """Return a check sum of all that a diagnosis of these tests depends on; empty with effects of others."""
+        sums = [made_from(path, one, self.library, seed) for one in self._loaded]
+        return " ".join(sums) if all(sums) else ""
 
     def named(self, effect: str, axis: str = "") -> Sequence[Term]:
         return machine_terms([effect], self.library, self.observations, axis)

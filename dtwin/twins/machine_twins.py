@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, cast
 
 from dtwin.config import Home
@@ -16,6 +17,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.schema import require_name
+from dtwin.twins._kept_diagnosis import MADE_FROM, kept_document, made_from_rows
 from dtwin.twins._path_member import PathMember
 from dtwin.twins._recorded import recorded
 from dtwin.twins._stored import contradictions_from
@@ -31,7 +33,7 @@ from dtwin.twins.machine_twin import (
     shared_of,
     size_of,
 )
-from dtwin.twins.members import Cause, HasMembers, Member, Version, known_to, widened
+from dtwin.twins.members import Cause, HasMembers, Member, Version, known_to, told_from, widened
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
@@ -288,11 +290,23 @@ class MachineTwins(TwinShelf):
     def _diagnosed(self, twin: MachineTwin, members: Sequence[Member], seed: int) -> MachineDiagnosis:
         for member in members:
             require_same_machine(twin.name, twin.machine, ", ".join(member.campaigns), member.machine)
+        path = self.newest_document(twin.name, twin.version)[1]
+        check_sums = [self._made_from(path, member, seed) for member in members]
+        if kept := kept_document(path, check_sums):
+            return MachineDiagnosis(twin, tuple(members), tuple(map(told_from, kept["members"], kept["told"])))
         told = [member.told(part, seed) for member, part in zip(members, twin.members, strict=True)]
         said = MachineDiagnosis(twin, tuple(members), tuple(told))
         named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **said.as_dict()})
+        groups = [{"found": one.found, "surely": one.surely, "idle": one.idle} for one in told]
+        self.store_diagnosis({**named, MADE_FROM: check_sums, "told": groups, **said.as_dict()})
         return said
+
+    def _made_from(self, path: Path, member: Member, seed: int) -> str:
+        """Return a check sum of all that the diagnosis of a fit depends on; empty where nobody knows."""
+        if isinstance(member, PathMember):
+            return member.made_from(path, seed)
+        lake = Lake(self.home.lake)
+        return made_from_rows(path, [row for name in member.campaigns for row in lake.runs(name)], seed)
 
     def _store(self, name: str, members: Sequence[Member], terms: _Terms, action: str) -> MachineTwin:
         twin = self._made(name, members, terms, action)

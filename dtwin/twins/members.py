@@ -38,6 +38,12 @@ class Told:
     idle: tuple[str, ...] = ()
 
 
+def told_from(result: Mapping[str, Any], groups: Mapping[str, Any]) -> Told:
+    """Return what was told before, from how it was stored."""
+    found, surely = (tuple(map(tuple, groups[name])) for name in ("found", "surely"))
+    return Told(dict(result), found, surely, tuple(groups["idle"]))
+
+
 class Member(ABC):
     """Campaigns of one kind, loaded, in a twin of several kinds.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from command_here import printed, refused, said
@@ -10,10 +12,13 @@ from starlette.testclient import TestClient
 
 from dtwin.acquire.ingest import ingest
 from dtwin.config import Home
+from dtwin.kinds.drift._twins import DriftTwins
+from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.several_twin import SeenTwin
 from dtwin.twins.of_kind import twins_with
 from dtwin.twins.seen import seen_on
+from dtwin.twins.term_twins import TermTwins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
@@ -83,14 +88,29 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
     assert "left out, ambient_growth" in rows
 
 
-def test_each_kind_finds_what_it_can_show() -> None:
+def test_each_kind_finds_what_it_can_show(monkeypatch: pytest.MonkeyPatch) -> None:
     printed("twin", "fit", "tracker", "room", "--name", "each")
     found = said("twin", "discover", "each")
     assert found["final"]["verdict"] == "nothing_missing"
     added = " ".join(found["added"])
     assert added.count("joint_zero") == 3
     assert all(name in added for name in ("ambient_growth", "follows@frame", "follows@motor"))
-    assert [m["kind"] for m in said("twin", "diagnose", "each")["members"]] == ["poses", "drift"]
+    asked: list[str] = []
+
+    def anew(twins: TermTwins[Any, Any, Any, Any], loaded: Any, terms: Any) -> Any:
+        asked.append(twins.named)
+        return diagnosed[type(twins)](twins, loaded, terms)
+
+    diagnosed = {kind: kind.diagnosed for kind in (PoseTwins, DriftTwins)}
+    for kind in diagnosed:
+        monkeypatch.setattr(kind, "diagnosed", anew)
+    kept = said("twin", "diagnose", "each")
+    assert ([m["kind"] for m in kept["members"]], kept["verdict"]) == (["poses", "drift"], "nothing_missing")
+    assert asked == [], "it was found out before"
+    # Of other rows, or told otherwise, it is found out anew, and is the same.
+    printed("amend", "room", "--set", "instrument.note=probe 2", "--because", "it was another")
+    assert said("twin", "diagnose", "each") == kept
+    assert asked == ["poses", "drift"]
 
 
 def test_the_loop_takes_a_cause_everywhere_and_names_who_contradicts(home: Home) -> None:
