@@ -37,7 +37,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import DIRECTION, bare, beside_way, blocks, deviates, way_of
+from dtwin.kinds.circular._circle_ways import DIRECTION, bare, beside_way, blocks, deviates, may_be_gon, way_of
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -126,6 +126,9 @@ def read_circle_runs(
             got = f"{columns[i].head}: {columns[i].why_not}" if columns[i].unit else columns[i].head
             raise _wrong("a column tells no unit that is known", path, got, "such as ccw [µm], angle [deg], X [mm]")
     values = {i: _numbers(body, i, columns[i]) for i in needed}
+    if form.angle is not None and may_be_gon(columns[form.angle], values[form.angle]):
+        got = f"{columns[form.angle].head}: angles over 400, a whole turn in gon"
+        raise _wrong("angles in Grad may be degrees or gon", path, got, "Winkel [gon], or Winkel [°]")
     beside = {i: c.name for i, c in enumerate(columns) if i not in needed and c.name and not _COMMANDED.search(bare(c))}
     kept = {name: _numbers(body, i, columns[i], as_it_is=True) for i, name in beside.items()}
     rejects = [

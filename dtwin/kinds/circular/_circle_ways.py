@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
-from dtwin.schema import Direction
+from dtwin.schema import Direction, Floats
 
 _SPELT = (
     (
@@ -101,3 +101,12 @@ def beside_way(name: str) -> tuple[str, list[int]]:
     return " ".join(word for word in rest if word and word not in _WAYS), [
         int(n) for n in re.findall(r"\d+", " ".join(words))
     ]
+
+
+def may_be_gon(column: Column, angle_deg: Floats) -> bool:
+    """Tell whether angles whose head says ``Grad``, which is a degree or 1/400 of a turn, run over 400 of it, as a whole turn in gon does."""
+    there = angle_deg[np.isfinite(angle_deg)]
+    if not re.search(r"\bgrad\b", column.head + " " + column.unit, re.I) or there.size < 2:
+        return False
+    span = float(np.ptp(there))
+    return 400.0 - 1.5 * float(np.median(np.abs(np.diff(there)))) <= span <= 400.0 * (1.0 + 1e-6)

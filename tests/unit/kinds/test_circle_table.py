@@ -95,6 +95,15 @@ def test_degrees_in_german_and_gon(tmp_path: Path, head: str, per_deg: float) ->
     assert run.samples["angle_deg"] == pytest.approx(ANGLE, abs=1e-5)
 
 
+def test_a_turn_of_400_under_grad_is_asked_back(tmp_path: Path) -> None:
+    turn = np.linspace(0.0, 360.0, 181)
+    for head, angle in (("Winkel [Grad]", turn / 0.9), ("Winkel [Grad]", turn[:-1] / 0.9)):
+        with pytest.raises(InputError, match="may be degrees or gon"):
+            read(tmp_path / "a.csv", table(f"{head},ccw [µm]", angle, error_um(angle * 0.9, 1.0)))
+    (run,) = read(tmp_path / "b.csv", table("Winkel [gon],ccw [µm]", turn / 0.9, error_um(turn, 1.0)))
+    assert np.ptp(run.samples["angle_deg"]) == pytest.approx(360.0)
+
+
 def test_a_column_of_radii_that_is_not_the_one_that_is_told_is_an_error(tmp_path: Path) -> None:
     text = table("t_s,angle_deg,deviation_um,radius_mm", ANGLE, ANGLE, error_um(ANGLE, 1.0), ANGLE * 0.0 + 100.0)
     (run,) = read(tmp_path / "a.csv", text)
