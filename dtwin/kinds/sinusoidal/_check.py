@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.acquire.quality import judge_clock
 from dtwin.errors import InputError
-from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
+from dtwin.features.sine import Tone, ToneErrors, fit_tone, lag_deg, tone_errors
 from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 from dtwin.units import G_MM_S2, UM_PER_MM, is_number
@@ -26,6 +26,8 @@ _LEAST_MOVED, _MOST_MOVED = 0.2, 20.0
 """Of the encoder's amplitude: what a tool moves by, beside a resonance, too."""
 _AGAINST_DEG = 150.0
 """No slide turns a tone below its bandwidth by as much."""
+_AHEAD_DEG = 0.2
+"""No slide is as much before its command; one with feed forward has the amplitude of the command, too."""
 # Between the halves of a run; of a tone that is told to the last digit it moves by what the command is quantised by.
 _STEADY_DEG = 5.0
 _FEWEST_PERIODS = 4.0
@@ -209,6 +211,7 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
         )
     else:
         findings += _frequency(run, told)
+    findings += _exchanged(run, told, tone)
     if "tool_z_mm" not in run.samples:
         findings.append(
             Finding(
@@ -230,6 +233,24 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
         said = f"the tool moves {ratio:z.3g} times as far as the encoder: another unit, or the tool's error in place of its position"
         findings.append(Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio}))
     return findings
+
+
+def _exchanged(run: Run, told: Commanded, command: Tone) -> list[Finding]:
+    """Tell command and encoder apart: a slide follows its command, which has the stated amplitude."""
+    encoder = fit_tone(run.samples["t_s"], run.samples["act_z_mm"] * UM_PER_MM, told.frequency_hz)
+    if min(command.share, encoder.share) < _SAME_TONE:
+        return []
+    ahead_deg = -lag_deg(command, encoder)
+    noise = sum((one.rest_rms / one.amplitude) ** 2 for one in (command, encoder))
+    surely_deg = max(_AHEAD_DEG, 5.0 * float(np.degrees(np.sqrt(2.0 * noise / len(run.samples["t_s"])))))
+    off_um = [abs(one.amplitude - told.amplitude_um) for one in (command, encoder)]
+    if not (surely_deg < ahead_deg < _AGAINST_DEG and off_um[1] < off_um[0]):
+        return []
+    said = (
+        f"act_z_mm runs {ahead_deg:z.2g}° ahead of cmd_z_mm, and its {encoder.amplitude:z.4g} µm are nearer to the stated {told.amplitude_um:g} µm than "
+        f"{command.amplitude:z.4g} µm: command and encoder are exchanged"
+    )
+    return [Finding("sinusoidal.exchanged", "error", said, {"phase_deg": ahead_deg})]
 
 
 def _frequency(run: Run, told: Commanded) -> list[Finding]:

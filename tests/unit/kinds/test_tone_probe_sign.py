@@ -24,6 +24,21 @@ def test_a_probe_of_the_opposite_sign_or_another_size_is_an_error(sign: float, s
     assert {f.code for f in judge_sinusoidal_run(run) if f.severity == "error"} == said
 
 
+@pytest.mark.parametrize(("lag", "gain", "exchanged"), [(0.02, 0.98, True), (0.6, 0.7, True), (-0.01, 1.001, False)])
+def test_an_encoder_ahead_of_its_command_is_the_command(lag: float, gain: float, exchanged: bool) -> None:
+    t_s, turn = np.arange(0.0, 7.0, 0.001), 2.0 * np.pi * 5.0
+    noise_mm = np.random.default_rng(3).normal(0.0, 2e-5, t_s.size)
+    told, follows = 0.02 * np.sin(turn * t_s), gain * 0.02 * np.sin(turn * t_s - lag) + noise_mm
+    condition = {"frequency_hz": 5.0, "amplitude_um": 20.0}
+    found = []
+    for command, encoder in ((told, follows), (follows, told)):
+        samples = {"t_s": t_s, "cmd_z_mm": command, "act_z_mm": encoder}
+        run = Run(RunMeta("f5", kind="sinusoidal", condition=condition), samples)
+        found.append("sinusoidal.exchanged" in {f.code for f in judge_sinusoidal_run(run)})
+    # One with feed forward may be ahead a little.
+    assert found == [False, exchanged]
+
+
 def _with_accelerometer(scale: float = 1.0, begins_s: float = 0.0) -> Run:
     """Return a tone of 20 µm at 5 Hz; its accelerometer reads g times ``scale``, its probe's clock begins at ``begins_s``."""
     t_s, turn = np.arange(0.0, 7.0, 0.001), 2.0 * np.pi * 5.0
