@@ -13,6 +13,9 @@ _AXIS = r"(?:axis|achse|axe|asse|eje)"
 _TITLE = re.compile(
     rf"(?:{_AXIS}[\s.:_#-]*([xyzabcuvw]\d?|\d)|([xyzabcuvw]\d?|\d)[\s._-]*{_AXIS})(?:[\s,:;(-].*)?", re.I
 )
+AXIS_OF_ROW = re.compile(rf"{_AXIS}|coordinate|koordinate|component|komponente", re.I)
+"""Head of a column that says of which axis a row is."""
+_MOST_TITLES = 20
 _BARE = re.compile(r"[xyzabcuvw]\d?", re.I)
 AXIS_CHOSEN = "file.axis"
 """Code of the finding that the file holds other axes, too: a run of it cannot be called one of another axis afterwards."""
@@ -77,3 +80,14 @@ def require_axis(told: Sequence[str], axis: str, path: Path) -> None:
             allowed="one of them, one campaign each" if several else "the axis that was measured",
             hint=f"--axis {one}",
         )
+
+
+def axis_by_row(rows: Sequence[Sequence[str]]) -> tuple[int, int] | None:
+    """Return the row of the heads and the column of the axis in a table whose rows tell X, Y and Z of one place after the other; None of another."""
+    for begin, row in enumerate(rows[:_MOST_TITLES]):
+        axis = next((n for n, cell in enumerate(row) if AXIS_OF_ROW.fullmatch(cell.strip())), None)
+        if axis is not None:
+            below = [line[axis].strip().upper() for line in rows[begin + 1 : begin + 6] if axis < len(line)]
+            told = [cell for cell in below if cell in ("X", "Y", "Z")][:3]
+            return (begin, axis) if len(set(told)) == 3 else None
+    return None

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.axis_titles import AXIS_CHOSEN, part_of_axis, parts_by_axis, require_axis
+from dtwin.acquire.axis_titles import AXIS_CHOSEN, axis_by_row, part_of_axis, parts_by_axis, require_axis
 from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_text, has_other_axes, table_bytes
@@ -103,6 +103,10 @@ def axis_turns(path: Path) -> bool | None:
         return assigned_unit(text) in ANGLES_DEG
     text = angles_as_targets(next(iter(parts_by_axis(text).values()), text))
     rows = with_degrees(rows_of(text))
+    words = [cell for row in rows[:MOST_TITLES] for cell in row if number_or_none(cell) is None]
+    if axis_by_row(rows) is not None and not any(map(way_of, words)):
+        # Places in space: no axis moved alone.
+        return None
     tables: list[Sequence[Sequence[str]]] = [
         with_degrees(table.rows) for table in report_tables(text, rows) or instruments_beside(rows)
     ]

@@ -31,6 +31,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
 from dtwin.errors import InputError
+from dtwin.kinds.poses._axis_rows import axes_beside, is_by_axes
 from dtwin.kinds.poses._foreign import NO_UNIT, joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
 from dtwin.kinds.poses._repeats import no_commanded, repeated_places
@@ -144,6 +145,8 @@ def is_pose_table(path: Path) -> bool:
     if path.suffix.lower() not in (".csv", *SPREADSHEETS) or not path.is_file():
         return False
     rows = first_rows(path, _MOST_BYTES)
+    if is_by_axes(rows):
+        return True
     heads = _headed(rows, {}, path)[0]
     if joined(rows) is not None or of_ros(heads) or repeated_places(rows):
         return True
@@ -156,7 +159,7 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
     recipe = campaign.instrument.get("columns", {})
     text = decoded(table_bytes(path, _MOST_BYTES))
     require_one_block(text, path)
-    rows = rows_of(text)
+    rows = axes_beside(rows_of(text), path)
     if not recipe and (places := repeated_places(rows)):
         raise no_commanded(path, places)
     named, heads, units, below, unit = _headed(rows, recipe, path)

@@ -15,11 +15,11 @@ from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
 _MOST_TITLES = 12
-_COUNTS = re.compile(
+COUNTS = re.compile(
     r"(repeat|repetition|cycle|run|trial|approach|wiederholung|zyklus|messung|anfahrt|lauf)([\s_.]*(no|nr|number|nummer|#))?\.?",
     re.I,
 )
-_PLACES = re.compile(
+PLACES = re.compile(
     r"(pose|point|punkt|position|target|reflector|reflektor|smr|ziel)([\s_.]*(no|nr|number|nummer|id|name|#))?\.?", re.I
 )
 _AXIS = re.compile(r"(?:measured_|meas_|actual_|ist_|position_|pos_)?([xyz])_(mm|um)")
@@ -31,18 +31,18 @@ def repeated_places(rows: Sequence[Sequence[str]]) -> Mapping[str, Floats]:
     """Return the readings (n, 3) in mm of each place of a table of repeats and measured X, Y and Z alone; else nothing."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
         heads = [cell.strip() for cell in row]
-        if not any(map(_COUNTS.fullmatch, heads)):
+        if not any(map(COUNTS.fullmatch, heads)):
             continue
         units, body = below_heads([list(line) for line in rows], begin)
         found = [_AXIS.fullmatch(column.name) for column in columns_of(heads, units, {})]
         axes = {match[1]: n for n, match in enumerate(found) if match}
         others = [h for h, match in zip(heads, found, strict=True) if h and not match]
-        known = all(_COUNTS.fullmatch(h) or _PLACES.fullmatch(h) for h in others)
+        known = all(COUNTS.fullmatch(h) or PLACES.fullmatch(h) for h in others)
         if len(axes) != 3 or sum(map(bool, found)) != 3 or not known:
             return {}
         scale = [1.0 / UM_PER_MM if found[axes[a]][2] == "um" else 1.0 for a in "xyz"]  # type: ignore[index]
         factors = [columns_of(heads, units, {})[axes[a]].factor for a in "xyz"]
-        place = next((n for n, h in enumerate(heads) if _PLACES.fullmatch(h)), None)
+        place = next((n for n, h in enumerate(heads) if PLACES.fullmatch(h)), None)
         told: dict[str, list[list[float]]] = {}
         for line in body:
             values = [number_or_none(line[axes[a]]) if axes[a] < len(line) else None for a in "xyz"]

@@ -929,3 +929,39 @@ def test_poses_under_several_speeds_or_loads_are_no_repeats(tmp_path: Path, colu
     assert (refused.value.code, refused.value.got) == ("table.several", "10, 100")
     path.write_text("\n".join([heads, *rows[:12]]), encoding="utf-8")
     assert len(read_poses(path, Campaign("a", "m", "poses"), {})[0]) == 1
+
+
+@pytest.mark.parametrize(
+    "heads", ["pose,repeat,axis,target [mm],measured [mm]", "Pose;Lauf;Achse;Soll;Abweichung [µm]"]
+)
+@pytest.mark.parametrize("by_axis", [False, True])
+def test_the_three_rows_of_a_pose_become_one(tmp_path: Path, heads: str, by_axis: bool) -> None:
+    rng = np.random.default_rng(5)
+    target = np.repeat(rng.uniform(-300.0, 300.0, (1, 12, 3)).round(3), 2, axis=0)
+    error = rng.normal(0.0, 0.05, target.shape).round(4)
+    mark, errors = (";" if ";" in heads else ","), "µm" in heads
+    rows = [
+        mark.join(
+            [
+                f"P{p + 1}",
+                str(n + 1),
+                "XYZ"[a],
+                f"{t:.3f}",
+                f"{1e3 * error[n, p, a] if errors else t + error[n, p, a]:.4f}",
+            ]
+        )
+        for (n, p, a), t in np.ndenumerate(target)
+    ]
+    rows = sorted(rows, key=lambda row: row.split(mark)[2]) if by_axis else rows
+    path = tmp_path / "poses.csv"
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert by_axis or kind_of_table(path) == "poses"
+    ((run,), _) = read_poses(path, Campaign("c", "m", "poses"), {})
+    assert np.column_stack([run.samples[f"target_{a}_mm"] for a in "xyz"]) == pytest.approx(target.reshape(-1, 3))
+    what = "error" if errors else "measured"
+    told = np.column_stack([run.samples[f"{what}_{a}_mm"] for a in "xyz"])
+    assert told == pytest.approx((error if errors else target + error).reshape(-1, 3), abs=1e-6)
+    path.write_text("\n".join([heads, *rows[:-1]]), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_poses(path, Campaign("c", "m", "poses"), {})
+    assert caught.value.code == "poses.axes"
