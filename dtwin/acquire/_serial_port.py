@@ -1,4 +1,4 @@
-"""Instruments on a serial line: numbered frames, and never a value from garbage."""
+"""Instruments on a serial line: numbered frames, and never a value from garbage; what is no finite number is none."""
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ class SerialInstrument(OpenAndClose):
         self._next: int | None = None
         self._late = 0
         self._kept: list[Frame] = []
+        self._not_finite = 0
 
     def open(self) -> None:
         """Open the port; see ``SerialLink.open``."""
@@ -58,17 +59,20 @@ class SerialInstrument(OpenAndClose):
         return Description(self.name, self._rate_hz, columns, {"port": self.link.port})
 
     def check(self) -> tuple[Finding, ...]:
-        """Return whether garbage has been seen on the line."""
-        bad = self.link.bad_frames
-        if not bad:
-            return ()
-        text = f"{bad} pieces of garbage were thrown away on the serial line"
-        return (Finding("serial.garbage", "warning", text, {"bad_frames": float(bad)}),)
+        """Return whether garbage has been seen on the line, or what is no finite number."""
+        out = []
+        if bad := self.link.bad_frames:
+            text = f"{bad} pieces of garbage were thrown away on the serial line"
+            out.append(Finding("serial.garbage", "warning", text, {"bad_frames": float(bad)}))
+        if none := self._not_finite:
+            text = f"the serial device sent {none} values that are no finite numbers: they are kept as nothing that was read"
+            out.append(Finding("serial.not_finite", "warning", text, {"values_1": float(none)}))
+        return tuple(out)
 
     def start(self) -> None:
         """Begin with the next frame that arrives."""
         self.link.discard()
-        self._next, self._late, self._kept = None, 0, []
+        self._next, self._late, self._kept, self._not_finite = None, 0, [], 0
 
     def read(self) -> Reading:
         """Return the samples that have arrived, up to the first loss, waiting for at least one."""
@@ -88,6 +92,10 @@ class SerialInstrument(OpenAndClose):
                 rows.append(self._values.unpack(frame.payload))
                 self._next = (frame.sequence + 1) % SEQUENCES
         table = np.array(rows, dtype=np.float32)
+        none = ~np.isfinite(table)
+        # An infinity would make the whole file of signals one that is not read.
+        table[none] = np.nan
+        self._not_finite += int(none.sum())
         columns = {n: table[:, place].copy() for place, n in enumerate(self._columns)}
         return Reading(columns, lost, _LOST_FRAMES if lost else "")
 

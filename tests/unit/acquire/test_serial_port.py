@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import random
 from collections.abc import Iterator
@@ -61,6 +62,14 @@ def test_garbage_and_half_frames_are_counted_and_never_values(peer: SerialPeer, 
     (finding,) = device.check()
     assert finding.code == "serial.garbage"
     assert finding.numbers["bad_frames"] == 2
+
+
+def test_what_is_no_finite_number_is_nothing_that_was_read(peer: SerialPeer, device: SerialInstrument) -> None:
+    for k, force in enumerate((1.0, math.inf, -math.inf, math.nan, 2.0)):
+        peer.send(force, 20.0, sequence=k)
+    assert values(device, 5) == pytest.approx([1.0, math.nan, math.nan, math.nan, 2.0], nan_ok=True)
+    (finding,) = device.check()
+    assert (finding.code, finding.numbers["values_1"]) == ("serial.not_finite", 3)
 
 
 def test_only_garbage_is_silence(peer: SerialPeer, device: SerialInstrument) -> None:
