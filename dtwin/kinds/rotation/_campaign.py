@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from dtwin.schema import Finding, Floats, Run
 
 _LARGE = 4.0
 _MATTERS = 0.05
+_LINEAR = 1e-3
+"""Part of what comes once per turn that probes and their mounting do not hold better: no change below it is named."""
 _SAME_ORDER = 0.02
 _APART = 0.2
 
@@ -53,6 +56,12 @@ def _judge(found: OverSpeed) -> list[Finding]:
             f"(up to {d.largest_deg:z.1f}°), a delay of the recording; it is taken out before speeds are compared"
         )
         out.append(Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms}))
+    if found.odd_wave:
+        said = (
+            f"{found.probe}: what comes {found.odd_wave} times per turn turns from speed to speed, and the rest of the form does not turn with it: a force of that order "
+            "(poles of a motor, teeth, a coupling) through a structure that lags looks so; it is not taken for a delay of the angle"
+        )
+        out.append(Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)}))
     out += _judge_once(found)
     out += _judge_mean(found)
     out += _judge_orders(found)
@@ -85,6 +94,10 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
     law = found.vector
     if not math.isfinite(found.spread_um):
         return []
+    size = max(abs(p.figures.once) for p in found.points)
+    unsure = 0.0 if found.delay is None else math.radians(found.delay.k2_ms * 6e-3 * float(_speeds(found).max()))
+    if law is not None and law.change < max(_LINEAR, unsure) * size:
+        law = replace(law, name=CONSTANT)
     changed = f"what comes once per turn changes by {found.spread_um:z.3g} µm between speeds"
     if law is None:
         return _few(found, changed, found.spread_um) if found.spread_um > _LARGE * found.noise_um else []
@@ -92,7 +105,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
     delay = (
         ""
         if found.form_known
-        else " The surface has no form that would show a delay of the angle, which turns the vector, too."
+        else " No form of the surface shows whether the angle has a delay, which turns the vector, too."
     )
     if law.name == SQUARE and found.sense != "axial":
         least = (
@@ -116,7 +129,6 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             Finding("rotation.resonance", "warning", said, {"change_um": law.change, "critical_rpm": law.critical_rpm})
         ]
     if law.name == CONSTANT:
-        size = max(abs(p.figures.once) for p in found.points)
         if found.spread_um > _matters(found.noise_um, size):
             near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too" if law.bent else ""
             said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"

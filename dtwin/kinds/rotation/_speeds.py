@@ -55,6 +55,7 @@ class Delay:
 class OverSpeed:
     """A probe over its speeds.
 
+    ``odd_wave``: how often per turn the largest wave comes, where it turns and the form does not turn with it; 0 without.
     ``vector``, ``mean``: what the once-per-turn vector and the mean reading follow; None with too few speeds, or
     without a phase.
     ``spread_um``: largest distance of two vectors, delay taken away; NaN without a phase.
@@ -66,6 +67,7 @@ class OverSpeed:
     points: tuple[Point, ...]
     delay: Delay | None
     form_known: bool
+    odd_wave: int
     vector: Law | None
     mean: Law | None
     spread_um: float
@@ -114,7 +116,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
     speed = np.array([p.speed_rpm for p in points])
     times = _times(points)
     phased = all(p.phased for p in points)
-    known, shift = form_shift(points) if phased else (False, np.zeros(len(points)))
+    known, shift, odd = form_shift(points) if phased else (False, np.zeros(len(points)), 0)
     delay = _delay(speed, shift) if known else None
     once = np.array([p.figures.once for p in points])
     if delay is not None:
@@ -131,6 +133,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
         tuple(points),
         delay,
         known,
+        odd,
         law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
         law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0, pairs=True),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
@@ -149,17 +152,33 @@ def _times(points: Sequence[Point]) -> Floats:
     return np.array([float(p.place) for p in points])
 
 
-def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
-    """Return whether the form of all runs is the same but turned, and by how many degrees from that of the slowest.
+def form_shift(points: Sequence[Point]) -> tuple[bool, Floats, int]:
+    """Return whether the form of all runs is the same but turned, by how many degrees from that of the slowest, and its odd wave.
 
-    The form is what comes 2 to 40 times per turn, features with it: unbalance has no part in it.
+    The form is what comes 2 to 40 times per turn, features with it: unbalance has no part in it. The odd wave is its largest,
+    where the others do not turn with it, and is no part of the form then; 0 where they do. A delay turns all of them, a force
+    through a structure that lags only its own.
     """
     bins = min(p.turns.read_um.shape[1] for p in points)
     orders = _FORM[bins // 4 > _FORM]
     waves = np.array([_waves(p.turns, orders) for p in points])
+    alike, shift = _turned(waves, orders)
+    if not alike or len(orders) < 4:
+        return False, shift, 0
+    largest = int(np.argmax(np.sum(np.abs(waves) ** 2, axis=0)))
+    rest_alike, rest = _turned(np.delete(waves, largest, axis=1), np.delete(orders, largest))
+    speed = np.array([p.speed_rpm for p in points])
+    apart = shift - rest if rest_alike else shift
+    if _delay(speed, apart) is None or np.ptp(apart) < 0.5 * max(np.ptp(shift), np.ptp(rest)):
+        return True, shift, 0
+    return rest_alike, rest, int(orders[largest])
+
+
+def _turned(waves: NDArray[np.complex128], orders: NDArray[np.int64]) -> tuple[bool, Floats]:
+    """Return whether waves (runs, orders) are the same but turned, and by how many degrees from those of the first run."""
     tried = np.arange(-_REACH_DEG, _REACH_DEG, 0.1)
     turned = np.exp(-1j * np.outer(np.radians(tried), orders))
-    shift, alike = np.zeros(len(points)), True
+    shift, alike = np.zeros(len(waves)), True
     for n, of in enumerate(waves):
         # From its neighbour in speed: the form turns little from one to the next.
         reference = waves[max(0, n - 1)]
@@ -173,7 +192,7 @@ def form_shift(points: Sequence[Point]) -> tuple[bool, Floats]:
             shift[n] = (shift[n - 1] if n else 0.0) + tried[best] + 0.1 * float(np.clip(vertex, -0.5, 0.5))
         else:
             alike = False
-    return bool(alike and len(orders) > 3), shift
+    return bool(alike), shift
 
 
 def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:

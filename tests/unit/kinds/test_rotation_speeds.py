@@ -47,18 +47,22 @@ def measured(
     sense: str = "radial",
     clock: bool = True,
     forward: bool = True,
+    noise_um: float = 0.05,
 ) -> list[Run]:
     runs = []
     for k, rpm in enumerate(speeds):
         rng = np.random.default_rng([seed, k])
         angle, hour = turned(12.2, readings=120) * (1.0 if forward else -1.0), 0.2 * k
         # From run to run a mounting gives a little, more than turns of one run differ by.
-        mounted = 8.0 * np.exp(1j * np.radians(30.0)) + story.once(rpm, hour) + 0.01 * complex(*rng.normal(size=2))
+        mounted = (
+            8.0 * np.exp(1j * np.radians(30.0)) + story.once(rpm, hour) + noise_um / 5.0 * complex(*rng.normal(size=2))
+        )
         order = story.orders(rpm)
         target = Target(
             once=(abs(mounted), float(np.degrees(np.angle(mounted)))),
             others={order: (0.1, 5.0)} if order else {},
             dips=((250.0, 6.0, 3.0),),
+            noise_um=noise_um,
         )
         um = target.read(angle, 1000 * seed + k) + story.mean_um(rpm, hour) + 0.02 * rng.normal()
         condition: dict[str, float | str] = {"probe": "p", "sense": sense, "angle": "encoder", "speed_rpm": rpm}
@@ -321,6 +325,29 @@ def test_a_display_of_whole_micrometres_shows_neither_delay_nor_resonance() -> N
         samples = {"t_s": np.abs(angle - angle[0]) / 6.0 / rpm, "angle_deg": angle, "displacement_um": um}
         runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
     assert codes(KIND.judge_campaign(runs)) == {"rotation.unbalance"}
+
+
+def test_a_force_that_lags_in_the_structure_is_no_delay_of_the_angle() -> None:
+    for late_ms, named in ((0.0, set()), (0.1, {"rotation.delay"})):
+        runs = []
+        for k, rpm in enumerate(SPEEDS):
+            angle, lag = turned(30.0), np.degrees(np.arctan2(0.6 * rpm / 1e4, 1.0 - (rpm / 1e4) ** 2))
+            target = Target(
+                once=(5.002, 30.0) if k % 2 else (5.0, 30.0), lobes={2: (0.1, 10.0), 3: (0.1, 80.0), 8: (0.5, lag)}
+            )
+            samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": angle - 6e-3 * late_ms * rpm}
+            samples["displacement_um"] = target.read(angle, k)
+            condition: dict[str, float | str] = {"probe": "p", "sense": "radial", "angle": "encoder", "speed_rpm": rpm}
+            runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
+        told = KIND.judge_campaign(runs)
+        assert codes(told) == {"rotation.odd_wave", "rotation.once_constant", *named}
+        assert all(f.numbers["delay_ms"] == pytest.approx(0.1, abs=0.02) for f in told if f.code == "rotation.delay")
+        assert [f.numbers["per_turn_1"] for f in told if f.code == "rotation.odd_wave"] == [8.0]
+
+
+def test_what_no_mounting_holds_is_no_unbalance() -> None:
+    found = KIND.judge_campaign(measured(Story(once=lambda n, h: 1e-4 * (n / 1000.0) ** 2), 3, noise_um=1e-4))
+    assert "rotation.once_constant" in codes(found)
 
 
 def test_mains_are_told_with_their_frequency_and_where_they_count_as_synchronous() -> None:
