@@ -38,6 +38,7 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "mm/s2": ("mm_s2", 1.0),
     **dict.fromkeys(("rpm", "1/min", "u/min", "min-1"), ("rpm", 1.0)),
     **dict.fromkeys(("%", "%rh", "%rf"), ("pct", 1.0)),
+    **dict.fromkeys(("um/m", "μm/m"), ("um_per_m", 1.0)),
     "kpa": ("kpa", 1.0),
     **dict.fromkeys(("hpa", "mbar"), ("kpa", 0.1)),
     "hz": ("hz", 1.0),
@@ -46,6 +47,28 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "v": ("v", 1.0),
     "a": ("a", 1.0),
 }
+_NOT_READ = frozenset(
+    (
+        "k",
+        "n",
+        "kn",
+        "w",
+        "kw",
+        "bar",
+        "mmhg",
+        "l/min",
+        "mv",
+        "ma",
+        "khz",
+        "mrad",
+        "μrad",
+        "urad",
+        "arcsec",
+        "arcmin",
+        "″",
+    )
+)
+"""Units of columns that are left out."""
 _TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
 """Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
 _GRAD = "grad"
@@ -345,7 +368,8 @@ def all_units(row: Sequence[str]) -> bool:
     """Tell whether a row holds units, forms of times beside them, and nothing else but empty cells."""
     told = [_plain(cell) for cell in row if cell.strip()]
     units = [cell for cell in told if not CLOCK.fullmatch(cell)]
-    return bool(units) and all(cell in _UNITS or cell == _GRAD for cell in units)
+    known = [cell in _UNITS or cell == _GRAD for cell in units]
+    return any(known) and all(one or cell in _NOT_READ for one, cell in zip(known, units, strict=True))
 
 
 def _plain(unit: str) -> str:

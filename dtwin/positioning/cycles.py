@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,11 +65,40 @@ class SpoiltReading:
 
 
 def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
-    """Return the readings that the others of their target contradict; none where cycles differ as wholes."""
-    cycles = test.forward_um.shape[1]
-    if cycles < _FEWEST_CYCLES:
+    """Return the readings that the others of their target contradict, as they stand, else beside what each sweep is off as a whole."""
+    if test.forward_um.shape[1] < _FEWEST_CYCLES:
         return []
     ways = dict(zip(test.ways, (test.forward_um, test.reverse_um), strict=True))
+    if found := _contradicted(test, ways):
+        return found
+    ways = {way: _beside_its_sweep(values) for way, values in ways.items()}
+    return [s for s in _contradicted(test, ways) if _stands_alone(ways[s.way], s)]
+
+
+def _stands_alone(values: Floats, spoilt: SpoiltReading) -> bool:
+    """Return whether those before and after a reading of its sweep are not off with it: a shift in a sweep leaves a part of it so."""
+    off = (values - _of_others(values, np.median))[:, spoilt.cycle]
+    beside = (
+        off[spoilt.target - 1 : spoilt.target + 2 : 2] if 0 < spoilt.target < len(off) - 1 else off[[spoilt.target]]
+    )
+    return bool(np.all(np.abs(beside) < 0.5 * abs(spoilt.off_um)))
+
+
+def _beside_its_sweep(values: Floats) -> Floats:
+    """Return readings of one direction (targets, cycles) without what each sweep is off by as a whole and in proportion to its place in it.
+
+    Straight lines by the median of slopes between the first half and the second (Theil), which no single reading moves.
+    """
+    half = len(values) // 2
+    if half < 1:
+        return values
+    off = values - np.median(values, axis=1, keepdims=True)
+    slopes = np.median(off[-half:] - off[:half], axis=0) / (len(values) - half)
+    lines = np.arange(len(values), dtype=float)[:, None] * slopes
+    return np.asarray(values - lines - np.median(off - lines, axis=0))
+
+
+def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[SpoiltReading]:
     off = {way: values - _of_others(values, np.median) for way, values in ways.items()}
     span = {way: _of_others(values, np.ptp) for way, values in ways.items()}
     every = np.concatenate([o.ravel() for o in off.values()])

@@ -112,8 +112,8 @@ def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
             )
         for wave in told.get("waves", ()):
             often, size, half = wave["often"], wave["amplitude_arcsec"], wave["k95_arcsec"]
-            if half is not None and size <= half:
-                lines.append(f"  {often} a turn no more than what runs differ by, {half:z.2f}″")
+            if (chance := wave["chance_arcsec"]) is not None and size <= chance:
+                lines.append(f"  {often} a turn no more than what runs differ by, {chance:z.2f}″")
                 continue
             more = "" if half is None else f" ± {half:z.2f}″"
             lines.append(

@@ -172,6 +172,18 @@ def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
         assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
 
 
+@pytest.mark.parametrize(
+    "zero", [lambda x, c: 0.0 * x - 2.0 * c, lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3))]
+)
+def test_a_spoilt_reading_is_named_where_cycles_move_as_wholes(zero: Any) -> None:
+    found = 0
+    for seed in range(20):
+        test = made(zero, seed)
+        test.reverse_um[6, 2] += 12.0
+        found += [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(6, 2, "reverse")]
+    assert found >= 17
+
+
 def test_readings_that_are_rounded_are_not_called_spoilt_but_a_spoilt_one_is() -> None:
     for seed in range(20):
         test = made(lambda x, c: 0.0 * x * c, seed, noise_um=0.3)

@@ -426,13 +426,15 @@ def test_lengths_of_which_none_is_surely_a_probe_are_no_log(tmp_path: Path, head
         "Zeit [min];Z [0.001 mm];T [°C]",
         "Zeit [min];Messuhr in 1/1000 mm;T [°C]",
         "Zeit;Verlagerung Z;T\nmin;1/1000 mm;°C",
+        "Zeit;Z;T;Last;Neigung\nmin;µm;°C;N;µm/m",
         "時間 [分];変位 Z [μm];主軸温度 [℃]",
         "Temps [min];Déplacement Z [µm];Température [°C]",
     ],
 )
 def test_units_as_people_write_them(tmp_path: Path, heads: str) -> None:
     path = tmp_path / "a.csv"
-    path.write_text("\n".join([heads, *(f"{n};{n / 2};{20 + n / 10}" for n in range(60))]), encoding="utf-8")
+    more = ";1;2" if "Last" in heads else ""
+    path.write_text("\n".join([heads, *(f"{n};{n / 2};{20 + n / 10}{more}" for n in range(60))]), encoding="utf-8")
     run = read(path)
     assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60))
     assert run.samples["displacement_um"] == pytest.approx(0.5 * np.arange(60))

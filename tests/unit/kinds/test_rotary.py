@@ -421,14 +421,16 @@ def test_a_turn_that_does_not_close_is_no_wave() -> None:
 
 
 def test_the_scatter_of_a_wave_covers_it_as_often_as_it_says() -> None:
-    rng, runs, held = np.random.default_rng(6), sweeps(TARGETS[:-1]), 0
+    rng, runs, held, false = np.random.default_rng(6), sweeps(TARGETS[:-1]), 0, 0
     for _ in range(300):
         for run in runs:
             once = 4.0 * np.cos(np.radians(run.samples["angle_deg"]))
             run.samples["error_arcsec"][:] = once + rng.normal(0.0, 0.5, run.n_samples)
-        wave = positioning_result(runs)[0]["waves"][0]
+        wave, none = positioning_result(runs)[0]["waves"]
         held += abs(wave["amplitude_arcsec"] - 4.0) <= wave["k95_arcsec"]
+        false += none["amplitude_arcsec"] > none["chance_arcsec"]
     assert 0.91 <= held / 300 <= 0.98
+    assert false / 300 <= 0.05
 
 
 @pytest.mark.parametrize("targets", [np.arange(0.0, 181.0, 15.0), np.arange(0.0, 316.0, 60.0)])
