@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dtwin.acquire._readings import usable
+from dtwin.acquire.parquet_file import foreign_table
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import encoding_of, is_comment
 from dtwin.acquire.xmlsafe import require_bounded
@@ -109,7 +110,7 @@ def _read_table(path: Path) -> pa.Table:
     require_bounded(path, _MAX_TABLE_BYTES)
     try:
         if suffix == ".parquet":
-            return pq.read_table(path, page_checksum_verification=True)
+            return foreign_table(path)
         # In blocks, so that the file itself is never in memory; the first block alone does not tell integers from floats.
         numbers = {name: pa.float64() for name in _names(path) if name not in _TEXT_COLUMNS}
         with pa_csv.open_csv(_source(path), **_dialect(path, numbers)) as opened:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from dtwin.acquire._readings import usable
 from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
+from dtwin.acquire.parquet_file import require_moderate
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -27,6 +29,7 @@ from dtwin.units import require_units
 _KEY = b"dtwin.signals"
 _TABLES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
+_MOST_VALUES = 2**29
 
 
 def write_signals(path: Path, group: SignalGroup) -> int:
@@ -54,6 +57,9 @@ def read_signals(path: Path) -> list[SignalGroup]:
     """
     if is_table_of_signals(path):
         return [_group(_from_text(path), path)]
+    # What is wrong with a damaged file is said below.
+    with suppress(pa.ArrowException, OSError):
+        require_moderate(path, most_values=_MOST_VALUES)
     try:
         table, data = read_encoded(path)
     except StoreError as error:

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.acquire.html_table import table_of_page
+from dtwin.acquire.parquet_file import foreign_table
 from dtwin.acquire.table_dialect import decoded, points_of, rows_of
 from dtwin.acquire.xmlsafe import read_bounded, require_bounded
 from dtwin.errors import InputError
@@ -220,7 +220,7 @@ def _table_of_text(path: Path, data: bytes) -> bytes:
 def _of_parquet(path: Path, data: bytes) -> bytes:
     """Return the cells of a file of Parquet as they would be written by hand."""
     try:
-        table = pq.read_table(pa.BufferReader(data))
+        table = foreign_table(path, pa.BufferReader(data))
         if table.num_rows <= _MOST_ROWS:
             cells = (column.to_pylist() for column in table.columns)
             return _as_csv(_rows(path, iter([table.column_names, *zip(*cells, strict=True)])))

@@ -15,6 +15,8 @@ import pytest
 
 from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
+from dtwin.acquire.parquet_file import require_moderate
+from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
@@ -145,3 +147,21 @@ def test_pandas_is_not_read_for_a_table_of_numbers_and_text(tmp_path: Path) -> N
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["400", "False"]
+
+
+def test_a_file_of_parquet_that_unpacks_to_very_much_is_refused_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbers = np.arange(40.0)
+    columns = {"t_s": numbers, "angle_deg": 9.0 * numbers, "deviation_um": numbers}
+    pq.write_table(pa.table({**columns, "note": ["x" * 40_000] * 40}), tmp_path / "word.parquet")
+    with pytest.raises(InputError, match="too large when it is unpacked") as error:
+        read_columns(tmp_path / "word.parquet", "circular")
+    assert error.value.got == "a cell of 40000 bytes in 'note'"
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    assert len(read_columns(tmp_path / "a.parquet", "circular")[0]["t_s"]) == 40
+    monkeypatch.setitem(require_moderate.__kwdefaults__, "most_values", 100)
+    for reader in (lambda path: read_columns(path, "circular"), lambda path: table_bytes(path, 10**6)):
+        with pytest.raises(InputError, match="too large when it is unpacked") as error:
+            reader(tmp_path / "a.parquet")
+        assert error.value.got == "120 values"

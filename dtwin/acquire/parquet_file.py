@@ -1,0 +1,61 @@
+"""Files of Parquet that nobody vouches for: how large they become is asked before they are unpacked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from dtwin.errors import InputError
+
+_MOST_VALUES = 2**27
+"""Of numbers of eight bytes, 1 GB."""
+_LONGEST_CELL = 32_767
+
+
+def foreign_table(path: Path, content: pa.BufferReader | None = None) -> pa.Table:
+    """Return the table of a file; words stand once each, however often they come.
+
+    ``content``: of the file, where it is in memory.
+    Raises ``InputError`` where it would be too large; errors of Arrow and of reading go on.
+    """
+    source = content or path
+    schema = pq.read_schema(source)
+    require_moderate(path, content)
+    words = [field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_binary(field.type)]
+    if content is not None:
+        content.seek(0)
+    file = pq.ParquetFile(source, page_checksum_verification=True, read_dictionary=words)
+    batches = []
+    for batch in file.iter_batches(batch_size=2**16):
+        for name in words:
+            longest = pc.max(pc.binary_length(batch.column(name).dictionary)).as_py() or 0
+            if longest > _LONGEST_CELL:
+                raise _too_large(path, f"a cell of {longest} bytes in {name[:40]!r}", f"up to {_LONGEST_CELL} bytes")
+        batches.append(batch)
+    return pa.Table.from_batches(batches, schema=file.schema_arrow if not batches else None)
+
+
+def require_moderate(path: Path, content: pa.BufferReader | None = None, *, most_values: int = _MOST_VALUES) -> None:
+    """Refuse a file whose rows would not fit in memory: what is equal in all rows is packed into next to nothing."""
+    told = pq.read_metadata(content or path)
+    groups = [told.row_group(n) for n in range(told.num_row_groups)]
+    values = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
+    held = sum(group.total_byte_size for group in groups)
+    if values > most_values:
+        raise _too_large(path, f"{values} values", f"up to {most_values} values")
+    if held > 8 * most_values:
+        raise _too_large(path, f"{held / 1e6:z.0f} MB unpacked", f"up to {8 * most_values / 1e6:z.0f} MB")
+
+
+def _too_large(path: Path, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the file of Parquet is too large when it is unpacked",
+        code="table.too_large",
+        where=str(path),
+        got=got,
+        allowed=allowed,
+        hint="part it into runs, or thin it out",
+    )
