@@ -118,7 +118,8 @@ class LockstepControl:
         self._program.reason(reason, stamp_s, trouble)
         if self._board is not None and abs(stamp_s - self._shown_s) >= _SHOWN_EVERY_S:
             times_s = self._link.greeting.period_s, 0.0, self._decision.window_age_s
-            self._board.show(state, offset_um, reason, times_s, (0, 0), self._decision.band_um)
+            counts = self._decision.guard.counts
+            self._board.show(state, offset_um, reason, times_s, (0, 0), self._decision.band_um, counts)
             self._shown_s = stamp_s
 
     def _judge_window(self) -> None:

@@ -48,12 +48,12 @@ COLUMNS = (
 )
 """Columns of a row, in their order."""
 
-_FORMAT = 2029.0
+_FORMAT = 2030.0
 _CAPACITY = 16384
 _HEADER = 32
-_FORMAT_AT, _PID, _CORRECTS, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
+_FORMAT_AT, _PID, _CORRECTS, _ROWS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
 _REASONS = 8
-_SHOWN = 31
+_TICKS, _SHOWN = 30, 31
 _SHAPE = (_HEADER + _CAPACITY * len(COLUMNS),)
 _BYTES = 8 * _SHAPE[0]
 _MEMORY = Path("/dev/shm")
@@ -122,6 +122,7 @@ class LiveBoard:
         times_s: tuple[float, float, float],
         counts: tuple[int, int],
         band_um: Floats,
+        since_start: NDArray[np.int64] | None = None,
     ) -> None:
         """Show a tick.
 
@@ -130,6 +131,7 @@ class LiveBoard:
         ``times_s``: interval since the tick before, age of the state, age of the window.
         ``counts``: late and missed ticks so far.
         ``band_um``, (3,): half width of the correction that the model asked for; NaN where it has none.
+        ``since_start``, (reasons,): how often each reason of the guard acted, where not every tick is shown.
         """
         row = self._row
         row[0] = state[layout.TIMESTAMP]
@@ -144,10 +146,15 @@ class LiveBoard:
         self._rows[self._count % _CAPACITY] = row
         self._count += 1
         head = self._head
-        head[_REASONS + reason] += 1
+        if since_start is None:
+            head[_REASONS + reason] += 1
+            head[_TICKS] = self._count
+        else:
+            head[_REASONS : _REASONS + len(since_start)] = since_start
+            head[_TICKS] = since_start.sum()
         head[_LATE], head[_MISSED] = counts
         head[_SHOWN] = time.monotonic()
-        head[_TICKS] = self._count
+        head[_ROWS] = self._count
 
 
 @contextlib.contextmanager
@@ -205,15 +212,16 @@ def read_board(machine: str, home: Home) -> Seen | None:
     head, rows = memory[:_HEADER], memory[_HEADER:].reshape(_CAPACITY, len(COLUMNS))
     if head[_FORMAT_AT] != _FORMAT:
         return None
-    ticks = int(head[_TICKS])
+    shown = int(head[_ROWS])
     # The oldest row of a full board may be half overwritten.
-    kept = min(ticks, _CAPACITY - 1)
-    order = np.arange(ticks - kept, ticks) % _CAPACITY
+    kept = min(shown, _CAPACITY - 1)
+    order = np.arange(shown - kept, shown) % _CAPACITY
     counts = head[_REASONS : _REASONS + len(REASONS)]
     return Seen(
         pid=int(head[_PID]),
         corrects=bool(head[_CORRECTS]),
-        ticks=ticks,
+        # Of a first tick that is being shown there is no row yet.
+        ticks=int(head[_TICKS]) if shown else 0,
         late=int(head[_LATE]),
         missed=int(head[_MISSED]),
         clamp_um=float(head[_CLAMP]),

@@ -14,7 +14,7 @@ from dtwin.links import state as layout
 from dtwin.report.live_plots import circle_figure
 from dtwin.serve import live_board as boards
 from dtwin.serve.live_board import live_board, read_board
-from dtwin.serve.safety import CLAMPED, OK
+from dtwin.serve.safety import CLAMPED, OK, REASONS
 
 READ = """
 import sys
@@ -43,6 +43,13 @@ def test_another_process_sees_the_newest_tick(home: Home) -> None:
             )
         done = subprocess.run([sys.executable, "-c", READ, str(home.root)], capture_output=True, text=True, check=True)
         assert done.stdout == "5 1 {'ok': 4, 'clamped': 1} 2.5\n"
+        # Of a fast control not every tick is shown, and all are counted.
+        counts = np.zeros(len(REASONS), dtype=np.int64)
+        counts[[OK, CLAMPED]] = 700, 100
+        board.show(state, np.zeros(3), OK, (0.002, 0.0, 0.0), (0, 0), np.zeros(3), counts)
+        seen = read_board("mill-a", home)
+        assert seen is not None
+        assert (seen.ticks, len(seen.rows), seen.reasons) == (800, 6, {"ok": 700, "clamped": 100})
         assert read_board("mill-b", home) is None
         assert read_board("mill-a", Home(home.root / "other")) is None
     assert read_board("mill-a", home) is None
