@@ -57,6 +57,8 @@ async function draw(figure) {
     if (!("map" in figure.dataset)) found.layout.height = Number(canvas.dataset.height);
     figure.querySelector("figcaption").textContent = (found.layout.title || {}).text || "";
     delete found.layout.title;
+    canvas.hidden = !found.data.length;
+    if (canvas.hidden) return;
     found.layout.margin = { ...found.layout.margin, t: 50 };
     if (window.innerWidth < 700) {
       found.layout.margin = { l: 48, r: 12, t: 20, b: 60 };
