@@ -82,7 +82,7 @@ def kind_of_table(path: Path) -> str:
         where=str(path),
         got=", ".join(sorted(names))[:200],
         allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
-        hint=f"dtwin import {path.name} reads tables of other programs; else rename the columns",
+        hint=f"dtwin import {path.name} reads tables of other programs; --kind states what heads do not tell, as --kind rotation; else rename the columns",
     )
 
 

@@ -169,7 +169,10 @@ def _meant(head: str, recipe: Mapping[str, Any], unit: str = "") -> Column:
 def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: Path, needed: str) -> Reading:
     headed = _headed(rows, recipe)
     if headed is None:
-        headed = 0, [_meant(head, recipe) for head in rows[0]] if rows else [], 1
+        meant = [[_meant(head, recipe) for head in row] for row in rows[:_MOST_TITLES]] or [[]]
+        # Below titles stands the first row with a probe and an angle.
+        at = (n for n, row in enumerate(meant) if {PROBE, ANGLE} <= {c.role for c in row if c.factor})
+        headed = (n := next(at, 0)), meant[n], n + 1
     begin, columns, first = headed
     heads = [cell.strip() for cell in rows[begin]] if rows else []
     _require(columns, heads, path, needed)
@@ -190,8 +193,7 @@ def _from_table(rows: Sequence[Sequence[str]], recipe: Mapping[str, Any], path: 
     if (by_speed and TIME not in single) or by_hand:
         columns, probes, body = repeats_below(heads, columns, probes, body)
     told = {n: _values(body, n, columns[n].factor) for n in (*single.values(), *probes) if n != single.get(TIME)}
-    clock = np.arange(len(body), dtype=np.float64)
-    started = ""
+    clock, started = np.arange(len(body), dtype=np.float64), ""
     if TIME in single:
         clock, started = _clock([cell_of(row, single[TIME]) for row in body], columns[single[TIME]].factor, path)
     bare = {heads[n]: columns[n] for role, n in single.items() if not (role == TIME and started)}

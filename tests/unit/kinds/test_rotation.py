@@ -782,6 +782,12 @@ def test_several_speeds_in_a_file_are_a_run_each(tmp_path: Path, timed: bool) ->
         assert abs(figures_of(turns).once) == pytest.approx(size, abs=0.05)
 
 
+def test_angles_and_probes_stand_below_titles_where_the_speed_is_told(tmp_path: Path) -> None:
+    text = "Analyser\nRev;32\n\n" + table({"Angle (deg)": ANGLE % 360.0, "X (µm)": UM, "Y (µm)": UM}, ";")
+    runs = read(tmp_path, text, speed_rpm=6000.0)
+    assert [run.meta.condition["probe"] for run in runs] == ["x", "y"]
+
+
 @pytest.mark.parametrize("title", ["Speed: {:g} rpm", "Drehzahl;{:g} 1/min;", "n = {:g} 1/min", "主軸回転数 {:g} rpm"])
 def test_blocks_below_their_speeds_are_a_run_each(tmp_path: Path, title: str) -> None:
     blocks = ["Max. speed: 8000 rpm", "Station 3"]
