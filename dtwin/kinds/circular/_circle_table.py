@@ -37,7 +37,18 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import DIRECTION, bare, beside_way, blocks, deviates, may_be_gon, way_of
+from dtwin.kinds.circular._circle_ways import (
+    DIRECTION,
+    bare,
+    beside_way,
+    blocks,
+    coarse,
+    deviates,
+    in_motion,
+    may_be_gon,
+    stretches,
+    way_of,
+)
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -52,8 +63,8 @@ _TOLD_ABOVE = (
 """Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
 _PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
 _SAME = 0.01
-_LEAST_DEG, _BACK_DEG = 90.0, 20.0
-"""Shortest arc that is a run, and how far an angle runs back where the direction changes."""
+_LEAST_DEG = 90.0
+"""Shortest arc that is a run."""
 _LONGEST_TURN_S = 3600.0
 """Of a table without a clock: beyond it the feed is one in m/min, or 1.000 was meant as a thousand."""
 _MOST_OFF = 0.1
@@ -172,6 +183,8 @@ def read_circle_runs(
             f"direction {told}, runs {', '.join(str(run.meta.direction) for run in runs)}",
             "no direction told; cw [µm] or ccw [µm] as head of deviations over an angle that runs the other way",
         )
+    said = coarse([values[i] for i, _ in form.pair])
+    runs = [replace(run, findings=(*run.findings, *said)) for run in runs]
     return _counted(runs, int(stated.get("repeat", 1))), rejects
 
 
@@ -328,13 +341,13 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
     """Return the stretches in which an angle runs one way; of a column whose direction its head tells, the whole, that way round."""
     angle = rows["angle_deg"]
     out = []
-    for part in [slice(0, angle.size)] if way is not None else _stretches(angle):
-        samples = {name: column[part] for name, column in rows.items()}
+    for part in [slice(0, angle.size)] if way is not None else stretches(angle):
+        moves, findings = (slice(None), []) if way is not None else in_motion(angle[part])
+        samples = {name: column[part][moves] for name, column in rows.items()}
         theta = samples["angle_deg"]
         if theta.size < _FEWEST or float(np.ptp(theta)) < _LEAST_DEG:
             continue
         runs: Direction = "CCW" if theta[-1] > theta[0] else "CW"
-        findings = []
         if way is not None and way != runs:
             # Both directions stand over one column of angles, which runs as one of them.
             samples = {name: column[::-1] for name, column in samples.items() if name != "t_s"}
@@ -355,24 +368,6 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
         meta = RunMeta("", "circular", direction=way or runs, sample_rate_hz=rate_hz)
         out.append(Run(meta, samples, source=source, findings=tuple(findings)))
     return out
-
-
-def _stretches(angle: Floats) -> list[slice]:
-    """Return stretches between turning points; shaking by less than ``_BACK_DEG`` is none."""
-    begins, end, sign = [0], 0, 0.0
-    # Readings at one place, where the machine turns or waits, differ by their last digits.
-    least = 0.1 * float(np.median(np.abs(np.diff(angle)))) if angle.size > 1 else 0.0
-    for n in range(1, angle.size):
-        moved = angle[n] - angle[end]
-        if sign == 0.0 and abs(moved) > _BACK_DEG:
-            sign = float(np.sign(moved))
-        if moved * sign > least:
-            end = n
-        elif sign and -moved * sign > _BACK_DEG:
-            # The reading at the turn was reached on the way there.
-            begins.append(end + 1)
-            sign, end = -sign, n
-    return [slice(a, b) for a, b in zip(begins, [*begins[1:], angle.size], strict=True)]
 
 
 def _counted(runs: Sequence[Run], first: int) -> list[Run]:

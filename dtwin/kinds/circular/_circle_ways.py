@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
-from dtwin.schema import Direction, Floats
+from dtwin.schema import Direction, Finding, Floats
 
 _SPELT = (
     (
@@ -28,6 +28,11 @@ _SPELT = (
 _WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
 DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
 
+_BACK_DEG = 20.0
+"""How far an angle runs back where the direction changes."""
+_STANDS = 5
+"""Rows at one place of a machine that stands."""
+_COARSE_UM = 1.0
 _RUN = re.compile(
     r"^(run|repeat|repetition|lauf|durchgang|messung|wiederholung|test)( ?(no|nr|number|nummer)\.?)?$", re.I
 )
@@ -110,3 +115,43 @@ def may_be_gon(column: Column, angle_deg: Floats) -> bool:
         return False
     span = float(np.ptp(there))
     return 400.0 - 1.5 * float(np.median(np.abs(np.diff(there)))) <= span <= 400.0 * (1.0 + 1e-6)
+
+
+def stretches(angle: Floats) -> list[slice]:
+    """Return stretches between turning points; shaking by less than ``_BACK_DEG`` is none."""
+    begins, end, sign = [0], 0, 0.0
+    # Readings at one place, where the machine turns or waits, differ by their last digits.
+    least = 0.1 * float(np.median(np.abs(np.diff(angle)))) if angle.size > 1 else 0.0
+    for n in range(1, angle.size):
+        moved = angle[n] - angle[end]
+        if sign == 0.0 and abs(moved) > _BACK_DEG:
+            sign = float(np.sign(moved))
+        if moved * sign > least:
+            end = n
+        elif sign and -moved * sign > _BACK_DEG:
+            # The reading at the turn was reached on the way there.
+            begins.append(end + 1)
+            sign, end = -sign, n
+    return [slice(a, b) for a, b in zip(begins, [*begins[1:], angle.size], strict=True)]
+
+
+def in_motion(angle: Floats) -> tuple[slice, list[Finding]]:
+    """Return which rows of a stretch are not of a machine that stands before or after its motion, and how many are."""
+    steps = np.abs(np.diff(angle))
+    usual = float(np.median(steps[steps >= 0.25 * np.quantile(steps, 0.9)])) if steps.size else 0.0
+    stands = [int(np.argmin(np.append(np.abs(a - a[0]) < 0.5 * usual, False))) for a in (angle, angle[::-1])]
+    before, after = (n - 1 if n >= _STANDS else 0 for n in stands)
+    if (not before and not after) or before + after >= angle.size - 2:
+        return slice(None), []
+    said = f"the machine stands in {before} rows before and {after} after the motion: they are left out"
+    return slice(before, angle.size - after), [Finding("circle_table.stands", "info", said)]
+
+
+def coarse(coordinates_mm: Sequence[Floats]) -> list[Finding]:
+    """Return that coordinates are written in steps that hide deviations."""
+    steps = [np.diff(np.unique(values[np.isfinite(values)])) for values in coordinates_mm]
+    step_um = 1e3 * max((float(found.min()) for found in steps if found.size), default=0.0)
+    if step_um < _COARSE_UM:
+        return []
+    said = f"the coordinates are written in steps of {step_um:z.3g} µm: what is smaller in the figures is of these steps; export more decimals"
+    return [Finding("circle_table.coarse", "warning", said, {"step_um": step_um})]

@@ -24,7 +24,8 @@ def asked(test: LinearTest) -> list[str]:
     targets, runs = test.forward_um.shape
     travel_mm = float(np.ptp(test.position_mm))
     said = []
-    if travel_mm > _LONG_MM:
+    # Targets in inches are rounded.
+    if travel_mm > 1.001 * _LONG_MM:
         if travel_mm / (targets - 1) > 1.001 * _LONG_STEP_MM:
             said.append(f"over 2 m ISO 230-2 asks for a target every 250 mm in the mean, these are {targets}")
         if runs > 1:

@@ -136,6 +136,19 @@ def test_coordinates_there_and_back_are_two_runs_about_their_own_centre(
         assert run.n_samples == ANGLE.size
 
 
+def test_a_control_that_stands_before_and_after_its_circle_is_no_stuck_sensor(tmp_path: Path) -> None:
+    angle = np.concatenate([np.full(30, ANGLE[0]), ANGLE, np.full(40, ANGLE[-1]), ANGLE[::-1], np.full(9, ANGLE[0])])
+    x, y = (150.0 * np.cos(np.radians(angle)), 150.0 * np.sin(np.radians(angle)))
+    runs = read(tmp_path / "a.csv", table("X [mm],Y [mm]", x, y))
+    assert [run.meta.direction for run in runs] == ["CCW", "CW"]
+    assert all(abs(run.n_samples - ANGLE.size) <= 1 for run in runs)
+    assert all("circle_table.stands" in {f.code for f in run.findings} for run in runs)
+    assert not any("circle_table.coarse" in {f.code for f in run.findings} for run in runs)
+    (rough,) = read(tmp_path / "b.csv", table("X [mm],Y [mm]", *(np.round(v[30 : 30 + ANGLE.size], 2) for v in (x, y))))
+    (told,) = (f for f in rough.findings if f.code == "circle_table.coarse")
+    assert told.numbers["step_um"] == pytest.approx(10.0)
+
+
 @pytest.mark.parametrize(
     ("text", "told", "got"),
     [
