@@ -32,7 +32,8 @@ _BACK_DEG = 20.0
 """How far an angle runs back where the direction changes."""
 _STANDS = 5
 """Rows at one place of a machine that stands."""
-_COARSE_UM = 1.0
+_COARSE_UM = (1000.0, 100.0, 10.0, 1.0)
+"""Steps of coordinates that hide what is told of a circle."""
 _RUN = re.compile(
     r"^(run|repeat|repetition|lauf|durchgang|messung|wiederholung|test)( ?(no|nr|number|nummer)\.?)?$", re.I
 )
@@ -149,9 +150,11 @@ def in_motion(angle: Floats) -> tuple[slice, list[Finding]]:
 
 def coarse(coordinates_mm: Sequence[Floats]) -> list[Finding]:
     """Return that coordinates are written in steps that hide deviations."""
-    steps = [np.diff(np.unique(values[np.isfinite(values)])) for values in coordinates_mm]
-    step_um = 1e3 * max((float(found.min()) for found in steps if found.size), default=0.0)
-    if step_um < _COARSE_UM:
+    um = np.concatenate([1e3 * values[np.isfinite(values)] for values in coordinates_mm] or [np.empty(0)])
+    step_um = next(
+        (step for step in _COARSE_UM if um.size and np.all(np.abs(um / step - np.round(um / step)) < 1e-6)), 0.0
+    )
+    if not step_um:
         return []
     said = f"the coordinates are written in steps of {step_um:z.3g} µm: what is smaller in the figures is of these steps; export more decimals"
     return [Finding("circle_table.coarse", "warning", said, {"step_um": step_um})]
