@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.physics._dictionary import Dictionary, Entry, dictionary_for, is_periodic
+from dtwin.physics._dictionary import PITCH, Dictionary, Entry, dictionary_for, is_periodic
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.learned import LEARNED
@@ -33,6 +33,8 @@ _NEAR_REVERSAL_DEG = 2.6
 _SHARP = 1.5
 # A law without a name is one of hundreds, and can do what two effects do.
 _NAMELESS = 3.0
+# Pitches of one axis that differ by more are of two screws.
+_SAME_PITCH = 1.02
 # Columns from which on an effect may stand for several simpler ones.
 _MANY = 3
 # Of the targets of an axis: more numbers than this share would draw any curve through them, of the same both ways or not.
@@ -131,7 +133,7 @@ class Hunt:
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
-            other = self._simplified(self._two_replaced(chosen))
+            other = self._with_one_screw(self._simplified(self._two_replaced(chosen)))
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
@@ -253,6 +255,24 @@ class Hunt:
                     # What was there for what the effect misses is no more needed.
                     best = min(best, self._improved(rest), key=self._cost)
                     break
+        return best
+
+    def _with_one_screw(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with the pitch of one effect for all of its axis that repeat in a pitch, where that is cheaper.
+
+        A pitch that is wrong fits what others miss, and by itself none changes to that of the screw.
+        """
+        best = chosen
+        for axis in dict.fromkeys(entry.term.instance.axis for entry in chosen if is_periodic(entry.term.instance)):
+            on_it = [e for e in chosen if is_periodic(e.term.instance) and e.term.instance.axis == axis]
+            pitches = [entry.term.shape[PITCH] for entry in on_it]
+            if max(pitches) < _SAME_PITCH * min(pitches):
+                continue
+            rest = [entry for entry in chosen if entry not in on_it]
+            for pitch in pitches:
+                turned = [replace(e.term, shape=dict(e.term.shape) | {PITCH: pitch}) for e in on_it]
+                other = self._improved(self._grown(self._refined([*rest, *self.dictionary.add(turned)])))
+                best = min(best, other, key=self._cost)
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
