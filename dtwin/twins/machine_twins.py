@@ -65,7 +65,7 @@ class MachineTwins(TwinShelf):
         self, campaigns: Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False
     ) -> MachineTwin:
         """Return the same, without storing it."""
-        members = self._members(campaigns)
+        members = self.members_of(campaigns)
         terms = self._widened(members, [()] * len(members), effects, "")
         return self._made(name, members, terms, "fit", robust=robust)
 
@@ -73,7 +73,7 @@ class MachineTwins(TwinShelf):
         """Compare a twin with its campaigns, or with one: of the fit, or another of a kind that it has."""
         twin = self.newest(name)
         if campaign is None:
-            members = self._members(twin.campaigns)
+            members = self.members_of(twin.campaigns)
             parts = (member.compared(part) for member, part in zip(members, twin.members, strict=True))
             return MachineComparison(twin, tuple(parts))
         known = Lake(self.home.lake).campaign(campaign)
@@ -95,12 +95,12 @@ class MachineTwins(TwinShelf):
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[MachineTwin, MachineDiagnosis]:
         """Find out what a twin lacks, each fit by what its kind of campaign can show."""
         twin = self.newest(name)
-        return twin, self._diagnosed(twin, self._members(twin.campaigns), seed)
+        return twin, self._diagnosed(twin, self.members_of(twin.campaigns), seed)
 
     def add(self, name: str, effect: str, axis: str = "") -> MachineTwin:
         """Add an effect wherever its cause shows, refit, and store the new version."""
         twin = self.newest(name)
-        members = self._members(twin.campaigns)
+        members = self.members_of(twin.campaigns)
         terms = self._widened(members, _terms(twin), [effect], axis)
         if not _fresh(members, _terms(twin), terms):
             raise effect_there(twin, effect)
@@ -109,7 +109,7 @@ class MachineTwins(TwinShelf):
     def remove(self, name: str, effect: str, axis: str = "") -> MachineTwin:
         """Take a cause out of all campaigns, refit, and store the new version."""
         twin = self.newest(name)
-        members = self._members(twin.campaigns)
+        members = self.members_of(twin.campaigns)
         kept = self._without(members, _terms(twin), effect, axis)
         if sum(map(len, kept)) == sum(map(len, _terms(twin))):
             raise effect_absent(twin, effect)
@@ -118,7 +118,7 @@ class MachineTwins(TwinShelf):
     def restore(self, name: str, version: int) -> MachineTwin:
         """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
-        return self._store(name, self._members(old.campaigns), _terms(old), f"restore v{version}")
+        return self._store(name, self.members_of(old.campaigns), _terms(old), f"restore v{version}")
 
     def discover(
         self, name: str, *, seed: int = 0
@@ -129,7 +129,7 @@ class MachineTwins(TwinShelf):
         one finds, and all that see it together do not, is not added.
         """
         twin = self.newest(name)
-        members = self._members(twin.campaigns)
+        members = self.members_of(twin.campaigns)
         made: list[MachineTwin] = []
         groups: list[tuple[str, ...]] = []
         tried: set[str] = set()
@@ -178,12 +178,12 @@ class MachineTwins(TwinShelf):
 
     def causes(self, campaigns: Sequence[str], effect: str) -> list[Cause]:
         """Return what of the machine an effect measures, by the name that it has in one of the campaigns."""
-        told = [(member, known_to(member, effect, "")[0]) for member in self._members(campaigns)]
+        told = [(member, known_to(member, effect, "")[0]) for member in self.members_of(campaigns)]
         return [cause for member, terms in told for term in terms if (cause := member.cause(term)) is not None]
 
     def sizes(self, campaigns: Sequence[str], effects: Sequence[str]) -> dict[Quantity, Estimate]:
         """Return what campaigns together tell of effects, those left out that none of them shows."""
-        members = self._members(campaigns)
+        members = self.members_of(campaigns)
         shown = [name for name in effects if any(known_to(member, name, "")[0] for member in members)]
         terms = self._widened(members, [()] * len(members), shown, "")
         fits = [m.sizes(m.fit(mine, robust=False, refine=True)) for m, mine in zip(members, terms, strict=True)]
@@ -200,7 +200,7 @@ class MachineTwins(TwinShelf):
 
     def of_paths(self, twin: MachineTwin) -> tuple[PathMember, SeveralTwin, Callable[[PathMember, Sizes], Sizes]]:
         """Return its tests of a path, the part of the twin that is of them, and what the other fits make of sizes of theirs."""
-        members = self._members(twin.campaigns)
+        members = self.members_of(twin.campaigns)
         at = next(n for n, member in enumerate(members) if isinstance(member, PathMember))
         others = [
             None if n == at else m.sizes(m.fit(mine, robust=False, refine=True))
@@ -243,7 +243,7 @@ class MachineTwins(TwinShelf):
         """Return the twins of one kind of campaign."""
         return kind_named(kind).twins(self.home, self._library)
 
-    def _members(self, campaigns: Sequence[str]) -> list[Member]:
+    def members_of(self, campaigns: Sequence[str]) -> list[Member]:
         """Return campaigns by the fits that take them, in the order in which they are named."""
         lake = Lake(self.home.lake)
         shelves: dict[str, tuple[HasMembers, list[str]]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from dtwin.twins._learned import WithLearned
 from dtwin.twins._path_member import PathMember
 from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.measured import load
-from dtwin.twins.members import Version
+from dtwin.twins.members import Cause, Member, Version
 from dtwin.twins.of_kind import AnyTwin, AnyTwins
 from dtwin.twins.verbs import Twins
 
@@ -52,6 +52,7 @@ class Seen:
     ``refit``: fits the effects again to some rows of each test, and returns the twin as this campaign sees it. Raises
     ``InputError`` when no row is left.
     ``lacks``: diagnoses all tests without an effect of the twin, or with all of them.
+    ``elsewhere``: returns the campaigns of other kinds that name the cause of an effect again, and alone, without it.
     """
 
     twin: Twin
@@ -62,6 +63,7 @@ class Seen:
     library: WithLearned
     refit: Callable[[Rows], Twin]
     lacks: Callable[[Term | None, int], Diagnosis]
+    elsewhere: Callable[[Term, int], Sequence[str]] = lambda term, seed: ()
 
     def key_of(self, suspect: Suspect) -> tuple[str, str]:
         """Return cause and axis of what was found, as those of a term."""
@@ -115,13 +117,28 @@ def seen_on(twins: AnyTwins, name: str, campaign: str) -> Seen:
     """Return the newest version of a twin as one of its campaigns of a path sees it."""
     if isinstance(twins, MachineTwins):
         machine = twins.newest(name)
-        return _of_several(*twins.of_paths(machine), campaign, machine.contradictions)
+        seen = _of_several(*twins.of_paths(machine), campaign, machine.contradictions)
+        members = list(zip(twins.members_of(machine.campaigns), machine.members, strict=True))
+        return replace(seen, elsewhere=lambda term, seed: _named_again(members, key_of(term), seed))
     paths = cast("Twins", twins)
     known = paths.newest(name)
     if isinstance(known, SeveralTwin):
         (member,) = paths.members(known.campaigns)
         return _of_several(member, known, _as_they_are, campaign, known.contradictions, paths)
     return _of_one(paths, known)
+
+
+def _named_again(members: Sequence[tuple[Member, Any]], cause: Cause, seed: int) -> list[str]:
+    """Return the campaigns of no path which, diagnosed without a cause that they show, name it again and nothing in its place."""
+    out: list[str] = []
+    for member, part in members:
+        rest = tuple(term for term in part.terms if member.cause(term) != cause)
+        if isinstance(member, PathMember) or len(rest) == len(part.terms):
+            continue
+        alone = [group[0] for group in member.told(replace(part, terms=rest), seed).found if len(group) == 1]
+        if any(cause in map(member.cause, member.named(label)) for label in alone):
+            out += member.campaigns
+    return out
 
 
 def _as_they_are(_: PathMember, sizes: Sizes) -> Sizes:

@@ -80,6 +80,10 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
     assert isinstance(seen.twin, SeenTwin)
     stated = [e.uncertainty for e in seen.twin.estimates]
     assert 2.0 * np.sqrt(np.diag(seen.twin.covariance)) == pytest.approx(stated, rel=0.2)
+    # Poses name the growth again and nothing in its place; a zero of a joint looks like the length of its link to them.
+    by_axis = {term.label: term for term in seen.twin.terms}
+    assert seen.elsewhere(by_axis["thermal_growth"], 0) == ["tracker"]
+    assert seen.elsewhere(by_axis["joint_offset 2"], 0) == []
     turned = said("twin", "confirm", "found", "joint_offset:2", "--after", "june")
     assert turned["grade"] is None
     assert turned["changes"][0]["after"] == pytest.approx(900.0, abs=30.0)

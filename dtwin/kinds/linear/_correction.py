@@ -29,8 +29,9 @@ from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
-from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
+from dtwin.twins.correct import LITTLE
 from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.path_way import BY_SHAPE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.seen import Seen
 
 _FEWEST_RUNS = 2
