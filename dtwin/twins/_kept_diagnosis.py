@@ -30,7 +30,7 @@ MADE_FROM = "made_from"
 ALONE = "alone"
 """Where a stored diagnosis of several campaigns has that of each by itself."""
 _PACKAGE = Path(str(dtwin.__file__)).parent
-_DIAGNOSING = ("physics/**/*.py", "kinds/**/*.py", "statistics.py", "kinematics.py")
+_DIAGNOSING = ("physics/**/*.py", "kinds/**/*.py", "features/**/*.py", "twins/*.py", "statistics.py", "kinematics.py")
 
 
 def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: int) -> str:

@@ -212,8 +212,8 @@ class TwinShelf:
                 where=f"twin {name}",
                 got=str(kind)[:40],
                 allowed=_CAMPAIGNS.get(self.kind, f"a twin of {self.kind} campaigns"),
-                hint="dtwin twin fit, compare, diagnose, add, remove, restore, discover, history and "
-                "show take every kind",
+                hint="dtwin twin fit, compare, diagnose, add, remove, restore, discover, confirm, history "
+                "and show take every kind",
             )
 
     def _numbers(self, name: str) -> Sequence[int]:

@@ -34,6 +34,7 @@ class _Poses(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
         "laws": "dtwin twin discover TWIN adds every effect that the poses tell",
+        "training": "dtwin twin discover TWIN finds what is wrong with the arm, dtwin export TWIN --as dh writes it",
         "twin_correction": "an arm takes corrected geometry, and no offset while it moves: dtwin export TWIN --as dh; measure "
         "again, then dtwin twin confirm TWIN EFFECT --after CAMPAIGN",
     }
