@@ -39,16 +39,6 @@ class Drivers:
     by_any: Floats
 
 
-@dataclass(frozen=True)
-class _HeldOut:
-    """A model of some bodies: of all hours, and what it says of each span and leaves (squares) without that span."""
-
-    model: ThermalModel
-    expected: Floats
-    squares: Floats
-    used: tuple[str, ...]
-
-
 def drivers_of(
     name: str,
     motion: Floats,
@@ -65,12 +55,13 @@ def drivers_of(
     ``named``: whether a user says that they do: then all of them may.
     """
     search = _Search(name, motion, bodies, hour, spans)
-    every = search.held_out(frozenset(bodies))
+    every = frozenset(bodies)
+    by_any = search.expected(every)
     if named:
-        return Drivers(every.model, every.expected, dict.fromkeys(every.used, ()), (), every.expected)
+        return Drivers(search.model(every), by_any, dict.fromkeys(search.used(every), ()), (), by_any)
     kept, alike = search.found()
-    counts = search.held_out(frozenset(alike))
-    return Drivers(counts.model, counts.expected, alike, tuple(sorted(kept - set(alike))), every.expected)
+    counts = frozenset(alike)
+    return Drivers(search.model(counts), search.expected(counts), alike, tuple(sorted(kept - counts)), by_any)
 
 
 class _Search:
@@ -86,30 +77,32 @@ class _Search:
     ) -> None:
         self._name, self._motion, self._bodies, self._spans = name, motion, bodies, spans
         self._courses = {f"{TIME_ALONE} {n}": course for n, course in enumerate(courses(hour))}
-        self._known: dict[tuple[frozenset[str], bool], _HeldOut] = {}
+        self._expected: dict[tuple[frozenset[str], bool], Floats] = {}
+        self._models: dict[frozenset[str], ThermalModel] = {}
 
     def found(self) -> tuple[frozenset[str], dict[str, tuple[str, ...]]]:
         """Return the bodies that pay, and those of them that count with what is alike."""
         every = frozenset(self._bodies)
-        kept = frozenset(self.held_out(every).used)
+        kept = frozenset(self.used(every))
         now = self._least((every, False), (kept, False))
         while True:
-            without = {body: self.held_out(kept - {body}).squares for body in sorted(kept)}
+            without = {body: self._squares(kept - {body}) for body in sorted(kept)}
             idle = {body: left for body, left in without.items() if not needed(left, now, MUCH)}
             if not idle:
                 break
             kept -= {_first(idle)}
-            now = min(now, self.held_out(kept).squares, key=np.sum)
+            now = min(now, self._squares(kept), key=np.sum)
         # One after the other: of two that go together each could be told by time beside the other.
         counts = kept
         while as_time := self._as_time(counts):
             counts -= {_first(as_time)}
-        told = self.held_out(counts).squares
+        told = self._squares(counts)
         alike: dict[str, tuple[str, ...]] = {}
         for body in sorted(counts):
-            others = self.held_out(every - {body})
-            instead = [one for one in others.used if one not in counts] or others.used
-            alike[body] = () if needed(others.squares, told, MUCH) else (" and ".join(instead),)
+            alike[body] = ()
+            if not needed(self._squares(every - {body}), told, MUCH):
+                used = self.used(every - {body})
+                alike[body] = (" and ".join([one for one in used if one not in counts] or used),)
         return kept, alike
 
     def _as_time(self, counts: frozenset[str]) -> dict[str, Floats]:
@@ -118,41 +111,56 @@ class _Search:
         out: dict[str, Floats] = {}
         for body in sorted(counts):
             others = frozenset(self._bodies) - {body}
-            anew = [(others, True)] if needed(self.held_out(others).squares, told, MUCH) else []
+            anew = [(others, True)] if needed(self._squares(others), told, MUCH) else []
             for some in [(counts - {body}, True), *anew]:
-                left = self.held_out(*some).squares
+                left = self._squares(*some)
                 if body not in out and not needed(left, told, MUCH):
                     out[body] = left
         return out
 
     def _least(self, *some: tuple[frozenset[str], bool]) -> Floats:
-        return min((self.held_out(*one).squares for one in some), key=np.sum)
+        return min((self._squares(*one) for one in some), key=np.sum)
 
-    def held_out(self, bodies: frozenset[str], timed: bool = False) -> _HeldOut:
-        """Return what temperatures of these bodies say, with courses of time or without; the choice of them is made anew in each span."""
-        if (bodies, timed) not in self._known:
-            columns = {
-                name: rise for body in self._bodies if body in bodies for name, rise in self._bodies[body].items()
-            }
-            self._known[bodies, timed] = self._fitted({**columns, **(self._courses if timed else {})})
-        return self._known[bodies, timed]
+    def _squares(self, bodies: frozenset[str], timed: bool = False) -> Floats:
+        """Return the squares that these bodies leave in each span without it."""
+        left = self._motion - self.expected(bodies, timed)
+        return np.array([float((left[span] ** 2).sum()) for span in self._spans])
 
-    def _fitted(self, columns: Mapping[str, Floats]) -> _HeldOut:
-        rise = np.column_stack([np.zeros((len(self._motion), 0)), *columns.values()])
-        expected = np.zeros(len(self._motion))
-        for span in self._spans:
-            kept = np.delete(np.arange(len(self._motion)), span)
-            model = self._chosen(kept, rise, list(columns))
-            expected[span] = model.run(rise[span][:, [list(columns).index(sensor) for sensor in model.sensors]])
-        model = self._chosen(np.arange(len(self._motion)), rise, list(columns))
-        squares = np.array([float(((self._motion - expected)[span] ** 2).sum()) for span in self._spans])
-        used = tuple(body for body, own in self._bodies.items() if set(own) & set(model.sensors))
-        return _HeldOut(model, expected, squares, used)
+    def expected(self, bodies: frozenset[str], timed: bool = False) -> Floats:
+        """Return what temperatures of these bodies, with courses of time or without, say of each span, (n,); they are chosen without it."""
+        if (bodies, timed) not in self._expected:
+            columns = {**self._columns(bodies), **(self._courses if timed else {})}
+            out = np.zeros(len(self._motion))
+            for span in self._spans:
+                model = self._chosen(np.delete(np.arange(len(out)), span), columns)
+                out[span] = model.run(_beside([columns[sensor] for sensor in model.sensors], len(out))[span])
+            self._expected[bodies, timed] = out
+        return self._expected[bodies, timed]
 
-    def _chosen(self, cycles: NDArray[np.int64], rise: Floats, names: Sequence[str]) -> ThermalModel:
-        if not names:
+    def model(self, bodies: frozenset[str]) -> ThermalModel:
+        """Return the model of all hours."""
+        if bodies not in self._models:
+            self._models[bodies] = self._chosen(np.arange(len(self._motion)), self._columns(bodies))
+        return self._models[bodies]
+
+    def used(self, bodies: frozenset[str]) -> tuple[str, ...]:
+        """Return the bodies whose temperatures that model takes."""
+        sensors = set(self.model(bodies).sensors)
+        return tuple(body for body, own in self._bodies.items() if sensors & set(own))
+
+    def _columns(self, bodies: frozenset[str]) -> dict[str, Floats]:
+        return {name: rise for body, own in self._bodies.items() if body in bodies for name, rise in own.items()}
+
+    def _chosen(self, cycles: NDArray[np.int64], columns: Mapping[str, Floats]) -> ThermalModel:
+        if not columns:
             return ThermalModel(self._name, (), np.zeros(0), 0.0, float("nan"))
-        return fit_thermal(self._name, self._motion[cycles], rise[cycles], names, static=True)
+        rise = _beside(list(columns.values()), len(self._motion))
+        return fit_thermal(self._name, self._motion[cycles], rise[cycles], list(columns), static=True)
+
+
+def _beside(columns: Sequence[Floats], n: int) -> Floats:
+    """Return columns (n,) beside each other, also none of them."""
+    return np.column_stack([np.zeros((n, 0)), *columns])
 
 
 def _first(left: Mapping[str, Floats]) -> str:
