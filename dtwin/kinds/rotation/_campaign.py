@@ -62,6 +62,14 @@ def _judge(found: OverSpeed) -> list[Finding]:
             "(poles of a motor, teeth, a coupling) through a structure that lags looks so; it is not taken for a delay of the angle"
         )
         out.append(Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)}))
+    if (w := found.wave) is not None:
+        said = (
+            f"{found.probe}: what comes {w.times} times per turn is {w.least_um:z.3g} µm at {w.least_rpm:z.4g} rpm and {w.most_um:z.3g} µm at "
+            f"{w.most_rpm:z.4g} rpm: no form of the target changes so; forces of that order (poles of a motor, rolling elements, teeth) on a structure "
+            "do, and a probe that is too slow"
+        )
+        numbers = {"per_turn_1": float(w.times), "least_um": w.least_um, "most_um": w.most_um}
+        out.append(Finding("rotation.wave_changes", "warning", said, numbers))
     out += _judge_once(found)
     out += _judge_mean(found)
     out += _judge_orders(found)

@@ -14,13 +14,16 @@ from dtwin.kinds.rotation._heads import AT_REST, OVER_SPEED
 from dtwin.kinds.rotation._laws import Law, groups_of, law_of
 from dtwin.kinds.rotation._orders import Order, orders_of
 from dtwin.kinds.rotation._turns import Figures, Turns, figures_of, one_way, turns_of
+from dtwin.kinds.rotation._waves_over_speed import MovingWave, moving_wave
 from dtwin.schema import Floats, Run
 from dtwin.statistics import k2_factor, t_tail
 
 _FORM = np.arange(2, 41)
-_REACH_DEG = 25.0
-_ALIKE = 0.9
+_REACH_DEG, _NEAR_DEG = 25.0, 5.0
+_ALIKE, _SMALL = 0.9, 0.1
 _CHANCE = 0.01
+_ODD_DEG = 10.0
+"""Phase by which a wave that is no part of the form turns at least."""
 _LEAST_DEG = 0.2
 _OF_A_STEP = 0.25
 _ONE = "s1"
@@ -56,7 +59,7 @@ class OverSpeed:
     """A probe over its speeds.
 
     ``odd_wave``: how often per turn the largest wave comes, where it turns and the form does not turn with it; 0 without.
-    ``vector``, ``mean``: what the once-per-turn vector and the mean reading follow; None with too few speeds, or
+    ``wave``: the wave whose amplitude changes most, None where none surely does. ``vector``, ``mean``: what the once-per-turn vector and the mean reading follow; None with too few speeds, or
     without a phase.
     ``spread_um``: largest distance of two vectors, delay taken away; NaN without a phase.
     ``noise_um``: k = 2 of a vector by blocks of turns, of the worst run.
@@ -68,6 +71,7 @@ class OverSpeed:
     delay: Delay | None
     form_known: bool
     odd_wave: int
+    wave: MovingWave | None
     vector: Law | None
     mean: Law | None
     spread_um: float
@@ -134,6 +138,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
         delay,
         known,
         odd,
+        moving_wave([p.turns for p in points], speed, [p.orders for p in points]),
         law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
         law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0, pairs=True),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
@@ -161,15 +166,22 @@ def form_shift(points: Sequence[Point]) -> tuple[bool, Floats, int]:
     """
     bins = min(p.turns.read_um.shape[1] for p in points)
     orders = _FORM[bins // 4 > _FORM]
+    if len(orders) < 4 or len(points) < 2:
+        return False, np.zeros(len(points)), 0
     waves = np.array([_waves(p.turns, orders) for p in points])
+    size = np.sqrt(np.mean(np.abs(waves) ** 2, axis=0))
+    # Noise of high orders would turn the form by more than it is.
+    told = size >= _SMALL * size.max()
+    waves, orders = waves[:, told], orders[told]
     alike, shift = _turned(waves, orders)
-    if not alike or len(orders) < 4:
+    if not alike:
         return False, shift, 0
     largest = int(np.argmax(np.sum(np.abs(waves) ** 2, axis=0)))
     rest_alike, rest = _turned(np.delete(waves, largest, axis=1), np.delete(orders, largest))
     speed = np.array([p.speed_rpm for p in points])
     apart = shift - rest if rest_alike else shift
-    if _delay(speed, apart) is None or np.ptp(apart) < 0.5 * max(np.ptp(shift), np.ptp(rest)):
+    least_deg = max(0.5 * np.ptp(shift), 0.5 * np.ptp(rest), _ODD_DEG / float(orders[largest]))
+    if _delay(speed, apart) is None or np.ptp(apart) < least_deg:
         return True, shift, 0
     return rest_alike, rest, int(orders[largest])
 
@@ -177,22 +189,33 @@ def form_shift(points: Sequence[Point]) -> tuple[bool, Floats, int]:
 def _turned(waves: NDArray[np.complex128], orders: NDArray[np.int64]) -> tuple[bool, Floats]:
     """Return whether waves (runs, orders) are the same but turned, and by how many degrees from those of the first run."""
     tried = np.arange(-_REACH_DEG, _REACH_DEG, 0.1)
-    turned = np.exp(-1j * np.outer(np.radians(tried), orders))
     shift, alike = np.zeros(len(waves)), True
     for n, of in enumerate(waves):
         # From its neighbour in speed: the form turns little from one to the next.
-        reference = waves[max(0, n - 1)]
-        match = (turned @ (of * np.conj(reference))).real
-        best = int(np.argmax(match))
-        scale = float(np.linalg.norm(of) * np.linalg.norm(reference))
-        alike &= scale > 0.0 and match[best] > _ALIKE * scale
-        if 0 < best < len(tried) - 1:
-            bend = match[best - 1] - 2.0 * match[best] + match[best + 1]
-            vertex = 0.5 * (match[best - 1] - match[best + 1]) / bend if bend else 0.0
-            shift[n] = (shift[n - 1] if n else 0.0) + tried[best] + 0.1 * float(np.clip(vertex, -0.5, 0.5))
-        else:
-            alike = False
-    return bool(alike), shift
+        found = _turn(of, waves[max(0, n - 1)], orders, tried)
+        alike &= found is not None
+        shift[n] = (shift[n - 1] if n else 0.0) + (found or 0.0)
+    # Once more from the mean form of all others: what neighbours are off by has added up.
+    back = waves * np.exp(-1j * np.outer(np.radians(shift), orders))
+    near = np.arange(-_NEAR_DEG, _NEAR_DEG, 0.1)
+    others = [np.delete(back, n, axis=0).mean(axis=0) for n in range(len(waves))]
+    finer = [_turn(of, form, orders, at + near) for of, form, at in zip(waves, others, shift, strict=True)]
+    shift = np.array([at if fine is None else fine for at, fine in zip(shift, finer, strict=True)])
+    return bool(alike), shift - shift[0]
+
+
+def _turn(
+    of: NDArray[np.complex128], reference: NDArray[np.complex128], orders: NDArray[np.int64], tried: Floats
+) -> float | None:
+    """Return by which of the tried angles waves are turned from others, between them by a parabola; None where they are not alike."""
+    match = (np.exp(-1j * np.outer(np.radians(tried), orders)) @ (of * np.conj(reference))).real
+    best = int(np.argmax(match))
+    scale = float(np.linalg.norm(of) * np.linalg.norm(reference))
+    if not 0 < best < len(tried) - 1 or not match[best] > _ALIKE * scale:
+        return None
+    bend = match[best - 1] - 2.0 * match[best] + match[best + 1]
+    vertex = 0.5 * (match[best - 1] - match[best + 1]) / bend if bend else 0.0
+    return float(tried[best] + 0.1 * np.clip(vertex, -0.5, 0.5))
 
 
 def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:

@@ -327,22 +327,39 @@ def test_a_display_of_whole_micrometres_shows_neither_delay_nor_resonance() -> N
     assert codes(KIND.judge_campaign(runs)) == {"rotation.unbalance"}
 
 
+def runs_of(target: Callable[[int, float], Target], late_ms: float = 0.0, seed: int = 0) -> list[Run]:
+    """Return a run at each usual speed; ``target`` of the number of the run and its speed."""
+    runs = []
+    for k, rpm in enumerate(SPEEDS):
+        angle = turned(30.0)
+        samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": angle - 6e-3 * late_ms * rpm}
+        samples["displacement_um"] = target(k, rpm).read(angle, 100 * seed + k)
+        condition: dict[str, float | str] = {"probe": "p", "sense": "radial", "angle": "encoder", "speed_rpm": rpm}
+        runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
+    return runs
+
+
 def test_a_force_that_lags_in_the_structure_is_no_delay_of_the_angle() -> None:
+    def lags(k: int, rpm: float) -> Target:
+        lag = float(np.degrees(np.arctan2(0.6 * rpm / 1e4, 1.0 - (rpm / 1e4) ** 2)))
+        return Target((5.0 + 0.002 * (k % 2), 30.0), {2: (0.1, 10.0), 3: (0.1, 80.0), 8: (0.5, lag)})
+
     for late_ms, named in ((0.0, set()), (0.1, {"rotation.delay"})):
-        runs = []
-        for k, rpm in enumerate(SPEEDS):
-            angle, lag = turned(30.0), np.degrees(np.arctan2(0.6 * rpm / 1e4, 1.0 - (rpm / 1e4) ** 2))
-            target = Target(
-                once=(5.002, 30.0) if k % 2 else (5.0, 30.0), lobes={2: (0.1, 10.0), 3: (0.1, 80.0), 8: (0.5, lag)}
-            )
-            samples = {"t_s": (angle - angle[0]) / 6.0 / rpm, "angle_deg": angle - 6e-3 * late_ms * rpm}
-            samples["displacement_um"] = target.read(angle, k)
-            condition: dict[str, float | str] = {"probe": "p", "sense": "radial", "angle": "encoder", "speed_rpm": rpm}
-            runs.append(Run(RunMeta(f"r{k}", "rotation", condition=condition), samples))
-        told = KIND.judge_campaign(runs)
+        told = KIND.judge_campaign(runs_of(lags, late_ms))
         assert codes(told) == {"rotation.odd_wave", "rotation.once_constant", *named}
         assert all(f.numbers["delay_ms"] == pytest.approx(0.1, abs=0.02) for f in told if f.code == "rotation.delay")
         assert [f.numbers["per_turn_1"] for f in told if f.code == "rotation.odd_wave"] == [8.0]
+
+
+def test_a_wave_that_grows_with_the_speed_is_no_form_and_a_small_form_turns_by_no_chance() -> None:
+    def grows(k: int, rpm: float) -> Target:
+        return Target((5.0 + 0.002 * (k % 2), 30.0), {2: (0.1, 10.0), 8: (0.05 + rpm / 2e4, 20.0)})
+
+    (told,) = (f for f in KIND.judge_campaign(runs_of(grows)) if f.code == "rotation.wave_changes")
+    assert (told.numbers["per_turn_1"], told.numbers["most_um"]) == (8.0, pytest.approx(0.45, abs=0.01))
+    small = Target(lobes={2: (0.02, 10.0), 3: (0.02, 80.0)})
+    for seed in range(6):
+        assert codes(KIND.judge_campaign(runs_of(lambda k, rpm: small, seed=seed))) == {"rotation.once_constant"}
 
 
 def test_what_no_mounting_holds_is_no_unbalance() -> None:
