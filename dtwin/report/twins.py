@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _OVERLAYS = 4
 _COORDINATES = ("angle_deg", "position_mm", "phase_deg")
+# Names in a cell of a table that has a line for each version.
+_IN_A_CELL = 3
 _SEVERITY = {
     "nothing_missing": "info",
     "missing_effect": "warning",
@@ -244,11 +246,16 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
             micrometres(r["rms_after_um"]),
             number(r["noise_floor_um"]),
             r["verdict"] or "",
-            "; ".join(" or ".join(group) for group in r["found"]),
+            _first_of(r["found"]),
         )
         for r in rungs
     ]
     return table(head, rows)
+
+
+def _first_of(groups: Sequence[Sequence[str]]) -> str:
+    more = f"; and {len(groups) - _IN_A_CELL} more" if len(groups) > _IN_A_CELL else ""
+    return "; ".join(" or ".join(group) for group in groups[:_IN_A_CELL]) + more
 
 
 def effect_text(effect: Effect) -> str:
