@@ -212,14 +212,19 @@ def _judge_orders(found: OverSpeed) -> list[Finding]:
     """Say of lines that stand at several speeds whether they turn with the axis, or have a frequency of their own."""
     out: list[Finding] = []
     speeds = sorted(found.points, key=lambda p: p.speed_rpm)
-    if len(speeds) < 2 or speeds[-1].speed_rpm < (1.0 + _APART) * speeds[0].speed_rpm:
-        return out
-    for line in speeds[-1].orders:
-        hertz = line.order * speeds[-1].speed_rpm / 60.0
-        others = [p for p in speeds[:-1] if p.speed_rpm < speeds[-1].speed_rpm / (1.0 + _APART)]
+    hertz_told: list[float] = []
+    orders_told: list[Order] = []
+    # A frequency may be a whole order at the highest speed, and no line there.
+    for fast, line in ((p, line) for p in reversed(speeds) for line in p.orders):
+        hertz = line.order * fast.speed_rpm / 60.0
+        others = [p for p in speeds if p.speed_rpm < fast.speed_rpm / (1.0 + _APART)]
+        same_hz = [abs(hertz - hz) < _SAME_ORDER * hz for hz in hertz_told]
+        if not others or any(same_hz) or any(_near(line.order, o.order, line, o) for o in orders_told):
+            continue
         by_order = [p for p in others if any(_near(o.order, line.order, o, line) for o in p.orders)]
         by_hertz = [p for p in others if any(_near(o.order * p.speed_rpm / 60.0, hertz, o, line) for o in p.orders)]
         if by_hertz and len(by_hertz) > len(by_order):
+            hertz_told.append(hertz)
             # The slowest run resolves it best.
             slow = by_hertz[0]
             hertz = min((o.order * slow.speed_rpm / 60.0 for o in slow.orders), key=lambda at: abs(at - hertz))
@@ -233,6 +238,7 @@ def _judge_orders(found: OverSpeed) -> list[Finding]:
             said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
             out.append(Finding("rotation.frequency", "info", said, {"frequency_hz": hertz}))
         elif by_order and len(by_order) > len(by_hertz):
+            orders_told.append(line)
             said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
             out.append(
                 Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})

@@ -372,6 +372,9 @@ def test_mains_are_told_with_their_frequency_and_where_they_count_as_synchronous
     (told,) = (f for f in found if f.code == "rotation.frequency")
     assert told.numbers["frequency_hz"] == pytest.approx(50.0, abs=0.3)
     assert "at 1000 rpm it comes a whole number of times a turn" in told.message
+    # At the highest speed it is a whole order, and no line.
+    high = KIND.judge_campaign(measured(Story(orders=lambda n: 3000.0 / n), 1, (700.0, 1100.0, 1900.0, 3000.0)))
+    assert [f.numbers["frequency_hz"] for f in high if f.code == "rotation.frequency"] == [pytest.approx(50.0, abs=0.3)]
 
 
 def test_a_mean_that_moves_with_speed_and_time_is_told_by_both() -> None:
