@@ -68,7 +68,7 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float, *, pai
     """Return what values (n, parts) follow; None with fewer than four distinct speeds, or near ones.
 
     ``noise``: variance of one part of a value, by its repeats within a run; what is left is taken to be no less.
-    ``pairs``: whether speed and time together are tried where neither does alone.
+    ``pairs``: whether speed and time together are tried, beside the best of them alone.
     """
     group = groups_of(speed_rpm)
     count = len(np.unique(group))
@@ -96,13 +96,17 @@ def law_of(values: Floats, speed_rpm: Floats, time: Floats, noise: float, *, pai
         else:
             fitted = designs[name] @ np.linalg.lstsq(designs[name], values, rcond=None)[0]
             chance[name] = _chance(values, fitted, held_dof=2 * values.shape[1], noise=noise)
-    able = [name for name in others if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]]
+    able = [
+        name
+        for name in sorted(others, key=lambda name: held[name])
+        if chance[name] < _CHANCE / len(others) and held[name] < _BETTER * held[CONSTANT]
+    ]
     if RESONANCE in able and critical > _REACHED * float(speed_rpm.max()):
         able.remove(RESONANCE)
     left = {name: float(np.sqrt(sse / values.size)) for name, sse in held.items()}
-    if not able and pairs and TIME in designs:
+    if pairs and TIME in designs:
         both = _pair(values, designs, group, held, noise)
-        if both is not None:
+        if both is not None and (not able or _beside(values, designs, able[0], both[0][0], noise)):
             names, change, p_value = both
             return Law(names[0] if len(names) == 1 else "", names, change, left, p_value, count)
     if not able:
@@ -149,6 +153,13 @@ def _pair(
     best = min(laws, key=lambda name: laws[name][0])
     names = sorted((n for n in laws if laws[n][0] < _AS_GOOD * laws[best][0]), key=lambda n: laws[n][0])
     return tuple(names), *laws[best][1:]
+
+
+def _beside(values: Floats, designs: Mapping[str, Floats], one: str, both: str, noise: float) -> bool:
+    """Return whether a law of two takes what one of them leaves by no chance."""
+    pair = np.column_stack([designs[both.partition("+")[0]], designs[TIME][:, 1]])
+    alone, fitted = (d @ np.linalg.lstsq(d, values, rcond=None)[0] for d in (designs[one], pair))
+    return _chance(values - alone, fitted - alone, held_dof=3 * values.shape[1], noise=noise) < _CHANCE / 2.0
 
 
 def _together(one: str, other: str, designs: Mapping[str, Floats]) -> bool:

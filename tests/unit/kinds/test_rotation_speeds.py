@@ -17,6 +17,7 @@ from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.kinds.rotation._heads import column_of
+from dtwin.kinds.rotation._laws import law_of
 from dtwin.kinds.rotation._simulate import TRUTHS, simulate_rotation
 from dtwin.report.checking import check_source
 from dtwin.schema import Finding, Floats, Run, RunMeta
@@ -386,6 +387,19 @@ def test_a_mean_that_moves_with_speed_and_time_is_told_by_both() -> None:
             0
         ].message
     assert right >= 19
+
+
+def test_drift_and_growth_are_told_by_both_where_one_of_them_alone_predicts_well() -> None:
+    found = {"square+time": 0, "time": 0}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        rpm = rng.permutation(np.repeat(np.linspace(1000.0, 6000.0, 6), 2))
+        hours = 0.06 * np.arange(rpm.size)
+        for named, growth in (("square+time", 3.0), ("time", 0.0)):
+            mean = 4.0 * hours - growth * (rpm / 6000.0) ** 2 + rng.normal(0.0, 0.03, rpm.size)
+            law = law_of(mean[:, None], rpm, hours, 1e-6, pairs=True)
+            found[named] += law is not None and law.name == named
+    assert min(found.values()) >= 38, found
 
 
 def test_a_target_that_moves_with_time_is_not_asked_for_what_was_measured() -> None:
