@@ -38,6 +38,7 @@ Kind = Annotated[
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
 Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
+Started = Annotated[str | None, typer.Option(help="Of such a table: when it was measured, such as 2026-03-02.")]
 
 app = typer.Typer()
 
@@ -90,6 +91,7 @@ def check(
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
+    started: Started = None,
     as_json: Json = False,
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
@@ -100,7 +102,18 @@ def check(
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
     told = told_of(
-        plane, radius, feed, direction, axis, setup, repeat, machine, pitch=pitch, instrument=instrument, kind=kind
+        plane,
+        radius,
+        feed,
+        direction,
+        axis,
+        setup,
+        repeat,
+        machine,
+        pitch=pitch,
+        instrument=instrument,
+        kind=kind,
+        started=started,
     )
     limits, surroundings = partial(tolerances_of, home()), partial(variation_of, home())
     alone = any(value is not None for value in told.values())
@@ -133,6 +146,7 @@ def ingest(
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
+    started: Started = None,
     campaign: Annotated[
         str | None, typer.Option(help="Of such a table: name of the campaign; else the file's.")
     ] = None,
@@ -143,7 +157,9 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument, kind)
+    told = told_of(
+        plane, radius, feed, direction, axis, setup, repeat, machine, campaign, pitch, instrument, kind, started
+    )
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -260,6 +276,7 @@ def told_of(
     pitch: float | None = None,
     instrument: str | None = None,
     kind: str | None = None,
+    started: str | None = None,
 ) -> dict[str, Any]:
     """Return what the options tell of a table, named as in campaign.toml; the machine's record knows the pitch of a screw."""
     from dtwin.machine_record import read_record
@@ -278,6 +295,7 @@ def told_of(
         "machine": machine,
         "campaign": campaign,
         "kind": kind,
+        "started": started,
     }
 
 

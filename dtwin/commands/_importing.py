@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands._data import Axis, Direction, Feed, Kind, Machine, Plane, Radius, Repeat, Setup, told_of
+from dtwin.commands._data import Axis, Direction, Feed, Kind, Machine, Plane, Radius, Repeat, Setup, Started, told_of
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
@@ -42,6 +42,7 @@ def import_table(
     setup: Setup = None,
     repeat: Repeat = None,
     machine: Machine = None,
+    started: Started = None,
     kind: Kind = None,
     campaign: Annotated[str | None, typer.Option(help="Name of the campaign; the file's without.")] = None,
     as_json: Json = False,
@@ -49,7 +50,7 @@ def import_table(
     """Say what a foreign table is taken for; with --out make a campaign folder of it, and remember the answers."""
     from dtwin.acquire.importing import understand, write_folder
 
-    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, kind=kind)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign, kind=kind, started=started)
     understood = understand(source, home(), told, _answers(column or []), decimal)
     toml = None if out is None else write_folder(understood, out, home(), confirmed=as_remembered)
     payload = {**understood.as_dict(), "written": None if toml is None else str(toml)}

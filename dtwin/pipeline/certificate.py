@@ -56,7 +56,6 @@ def facts_of(home: Home, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     record = read_record(home, known.machine) or MachineRecord(known.machine)
     stated = {name: str(value) for name, value in known.instrument.items()}
     stamps = sorted(row["started"][:16].replace("T", " ") for row in rows if row["started"])
-    same_day = bool(stamps) and stamps[0][:10] == stamps[-1][:10]
     temperatures = [t for row in rows if (t := json.loads(row["covariates_json"]).get("temperature_c")) is not None]
     temperature = (
         " - ".join(dict.fromkeys(f"{t:z.1f}" for t in (min(temperatures), max(temperatures)))) + " °C"
@@ -75,11 +74,21 @@ def facts_of(home: Home, rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
         "calibrated": stated.get("calibrated_on", ""),
         "operator": stated.get("operator", ""),
         "temperature": temperature,
-        "measured": f"{stamps[0]} - {stamps[-1][11 if same_day else 0 :]}" if stamps else "",
+        "measured": _span(stamps),
         "test": known.name,
         "runs": str(len(of_one_way([r for r in rows if r["left_out"] is None]))),
         "evaluated by": f"dtwin {__version__}",
     }
+
+
+def _span(stamps: Sequence[str]) -> str:
+    """Return from when to when, of days with or without a time, in order; empty of none."""
+    if not stamps or stamps[0] == stamps[-1]:
+        return "".join(stamps[:1])
+    first, last = stamps[0], stamps[-1]
+    if first[:10] != last[:10]:
+        return f"{first} - {last}"
+    return f"{first} - {last[11:]}" if len(first) > 10 else first
 
 
 def earlier_test(

@@ -35,6 +35,7 @@ class _Told(BaseModel):
 
     machine: str = Field("", max_length=100)
     campaign: str = Field("", max_length=100)
+    started: str = Field("", max_length=40)
     plane: str = Field("", max_length=10)
     radius_mm: float | None = None
     feed_mm_min: float | None = None

@@ -369,8 +369,10 @@ def test_a_foreign_table_is_shown_corrected_and_remembered(page: Page, bench: Wo
     dialog.get_by_label("Plane").select_option("XY")
     dialog.get_by_label("Radius, mm").fill("150,5")
     dialog.get_by_label("Programmed feed, mm/min").fill("2000")
+    dialog.get_by_label("Measured on").fill("2026-03-02")
     dialog.get_by_role("button", name="Ingest").click()
     page.wait_for_url("**/campaigns/kreis")
+    assert "<dt>measured</dt><dd>2026-03-02</dd>" in bench.ask("/campaigns/kreis/certificate.html")[1]
 
     # The next file with these heads: answered already, but its conditions are asked for.
     drop("kreis-2.csv", 0.001)

@@ -452,7 +452,7 @@ function upload(gather) {
   });
 }
 
-const CONDITIONS = ["machine", "campaign", "plane", "radius_mm", "feed_mm_min", "direction", "axis", "kind", "instrument"];
+const CONDITIONS = ["machine", "campaign", "started", "plane", "radius_mm", "feed_mm_min", "direction", "axis", "kind", "instrument"];
 
 async function understood(tray, name) {
   const dialog = byId("told");

@@ -177,7 +177,9 @@ def test_conditions_of_an_earlier_file_are_confirmed_for_each(tmp_path: Path, mo
         return CliRunner().invoke(app, ["import", *words])
 
     answers = ["--plane", "XY", "--radius", "100", "--feed", "1000", "--machine", "mill-7"]
-    assert run("k.csv", *answers, "--out", "k").exit_code == 0
+    assert run("k.csv", *answers, "--started", "2026-03-02", "--out", "k").exit_code == 0
+    (first,) = next(iter(open_source(Path("k"))[1]))[0]
+    assert first.meta.started == "2026-03-02"
     shown = run("l.csv")
     assert "only k.csv tells machine mill-7, plane XY, radius_mm 100" in shown.output
     assert "--as-remembered confirms it" in shown.output
@@ -190,7 +192,8 @@ def test_conditions_of_an_earlier_file_are_confirmed_for_each(tmp_path: Path, mo
     assert run("l.csv", *answers, "--out", "told").exit_code == 0
     assert run("l.csv", "--feed", "2000", "--as-remembered", "--out", "l").exit_code == 0
     (done,) = next(iter(open_source(Path("l"))[1]))[0]
-    assert (done.meta.radius_mm, done.meta.feed_mm_min) == (100.0, 2000.0)
+    # A day is of one file.
+    assert (done.meta.radius_mm, done.meta.feed_mm_min, done.meta.started) == (100.0, 2000.0, "")
 
 
 @pytest.mark.parametrize(

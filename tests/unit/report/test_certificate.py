@@ -22,7 +22,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.pipeline.certificate import certificate
+from dtwin.pipeline.certificate import certificate, facts_of
 from dtwin.report.certificate import certificate_page
 from dtwin.schema import Run, RunMeta
 
@@ -40,6 +40,21 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     home.machines.mkdir()
     (home.machines / "mill-7.toml").write_text('serial = "4711"\n[tolerances]\n"G(b)" = 15.0\n')
     return home
+
+
+@pytest.mark.parametrize(
+    ("begun", "said"),
+    [
+        (("2026-03-02",), "2026-03-02"),
+        (("2026-03-02T08:00:00Z",), "2026-03-02 08:00"),
+        (("2026-03-02", "2026-03-04"), "2026-03-02 - 2026-03-04"),
+        (("2026-03-02", "2026-03-02T09:00:00Z"), "2026-03-02"),
+        (("",), ""),
+    ],
+)
+def test_when_it_was_measured_is_said_as_it_was_told(home: Home, begun: tuple[str, ...], said: str) -> None:
+    row = Lake(home.lake).runs("t00")[0]
+    assert facts_of(home, [row | {"started": told} for told in begun])["measured"] == said
 
 
 def test_it_says_in_german_what_was_tested_and_what_is_decided(home: Home) -> None:
