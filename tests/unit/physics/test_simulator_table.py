@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
@@ -119,3 +120,12 @@ def test_the_error_falls_from_rung_to_rung_down_to_the_floor() -> None:
         errors.append(fit(obs, chosen_terms(effects, library, obs)).rms_after_um)
     assert all(after <= before * 1.0001 for before, after in itertools.pairwise(errors))
     assert errors[-1] < 0.05 * errors[0]
+
+
+def test_from_nothing_simple_effects_are_named_and_not_what_imitates_several_of_them() -> None:
+    # A pitch error and guideways of any shape do what scale, squareness and bows do, and 14 µm hide what is a thirtieth of it.
+    groups = [{suspect.label for suspect in group} for group in diagnose(observed("sim1"), [], Library()).found]
+    named = set().union(*groups)
+    assert named >= {"scale_mismatch XY", "squareness XY", "servo_mismatch XY", "reversal_spike X", "reversal_spike Y"}
+    assert not any(label.startswith(("guideway_shape", "pitch_error")) for label in named)
+    assert len(groups) >= 15
