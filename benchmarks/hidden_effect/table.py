@@ -12,7 +12,7 @@ from controls import CONTROLS
 from rows import PUBLISHED, ROWS, Row
 
 Record = Mapping[str, Any]
-OUTSIDE = "outside the library called unknown"
+OUTSIDE = "outside the library called unknown, or by a name that is right as well"
 
 
 def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
@@ -228,7 +228,7 @@ def _share_line(label: str, records: Sequence[Record], limit: float) -> str:
     hits, n = _share(records, "right")
     if label == OUTSIDE:
         # Whether the logged channel behind it was named, too, is a line of its own.
-        hits = sum(r["verdict"] == "unknown_effect" for r in records)
+        hits = sum(r["right"] or r["verdict"] == "unknown_effect" for r in records)
     return f"| {label} | >= {limit:.2f} | {hits / n:.3f} {_interval(hits, n)} | {n} | {_said(hits / n >= limit)} |"
 
 

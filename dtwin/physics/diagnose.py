@@ -37,7 +37,7 @@ from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of
 from dtwin.physics._suspects import members, sized, suspect, suspects
-from dtwin.physics._trust import trusted
+from dtwin.physics._trust import sum_um, trusted
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
@@ -158,8 +158,16 @@ def _searched(
     found = again()
     if found.best is not None and found.best.exact and doubted(found, False, _tests(found)):
         # What is small may then be how far others are off.
-        found = again(before=found)
+        other = again(before=found)
+        if _doubted_um(other) <= _doubted_um(found):
+            return other
     return found
+
+
+def _doubted_um(found: Search) -> float:
+    """Return the size of what is found and doubted, RMS."""
+    obs = found.plain.obs
+    return localise.systematic_rms_um(obs, sum_um(doubted(found, False, _tests(found)), obs))
 
 
 def _once(
