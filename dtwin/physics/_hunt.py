@@ -22,7 +22,7 @@ from dtwin.schema import Floats
 # An effect must explain this share of what is left beyond noise, which may be misfit.
 _SHARE_OF_REST = 0.1
 # More left than this many times the noise is misfit.
-_MISFIT = 1.05
+MISFIT = 1.05
 _ROUNDS = 3
 _PASSES = 8
 _MOVES = 40
@@ -80,10 +80,10 @@ def best_set(
     chosen = hunt.run([])
     everywhere = [entry.term for entry in chosen]
     for number in range(_ROUNDS - 1):
-        if hunt.left(chosen) < _MISFIT * level * obs.mask.sum():
+        if hunt.left(chosen) < MISFIT * level * obs.mask.sum():
             break
         if number == 0 and obs.grid.kind == "circular":
-            obs = _away_from_reversals(obs)
+            obs = away_from_reversals(obs)
             library = Candidates(obs, library.instances)
         terms = [entry.term for entry in chosen]
         before = beside(weighted_like(obs, known, noise))
@@ -92,9 +92,9 @@ def best_set(
         hunt = Hunt(problem, Dictionary(problem, library), level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     terms = [entry.term for entry in chosen]
-    exact = obs is problem.obs and obs.several_speeds and hunt.left(chosen) < _MISFIT * level * obs.mask.sum()
-    if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
-        library = Candidates(_away_from_reversals(obs), library.instances)
+    exact = obs is problem.obs and obs.several_speeds and hunt.left(chosen) < MISFIT * level * obs.mask.sum()
+    if obs is problem.obs and obs.grid.kind == "circular" and is_sharp(problem, terms):
+        library = Candidates(away_from_reversals(obs), library.instances)
     return Best(terms, library, everywhere, exact)
 
 
@@ -251,7 +251,7 @@ class Hunt:
                 if found is None:
                     break
                 rest = [*rest, found[0]]
-                if self.left(rest) < _MISFIT * self._noise or self._cost(rest) < self._cost(best):
+                if self.left(rest) < MISFIT * self._noise or self._cost(rest) < self._cost(best):
                     # What was there for what the effect misses is no more needed.
                     best = min(best, self._improved(rest), key=self._cost)
                     break
@@ -292,13 +292,13 @@ def _near_reversal(obs: Observations) -> NDArray[np.bool_]:
     return np.abs((angle + 45.0) % 90.0 - 45.0) < _NEAR_REVERSAL_DEG
 
 
-def _away_from_reversals(obs: Observations) -> Observations:
+def away_from_reversals(obs: Observations) -> Observations:
     """Return a campaign of circles without what lies near the ends of the axes."""
     mask = obs.mask & ~_near_reversal(obs)[None, :]
     return replace(obs, mask=mask, y_um=np.where(mask, obs.y_um, 0.0))
 
 
-def _is_sharp(problem: Problem, terms: Sequence[Term]) -> bool:
+def is_sharp(problem: Problem, terms: Sequence[Term]) -> bool:
     """Tell whether what effects leave, on the mean of the repeats, is larger near reversals."""
     obs = problem.obs
     rows = _left(problem, terms) / problem.weights

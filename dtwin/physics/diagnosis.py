@@ -175,6 +175,8 @@ class Diagnosis:
         How the spread depends on the condition.
     next_experiment : dict or None
         The cheapest run that separates the leading candidates.
+    undecided : tuple of tuple of str
+        Each effect of the twin that these runs cannot tell from others, and those.
     """
 
     verdict: Verdict
@@ -197,6 +199,7 @@ class Diagnosis:
     told: tuple[str, ...] = ()
     spread: Spread | None = None
     next_experiment: Mapping[str, Any] | None = None
+    undecided: tuple[tuple[str, ...], ...] = ()
 
     @property
     def group(self) -> tuple[Suspect, ...]:
@@ -241,4 +244,5 @@ class Diagnosis:
             "told": list(self.told),
             "variance": self.spread.as_dict() if self.spread else {},
             "next_experiment": dict(self.next_experiment) if self.next_experiment else None,
+            "undecided": [list(group) for group in self.undecided],
         }

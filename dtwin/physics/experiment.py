@@ -110,7 +110,11 @@ def next_experiment(
             "expected_power": None,
             "advice": "repeats show the noise floor; without them nothing can be named",
         }
-    pairs = _pairs(obs, known, library, diagnosis)
+    groups = [[s.label for s in group] for group in diagnosis.found or (diagnosis.group,)]
+    if not any(len(group) > 1 for group in groups):
+        groups = [list(group) for group in diagnosis.undecided]
+        known = [term for term in known if term.label not in {group[0] for group in groups}]
+    pairs = _pairs(obs, known, library, groups)
     if not pairs:
         return None
     tried = [made for p in _proposals(obs) if (made := _with_powers(p, obs, known, pairs)) is not None]
@@ -160,21 +164,20 @@ def _with_powers(
 
 
 def _pairs(
-    obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], diagnosis: Diagnosis
+    obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], groups: Sequence[Sequence[str]]
 ) -> list[tuple[Term, list[Term], list[Term]]]:
     """Return, of every group, the first effect, the second on all its axes, and what was found besides.
 
     What only together is a rival, such as two bowed guideways, is taken together.
     """
-    groups = diagnosis.found or (diagnosis.group,)
     out = []
     for group in groups:
         if len(group) < 2:
             continue
-        rivals = [s.label for s in group[1:] if s.effect == group[1].effect]
-        first = _terms(obs, known, library, [group[0].label])
+        rivals = [label for label in group[1:] if label.split()[0] == group[1].split()[0]]
+        first = _terms(obs, known, library, group[:1])
         second = _terms(obs, known, library, rivals)
-        others = [other[0].label for other in groups if other is not group and other]
+        others = [other[0] for other in groups if other is not group and other]
         if first and second:
             out.append((first[0], second, _terms(obs, known, library, others)))
     return out

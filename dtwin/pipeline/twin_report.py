@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,14 +77,20 @@ def _head(
     named = [name for name in facts[0] if name not in ("campaign", "test") and any(one[name] for one in facts)]
     said = VERDICTS.get((diagnosis or {}).get("verdict", ""), "Not diagnosed yet")
     other = [f"As version {version} was diagnosed, which has the same effects."] if version != twin.version else []
-    missing = [fault.sentence for group in found_faults(diagnosis or {}, library) for fault in group]
-    known = [fault.sentence for fault in faults(twin)] if isinstance(twin, Twin) else []
+    groups = found_faults(diagnosis or {}, library)
+    missing = [f"{_one_of(group)}: {fault.sentence}" for group in groups for fault in group]
+    known = [fault.sentence for fault in faults(twin, diagnosis, library)] if isinstance(twin, Twin) else []
     return Section(
         said,
-        [*other, *(f"Missing: {line}" for line in missing), *known],
+        [*other, *missing, *known],
         [],
         [Table(("test", *twin.campaigns), [(name, *(one[name] or "-" for one in facts)) for name in named])],
     )
+
+
+def _one_of(group: Sequence[object]) -> str:
+    """Return what a name in a group is called, whose members these runs cannot tell apart."""
+    return "Missing" if len(group) == 1 else f"Missing, one or several of these {len(group)}"
 
 
 def _diagnosed(shelf: AnyTwins, twin: AnyTwin) -> tuple[int, dict[str, Any] | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dtwin.physics.effect import Effect
@@ -24,6 +24,7 @@ class _Fault:
     ``size``: with k = 2 and unit; says so when the runs do not tell it.
     ``shows``, ``remedy``: how it is seen in a plot, and what to do at the machine.
     ``picture``: its signature as SVG; empty when it has none on a circle.
+    ``instead``: titles of what the runs cannot tell from it.
     """
 
     effect: str
@@ -33,21 +34,43 @@ class _Fault:
     shows: str
     remedy: str
     picture: str
+    instead: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """All of it in a line."""
-        return f"{self.title}: {self.size}. {self.shows} {self.remedy}"
+        return " ".join([f"{self.title}: {self.size}. {self.shows} {self.remedy}", *self.doubt])
+
+    @property
+    def doubt(self) -> tuple[str, ...]:
+        """A sentence where the runs cannot tell it from others."""
+        if not self.instead:
+            return ()
+        return (f"These runs do not tell it from: {', '.join(self.instead)}. The size is that of it alone.",)
 
 
-def faults(twin: Twin, width: int = 72) -> list[_Fault]:
-    """Return the effects of a twin as faults, in the order of the twin."""
+def faults(
+    twin: Twin, diagnosis: Mapping[str, Any] | None = None, library: Mapping[str, Effect] | None = None, width: int = 72
+) -> list[_Fault]:
+    """Return the effects of a twin as faults, in the order of the twin.
+
+    ``diagnosis``: of the twin, as ``as_dict`` gives it, for what its runs cannot tell apart; ``library``: to name that.
+    """
+    instead = {group[0]: group[1:] for group in (diagnosis or {}).get("undecided", ())}
     faults = []
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
-        faults.append(_fault(effect, axis, mine, width))
+        others = tuple(title_of(label, library or {}) for label in instead.get(term.label, ()))
+        faults.append(replace(_fault(effect, axis, mine, width), instead=others))
     return faults
+
+
+def title_of(label: str, library: Mapping[str, Effect]) -> str:
+    """Return the name of an effect in words, with its axis."""
+    name, _, axis = label.partition(" ")
+    title = library[name].title if name in library else name
+    return f"{title} {axis}".rstrip()
 
 
 def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect], width: int = 72) -> list[list[_Fault]]:

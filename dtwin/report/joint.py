@@ -7,7 +7,7 @@ from typing import Any
 
 from dtwin.machine_record import Event, events_between
 from dtwin.physics.effect import Effect
-from dtwin.report.faults import with_k2
+from dtwin.report.faults import title_of, with_k2
 from dtwin.report.recorded import contradiction_words
 from dtwin.report.text import words_of
 
@@ -27,13 +27,6 @@ def joint_lines(found: Mapping[str, Any], library: Mapping[str, Effect], events:
         *(_settled(s, library) for s in found["settled"]),
         *(_agreement(s) for s in agreed),
     ]
-
-
-def title_of(label: str, library: Mapping[str, Effect]) -> str:
-    """Return the name of an effect in words, with its axis."""
-    name, _, axis = label.partition(" ")
-    title = library[name].title if name in library else name
-    return f"{title} {axis}".rstrip()
 
 
 def _size(size: _Told, unit: str) -> str:

@@ -13,7 +13,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.grid import Grid
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.library import Library
-from dtwin.report.joint import title_of
+from dtwin.report.faults import title_of
 from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,

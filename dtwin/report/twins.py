@@ -184,6 +184,10 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
+    lines += [
+        f"these runs do not tell {own} from {', '.join(others)}: its size is that of it alone"
+        for own, *others in result.get("undecided", ())
+    ]
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))

@@ -141,6 +141,7 @@ def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:
         told=tuple(document["told"]),
         spread=Spread(tuple(spread["depends_on"]), spread["p_value"]) if spread else None,
         next_experiment=document["next_experiment"],
+        undecided=tuple(tuple(group) for group in document["undecided"]),
     )
 
 

@@ -20,8 +20,8 @@ from dtwin.pipeline.machine_history import machine_overviews
 from dtwin.pipeline.machine_joint import is_compared, machine_joint
 from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
+from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
-from dtwin.report.joint import title_of
 from dtwin.report.sheet import number_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, bench_of

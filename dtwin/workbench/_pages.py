@@ -18,7 +18,7 @@ from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
 from dtwin.local_time import local_time
 from dtwin.report.effect_groups import grouped
-from dtwin.report.joint import title_of
+from dtwin.report.faults import title_of
 from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit

@@ -33,7 +33,7 @@ from dtwin.pipeline.planned_tests import (
 from dtwin.pipeline.sheet_changes import last_changes, sheet_changes
 from dtwin.plan_file import planned_document
 from dtwin.report.changes import change_table, changes_text, changes_title
-from dtwin.report.joint import title_of
+from dtwin.report.faults import title_of
 from dtwin.units import UNITS, shown_unit
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._experiment_files import plans_zip

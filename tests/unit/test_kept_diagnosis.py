@@ -56,6 +56,7 @@ def whole() -> Diagnosis:
         told=("r8: a cable touched the bar",),
         spread=Spread(("feed",), 0.02),
         next_experiment={"text": "halve the feed", "conditions": [{"radius_mm": 50.0}]},
+        undecided=(("scale_mismatch XY", "servo_lag"),),
     )
 
 

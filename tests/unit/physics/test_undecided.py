@@ -1,0 +1,54 @@
+"""An effect of a twin that its runs cannot tell from others is said to be one of them, whoever chose it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mill_and_laser import circles
+
+from dtwin.machines.mill_parameters import MillParameters
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.experiment import next_experiment
+from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
+from dtwin.physics.twin import chosen_terms, twin_of
+from dtwin.physics.undecided import undecided
+from dtwin.report.faults import faults
+
+_WRONG = MillParameters().with_axis("X", scale_ppm=25.0, play_um=3.0)
+_KNOWN = ("backlash:X", "scale_mismatch")
+
+
+def test_one_radius_and_feed_do_not_tell_a_scale_from_a_lag_and_say_so() -> None:
+    library, obs = Library(), circles(_WRONG)
+    fitted = fit(obs, chosen_terms(_KNOWN, library, obs))
+    found = diagnose(obs, fitted.terms, library)
+    assert found.verdict == "nothing_missing"
+    ((own, *others),) = undecided(obs, fitted.terms, library)
+    assert own == "scale_mismatch XY"
+    assert {"servo_lag", "inertial_compliance"} <= set(others)
+    said = {"undecided": [[own, *others]]}
+    backlash, scale = (
+        one.sentence
+        for one in faults(twin_of(fitted, obs, name="mill", version=1, action="fit", data={}), said, library)
+    )
+    assert "do not tell it from" in scale
+    assert "Servo lag" in scale
+    assert "do not tell" not in backlash
+
+
+def test_runs_that_separate_them_are_proposed_and_decide() -> None:
+    library, obs = Library(), circles(_WRONG)
+    known = chosen_terms(_KNOWN, library, obs)
+    found = diagnose(obs, known, library)
+    groups = undecided(obs, known, library)
+    proposed = next_experiment(obs, known, replace(found, undecided=groups), library)
+    assert proposed is not None
+    assert "scale_mismatch XY" in proposed["separates"]
+    more = circles(_WRONG, radii_mm=(50.0, 150.0), feeds_mm_min=(1000.0, 4000.0), repeats=2)
+    assert undecided(more, chosen_terms(_KNOWN, library, more), library) == ()
+
+
+def test_without_repeats_nothing_is_said() -> None:
+    library, obs = Library(), circles(_WRONG, repeats=1)
+    assert undecided(obs, chosen_terms(_KNOWN, library, obs), library) == ()
