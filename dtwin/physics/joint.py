@@ -158,7 +158,9 @@ class Joint:
         return {"shared": [s.as_dict() for s in self.shared], "settled": [s.as_dict() for s in self.settled]}
 
 
-def joint(tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> Joint:
+def joint(
+    tests: Sequence[MachineTest], library: Mapping[str, Effect], groups: Sequence[Sequence[tuple[str, ...]]] = ()
+) -> Joint:
     """Compare the tests of a machine.
 
     Parameters
@@ -167,8 +169,11 @@ def joint(tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> Joint:
         Of one machine, each diagnosed from nothing.
     library : mapping of str to Effect
         The library that they were diagnosed with.
+    groups : sequence of sequence of tuple of str
+        Of each test the groups of labels to compare, in place of those that its diagnosis found.
     """
-    measured = [_Measured(test, library) for test in tests]
+    every = groups or [[tuple(s.label for s in group) for group in test.found.found] for test in tests]
+    measured = [_Measured(test, own, library) for test, own in zip(tests, every, strict=True)]
     settled = [
         (one, found)
         for one in measured
@@ -183,9 +188,9 @@ def joint(tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> Joint:
 class _Measured:
     """Sizes of causes in one test, each fitted once."""
 
-    def __init__(self, test: MachineTest, library: Mapping[str, Effect]) -> None:
+    def __init__(self, test: MachineTest, groups: Sequence[tuple[str, ...]], library: Mapping[str, Effect]) -> None:
         self.test, self._library = test, library
-        self.groups = [tuple(s.label for s in group) for group in test.found.found]
+        self.groups = list(groups)
         self._unclear = {label for group in self.groups if len(group) > 1 for label in group}
         self._fitted: dict[tuple[str, ...], dict[str, list[Estimate]]] = {}
 

@@ -20,6 +20,7 @@ from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin, pooled_figures, started_of
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import predict_um
+from dtwin.physics.undecided import undecided_together
 
 _PLACES = 5
 # A size is there from three of its standard uncertainties on; sizes have k = 2.
@@ -297,6 +298,11 @@ def _concluded(
         default=None,
     )
     hidden = _hidden(twin, tests, library)
+    doubts = undecided_together(tests, library)
+    asked = replace(unclear.found, found=tuple(g for g, c in groups if c == unclear.campaign)) if unclear else None
+    if unclear is None and doubts:
+        unclear = next(test for test in tests if doubts[0][0] in {term.label for term in test.known})
+        asked = replace(unclear.found, found=(), suspects=(), undecided=doubts)
     return SeveralDiagnosis(
         verdict=_verdict(found, groups, settled),
         headline=_headline(tests, groups, denied, twin.contradictions),
@@ -322,14 +328,10 @@ def _concluded(
         outlier_runs=tuple(f"{test.campaign} {run}" for test in tests for run in test.found.outlier_runs),
         told=(),
         spread=next((f.spread for f in found if f.spread), None),
-        next_experiment=next_experiment(
-            unclear.obs,
-            known_of[unclear.campaign],
-            replace(unclear.found, found=tuple(g for g, c in groups if c == unclear.campaign)),
-            library,
-        )
-        if unclear
+        next_experiment=next_experiment(unclear.obs, known_of[unclear.campaign], asked, library)
+        if unclear and asked
         else None,
+        undecided=doubts,
         tests=tuple(tests),
         settled=settled,
         contradictions=twin.contradictions,

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import replace
 
 from dtwin.physics._grading import laws_of, survivors
 from dtwin.physics._hunt import MISFIT, away_from_reversals, is_sharp, repeat_variance
 from dtwin.physics._rivals import described
 from dtwin.physics.candidates import Candidates, applicable
+from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
+from dtwin.physics.joint import MachineTest, joint
+from dtwin.physics.machine_terms import key_of
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 
@@ -34,6 +38,34 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
     found = described(known, {}, told, part, problem, unweighted(obs, []), whole)
     groups = [[f.label, *(c.term.label for c in survivors(f, laws_of(f, len(found))))] for f in found]
     return tuple(group for group in (tuple(dict.fromkeys(group)) for group in groups) if len(group) > 1)
+
+
+def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> tuple[tuple[str, ...], ...]:
+    """Return the same of a twin of several campaigns: what none of them decides, nor all of them together.
+
+    ``tests``: with what the twin knows of each; labels are those that a cause has there.
+    """
+    groups = [
+        [doubt.get(t.label, (t.label,)) for t in test.known] for test in tests for doubt in [_doubts(test, library)]
+    ]
+    settled = joint([replace(test, known=()) for test in tests], library, groups).settled
+    left = {(s.campaign, s.group): s.left for s in settled}
+    shortest: dict[Hashable, tuple[str, ...]] = {}
+    for test, own in zip(tests, groups, strict=True):
+        for term, group in zip(test.known, own, strict=True):
+            others = [label for label in left.get((test.campaign, group), group) if label != term.label]
+            shortest[key_of(term)] = min(shortest.get(key_of(term), group), (term.label, *others), key=len)
+    return tuple(group for group in shortest.values() if len(group) > 1)
+
+
+def _doubts(test: MachineTest, library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
+    groups = undecided(like_repeats(test.obs, test.found), test.known, library)
+    return {group[0]: group for group in groups}
+
+
+def like_repeats(obs: Observations, found: Diagnosis) -> Observations:
+    """Return observations without the runs that a diagnosis left out, not being like their repeats."""
+    return obs.without([n for n, run in enumerate(obs.runs) if run.run_id in found.outlier_runs])
 
 
 def _laws_are_off(problem: Problem, known: Sequence[Term], candidates: Candidates) -> bool:

@@ -9,6 +9,9 @@ from typing import Any
 
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
+from dtwin.physics.machine_terms import key_of
+from dtwin.physics.problem import Term
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.report.signature import signature_svg
 from dtwin.report.text import decimals
@@ -61,9 +64,16 @@ def faults(
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
-        others = tuple(title_of(label, library or {}) for label in instead.get(term.label, ()))
+        own = (label for label in _labels(twin, term) if label in instead)
+        others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
         faults.append(replace(_fault(effect, axis, mine, width), instead=others))
     return faults
+
+
+def _labels(twin: Twin, term: Term) -> list[str]:
+    """Return what an effect of a twin is called in it and in its campaigns."""
+    parts = twin.parts if isinstance(twin, SeveralTwin) else ()
+    return [term.label, *(t.label for part in parts for t in part.terms if key_of(t) == key_of(term))]
 
 
 def title_of(label: str, library: Mapping[str, Effect]) -> str:

@@ -26,7 +26,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
-from dtwin.physics.undecided import undecided
+from dtwin.physics.undecided import like_repeats, undecided
 from dtwin.schema import require_name
 from dtwin.twins._kept_diagnosis import ALONE, MADE_FROM, is_built_in, kept_alone, kept_diagnosis, made_from
 from dtwin.twins._learned import WithLearned
@@ -164,8 +164,7 @@ class Twins(TwinShelf):
             if kept is not None:
                 return twin, kept
             found = diagnose(obs, twin.terms, self.library, seed=seed)
-            like_repeats = obs.without([n for n, run in enumerate(obs.runs) if run.run_id in found.outlier_runs])
-            found = replace(found, undecided=undecided(like_repeats, twin.terms, self.library))
+            found = replace(found, undecided=undecided(like_repeats(obs, found), twin.terms, self.library))
             found = replace(found, next_experiment=next_experiment(obs, twin.terms, found, self.library))
             return twin, self._keep(twin, found, loaded, {MADE_FROM: check_sum})
 

@@ -275,3 +275,15 @@ def test_circles_of_several_campaigns_are_learned_from_as_one() -> None:
     rows = both.place_of == both.place_of[0]
     assert {both.runs[row].feed_mm_min for row in np.flatnonzero(rows)} == {2000.0}
     assert {int(row) < first.n_rows for row in np.flatnonzero(rows)} == {True, False}
+
+
+def test_what_circles_cannot_tell_stays_undecided_until_a_laser_decides_it() -> None:
+    wrong = MillParameters().with_axis("X", scale_ppm=25.0, play_um=3.0)
+    bars = [circles(wrong), circles(wrong, 9, "again")]
+    same = diagnose_several(twin_of_all(bars, "backlash:X", "scale_mismatch"), bars, LIBRARY)
+    ((own, *others),) = same.undecided
+    assert own == "scale_mismatch XY"
+    assert "servo_lag" in others
+    assert same.next_experiment is not None
+    tests = [bars[0], laser("X", 25.0, 3.0, 4), laser("Y", 0.0, 0.0, 5)]
+    assert diagnose_several(twin_of_all(tests, "backlash:X", "lead_error:X"), tests, LIBRARY).undecided == ()
