@@ -20,8 +20,8 @@ from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_li
 def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect]) -> tuple[tuple[str, ...], ...]:
     """Return each effect of a twin that these runs cannot tell from others, and those; labels.
 
-    Each is judged as if it had just been found: whoever chose it from a group did not decide the group. Nothing where
-    no run was repeated.
+    Each is judged as if it had just been found: whoever chose it from a group did not decide the group. A correction is
+    asked for more: there each effect is left out and must be found again. Nothing where no run was repeated.
 
     ``obs``: without the runs that are not like their repeats.
     """
