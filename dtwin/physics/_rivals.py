@@ -28,6 +28,8 @@ AFTER_A_REVERSAL = {"reversal_spike", "reversal_ringing", "structural_resonance"
 _AS_GOOD = 0.9
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
+# Share of what is left at a target left out that a curve of any shape foretells; waves that targets do not follow give it less.
+_FORETOLD_OF_CURVE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +114,11 @@ def described(
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
-        if term.instance.effect.stated:
-            # A curve along the axis may be drawn through its targets; what is said to turn with the screw must foretell them.
-            gain = min(gain, left_out_places(bare, everywhere.whitened(bare, term)))
+        any_curve = plain.obs.there_and_back and bool(term.instance.effect.special_cases)
+        if term.instance.effect.stated or any_curve:
+            # A curve along the axis may be drawn through its targets: what is said to be there must foretell them.
+            places = left_out_places(bare, everywhere.whitened(bare, term))
+            gain = min(gain, places - _FORETOLD_OF_CURVE * float(any_curve))
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = everywhere.size_um(bare, term)

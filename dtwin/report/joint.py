@@ -65,7 +65,9 @@ def _settled(settled: _Told, library: Mapping[str, Effect]) -> str:
         for unit in [_unit(j["label"], library)]
     ]
     end = "it is " + left[0] if len(left) == 1 else " or ".join(left) + " remain" if left else "all are ruled out"
-    return f"{settled['campaign']} could not tell {names[0]} from {' or '.join(names[1:])}: {end} ({'; '.join(reasons)})."
+    return (
+        f"{settled['campaign']} could not tell {names[0]} from {' or '.join(names[1:])}: {end} ({'; '.join(reasons)})."
+    )
 
 
 _WORDS = {"agrees": "agrees", "is a part": "is a part of it", "refuted": "is ruled out"}

@@ -207,3 +207,16 @@ def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:
     worn = np.tanh((SHARE - 0.3) / 0.05) - np.tanh((SHARE - 0.6) / 0.05)
     found = diagnose(campaign(-2.0 * worn * np.array([[1.0], [-1.0]]), np.random.default_rng(4)), [], LIBRARY)
     assert [[s.label for s in group] for group in found.found] == [["worn_screw X"]]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_wave_of_a_screw_of_no_stated_pitch_is_no_pitch_error(seed: int) -> None:
+    # Twenty targets, moved aside at random: a curve is drawn through the waves, and foretells none of them.
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0.0, 500.0, 20) + rng.uniform(-8.0, 8.0, 20)
+    wave = 2.0 * np.cos(2.0 * np.pi * at / 12.0 + seed)
+    play = np.array([[-1.5], [1.5]])
+    found = diagnose(campaign(wave + play, rng, 0.2, at), [], LIBRARY)
+    assert [[s.label for s in group] for group in found.found] == [["backlash X"]]
+    assert found.unresolved is not None
+    assert found.unresolved.systematic_rms_um > 1.0
