@@ -96,22 +96,26 @@ def test_a_hidden_motion_is_named_and_the_error_falls_to_the_floor(said: Said) -
     added = said("add", "h", ecx1["effect"], "--axis", ecx1["axis"])
     assert added["before"] == fitted["figures"]
     assert added["figures"]["rms_after_um"] < 1.08 * floor
-    # The null: everything that acts is in the twin.
+    # Every motion that acts is in the twin, but 26 cycles do not tell all that drives each: the rest is told, and not named.
     last = said("diagnose", "h")
-    assert (last["verdict"], last["candidates"]) == ("nothing_missing", [])
-    assert abs(last["residual_rms_um"] / last["noise_floor_um"] - 1.0) < 0.08
+    assert [last["verdict"], *{c["add"] for c in last["candidates"]}] == ["unknown_effect", None]
+    assert all(c["seen_um"] < 0.4 * floor for c in last["candidates"])
+    assert (
+        f"{last['systematic_rms_um']:.2g} µm more than noise at the balls (p {last['lack_of_fit_p']:.1g})"
+        in last["headline"]
+    )
     rungs = said("history", "h")["rungs"]
-    assert [(r["action"], r["verdict"]) for r in rungs] == [("fit", "missing_effect"), ("add ECX1", "nothing_missing")]
+    assert [(r["action"], r["verdict"]) for r in rungs] == [("fit", "missing_effect"), ("add ECX1", "unknown_effect")]
     assert rungs[0]["group"] == ["ECX1"]
     versions = Registry(home()).client.search_model_versions("name='twin-h'")
-    assert {v.tags["verdict"] for v in versions} == {"missing_effect", "nothing_missing"}
+    assert {v.tags["verdict"] for v in versions} == {"missing_effect", "unknown_effect"}
 
 
 def test_what_was_left_out_is_found_again_one_by_one(said: Said) -> None:
     begun = "rigid_shift,squareness_drift,guideway_bending,carriage_turning,ECX1"
     said("fit", "hidden", "--effects", begun, "--name", "ladder")
     found = said("discover", "ladder")
-    assert found["final"]["verdict"] == "nothing_missing"
+    assert not any(c["add"] for c in found["final"]["candidates"])
     assert {label.partition("@")[0] for label in found["added"]} >= {"EXX1", "EYY1", "EZZ1", "EA0", "EB0"}
     errors = [rung["rms_after_um"] for rung in found["history"]]
     assert errors == sorted(errors, reverse=True)

@@ -7,8 +7,9 @@ course of time beside it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +27,21 @@ class Drivers:
     """What drives a motion.
 
     ``model``: with the temperatures of the bodies that count; nought where none does.
-    ``expected`` (n,): what temperatures of these bodies, chosen without them, say of hours left out.
     ``alike``: for each body that counts what tells as much in its place: () for a body that is surely a cause.
     ``as_time``: bodies beside them that tell no more than time alone does.
-    ``by_any`` (n,): as ``expected``, of all bodies: nothing was chosen by these hours.
+    ``by_any`` (n,): what temperatures of all bodies, chosen without them, say of hours left out.
     """
 
     model: ThermalModel
-    expected: Floats
     alike: Mapping[str, tuple[str, ...]]
     as_time: tuple[str, ...]
     by_any: Floats
+    _left_out: Callable[[], Floats] = field(repr=False, compare=False)
+
+    @cached_property
+    def expected(self) -> Floats:
+        """What the temperatures say of hours left out, (n,): bodies and temperatures were chosen without these hours."""
+        return self._left_out()
 
 
 def drivers_of(
@@ -58,10 +63,9 @@ def drivers_of(
     every = frozenset(bodies)
     by_any = search.expected(every)
     if named:
-        return Drivers(search.model(every), by_any, dict.fromkeys(search.used(every), ()), (), by_any)
+        return Drivers(search.model(every), dict.fromkeys(search.used(every), ()), (), by_any, lambda: by_any)
     kept, alike = search.found()
-    counts = frozenset(alike)
-    return Drivers(search.model(counts), search.expected(counts), alike, tuple(sorted(kept - counts)), by_any)
+    return Drivers(search.model(frozenset(alike)), alike, tuple(sorted(kept - alike.keys())), by_any, search.left_out)
 
 
 class _Search:
@@ -75,7 +79,7 @@ class _Search:
         hour: Floats,
         spans: Sequence[NDArray[np.int64]],
     ) -> None:
-        self._name, self._motion, self._bodies, self._spans = name, motion, bodies, spans
+        self._name, self._motion, self._bodies, self._hour, self._spans = name, motion, bodies, hour, spans
         self._courses = {f"{TIME_ALONE} {n}": course for n, course in enumerate(courses(hour))}
         self._expected: dict[tuple[frozenset[str], bool], Floats] = {}
         self._models: dict[frozenset[str], ThermalModel] = {}
@@ -136,6 +140,19 @@ class _Search:
                 out[span] = model.run(_beside([columns[sensor] for sensor in model.sensors], len(out))[span])
             self._expected[bodies, timed] = out
         return self._expected[bodies, timed]
+
+    def left_out(self) -> Floats:
+        """Return what is said of each span when it had no part in the choice of bodies either, (n,)."""
+        out = np.zeros(len(self._motion))
+        for span in self._spans:
+            kept = np.delete(np.arange(len(out)), span)
+            bodies = {body: {name: rise[kept] for name, rise in own.items()} for body, own in self._bodies.items()}
+            spans = np.array_split(np.arange(len(kept)), len(self._spans))
+            search = _Search(self._name, self._motion[kept], bodies, self._hour[kept], spans)
+            model = search.model(frozenset(search.found()[1]))
+            columns = self._columns(frozenset(self._bodies))
+            out[span] = model.run(_beside([columns[sensor] for sensor in model.sensors], len(out))[span])
+        return out
 
     def model(self, bodies: frozenset[str]) -> ThermalModel:
         """Return the model of all hours."""

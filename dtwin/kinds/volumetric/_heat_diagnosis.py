@@ -12,15 +12,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._heat_twin import KIND, HeatFit, heat_figures
 from dtwin.kinds.volumetric._motions import HeatTerm, family_of, motion_words
-from dtwin.kinds.volumetric._movers import ALPHA, MATERIAL, Mover, mover_of, seen_um, still_p
-from dtwin.schema import Floats
-from dtwin.statistics import chi2_tail, holm
+from dtwin.kinds.volumetric._movers import (
+    ALPHA,
+    MATERIAL,
+    Mover,
+    beside_others,
+    beside_others_mover,
+    fit_p,
+    mover_of,
+    seen_um,
+    still_p,
+)
+from dtwin.statistics import holm
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
 
@@ -34,6 +41,7 @@ class HeatDiagnosis:
     ``movers``: motions that count, best first.
     ``group``: those that the verdict is about.
     ``quiet``: motions that move, but by less than counts.
+    ``one_body``: thermocouples whose names differ by their number alone, where there are no others.
     """
 
     verdict: Verdict
@@ -43,6 +51,7 @@ class HeatDiagnosis:
     movers: tuple[Mover, ...]
     group: tuple[Mover, ...]
     quiet: tuple[str, ...]
+    one_body: tuple[str, ...] = ()
     where: tuple[dict[str, Any], ...] = ()
     next_experiment: dict[str, Any] | None = None
 
@@ -73,6 +82,7 @@ class HeatDiagnosis:
             "outlier_runs": [],
             "variance": {},
             "quiet": list(self.quiet),
+            "one_body": list(self.one_body),
             "next_experiment": self.next_experiment,
         }
 
@@ -110,20 +120,27 @@ def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str,
     moving = [i for i in range(len(series.names)) if still[i] < ALPHA]
     counts = [i for i in moving if seen_um(series, left[:, i], i) >= MATERIAL * series.floor_um]
     models = {model.name: model.sensors for model in fitted.models}
+    figures, p_value = heat_figures(series, left), fit_p(series, left)
     movers = [mover_of(series, left, i, models.get(series.names[i], ())) for i in counts]
+    rejected = p_value < ALPHA and figures["systematic_rms_um"] >= MATERIAL * figures["noise_floor_um"]
+    if rejected and not movers:
+        movers = [
+            beside_others_mover(series, left, i, models.get(series.names[i], ()), moved)
+            for i, moved in beside_others(series, left)
+        ]
     explained_p = holm([m.p_value for m in movers])
     movers = [replace(m, p_value=float(p)) for m, p in zip(movers, explained_p, strict=True)]
     movers.sort(key=lambda m: m.rms_after_um)
     verdict, group = _verdict(movers)
-    figures = heat_figures(series, left)
     return HeatDiagnosis(
         verdict,
-        _headline(verdict, group, movers, figures),
+        _headline(verdict, group, movers, figures, None if counts else p_value),
         figures,
-        _fit_p(series, left),
+        p_value,
         tuple(movers),
         group,
         tuple(series.names[i] for i in moving if i not in counts),
+        series.thermocouples if len(series.bodies) == 1 < len(series.thermocouples) else (),
         tuple(where),
         _experiment(verdict, group),
     )
@@ -143,13 +160,6 @@ def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
         group = tuple(sorted(unsure, key=lambda m: (m not in helped, -m.seen_um)))
         return ("ambiguous" if all(m.is_as_time for m in unsure) else "unknown_effect"), group
     return "nothing_missing", ()
-
-
-def _fit_p(series: HeatSeries, left: Floats) -> float:
-    """Return the p-value of motions that all stand still, correlations of their noise counted."""
-    centred = left - left.mean(axis=0)
-    solved = np.linalg.solve(series.covariance, centred[:, :, None])[:, :, 0]
-    return chi2_tail(float((centred * solved).sum()), (len(left) - 1) * left.shape[1])
 
 
 def _grade(mover: Mover) -> str | None:
@@ -180,10 +190,20 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
     return {"text": text, "heat_alone": [], "watch": unknown}
 
 
-def _headline(verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float]) -> str:
-    floor = figures["noise_floor_um"]
+def _headline(
+    verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float], p_value: float | None
+) -> str:
+    """Return the verdict in words. ``p_value``: of the whole fit; None where a motion counts by itself."""
+    together = ""
+    if p_value is not None and p_value < ALPHA:
+        left = figures["systematic_rms_um"]
+        together = f"all motions together leave {left:.2g} µm more than noise at the balls (p {p_value:.1g})"
     if verdict == "nothing_missing":
-        return f"no error motion moves by more than {MATERIAL * floor:.2g} µm at the balls beyond the twin"
+        least = MATERIAL * figures["noise_floor_um"]
+        none = f"no error motion moves by more than {least:.2g} µm at the balls beyond the twin"
+        return f"{none}; {together}" if together else none
+    if together:
+        return f"{together}, each by itself none; with the others at rest {_headline(verdict, group, movers, figures, None)}"
     best = group[0]
     what = f"{best.motion} ({motion_words(best.motion)}: {family_of(best.motion).title})"
     others = f"; {len(group) - 1} more" if len(group) > 1 else ""

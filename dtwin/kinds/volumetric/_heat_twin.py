@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient
+from dtwin.kinds.volumetric._drivers import Drivers
 from dtwin.kinds.volumetric._heat_series import FEWEST_CYCLES, HeatSeries
 from dtwin.kinds.volumetric._motions import HeatTerm, motion_words
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
@@ -28,12 +29,16 @@ class HeatFit:
     """Terms fitted to a campaign.
 
     ``expected`` (n, m): what they say of every motion; 0 for those that the twin does not have.
-    ``left_out`` (n, m): the same for hours that were left out of the fit, span by span.
+    ``drivers``: of each term: its model, and what is said of hours that were left out.
     """
 
-    models: tuple[ThermalModel, ...]
+    drivers: tuple[Drivers, ...]
     expected: Floats
-    left_out: Floats
+
+    @property
+    def models(self) -> tuple[ThermalModel, ...]:
+        """Models of the terms."""
+        return tuple(found.model for found in self.drivers)
 
 
 @dataclass(frozen=True)
@@ -186,15 +191,10 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
             allowed=f"at least {FEWEST_CYCLES}",
             hint="measure on: a cycle an hour, some days, with sources of heat going on and off",
         )
-    models = []
-    left_out = np.zeros_like(series.values)
-    for term in terms:
-        column = series.names.index(term.motion)
-        motion = series.values[:, column]
-        found = series.driven(term.motion, motion, term.sources)
-        left_out[:, column] = found.expected
-        models.append(found.model)
-    return HeatFit(tuple(models), _expected(series, models), left_out)
+    drivers = [
+        series.driven(term.motion, series.values[:, series.names.index(term.motion)], term.sources) for term in terms
+    ]
+    return HeatFit(tuple(drivers), _expected(series, [found.model for found in drivers]))
 
 
 def heat_twin_of(
@@ -208,7 +208,9 @@ def heat_twin_of(
     data: Mapping[str, Any],
 ) -> HeatTwin:
     """Return the twin that a fit makes. ``name``, ``version``, ``action``, ``data``: as of :class:`HeatTwin`."""
-    left = series.values - fitted.expected
+    left, left_out = series.values - fitted.expected, series.values.copy()
+    for term, found in zip(terms, fitted.drivers, strict=True):
+        left_out[:, series.names.index(term.motion)] -= found.expected
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}
     return HeatTwin(
@@ -221,7 +223,7 @@ def heat_twin_of(
         fitted.models,
         tuple(_uncertainty(series, model) for model in fitted.models),
         {sensor: (float(read.min()), float(read.max())) for sensor, read in readings.items()},
-        heat_figures(series, left) | {"held_out_rms_um": series.rms_um(series.values - fitted.left_out)},
+        heat_figures(series, left) | {"held_out_rms_um": series.rms_um(left_out)},
         by_day(series, left),
         data,
     )

@@ -119,7 +119,7 @@ def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> d
         "uncertainty_um": _mean([found.uncertainty[column] for found in measured.found]),
         "sensors": list(model.sensors),
         "memory": model.memory,
-        "largest_inflation": float(inflation(used).max()),
+        "largest_inflation": float(inflation(used).max(initial=1.0)),
     }
 
 

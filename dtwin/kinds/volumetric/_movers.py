@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from dtwin.statistics import chi2_tail, rms, t_tail
 # A motion counts when it adds a quarter of the floor at the balls: 3 % of the residual.
 MATERIAL = 0.25
 # Share of what can be seen of a motion that temperatures must tell on hours left out.
-EXPLAINED = 0.4
+EXPLAINED = 0.3
 # Another temperature is the cause when the thermocouples leave this many times as much.
 _CLEARER = 2.0
 ALPHA = 0.01
@@ -90,9 +90,14 @@ class Mover:
         return HeatTerm(self.motion, sources if self.in_twin or self.is_as_time else ()).label
 
 
-def mover_of(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...]) -> Mover:
-    """Return what temperatures tell of a motion."""
-    name, motion = series.names[column], left[:, column]
+def mover_of(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...], moved: Floats | None = None) -> Mover:
+    """Return what temperatures tell of a motion.
+
+    ``left``, (n, m): what is left of the motions.
+    ``own``: temperatures that drive it in the twin.
+    ``moved``, (n,): the part of it that is asked about; all of it without.
+    """
+    name, motion = series.names[column], left[:, column] if moved is None else moved
     drivers = series.driven(name, motion)
     expected, sensors, as_time = drivers.expected, drivers.model.sensors, drivers.as_time
     tested = drivers.by_any
@@ -107,7 +112,7 @@ def mover_of(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...]
         channel = None if is_as_time else channel
     rest = motion - expected
     after = left.copy()
-    after[:, column] = rest
+    after[:, column] += rest - motion
     gain = _gain(series, motion, rest, column)
     thermocouples_do = channel is None and bool(sensors) and gain >= EXPLAINED
     return Mover(
@@ -124,6 +129,38 @@ def mover_of(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...]
         float(inflation(series.rises(sensors)).max()) if len(sensors) > 1 else 1.0,
         bool(own),
     )
+
+
+def beside_others(series: HeatSeries, left: Floats) -> list[tuple[int, Floats]]:
+    """Return motions that move only when the others are taken to stand still, until what is left is noise.
+
+    Balls tell less of a motion by itself, since its noise goes with that of others. Returns columns and how they move, (n,).
+    """
+    precise = np.linalg.inv(series.covariance)
+    each = np.einsum("nii->ni", precise)
+    found: dict[int, Floats] = {}
+    left = left.copy()
+    while fit_p(series, left) < ALPHA and len(found) < left.shape[1]:
+        moved = np.einsum("nij,nj->ni", precise, left - left.mean(axis=0)) / each
+        gain = (moved**2 * each).sum(axis=0)
+        gain[list(found)] = 0.0
+        best = int(np.argmax(gain))
+        found[best] = moved[:, best]
+        left[:, best] -= moved[:, best]
+    return list(found.items())
+
+
+def beside_others_mover(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...], moved: Floats) -> Mover:
+    """Return what temperatures tell of a motion that moves so beside others at rest."""
+    known = np.einsum("nii->ni", np.linalg.inv(series.covariance))[:, :, None]
+    return mover_of(replace(series, covariance=np.eye(left.shape[1]) / known), left, column, own, moved)
+
+
+def fit_p(series: HeatSeries, left: Floats) -> float:
+    """Return the p-value of motions that all stand still, correlations of their noise counted."""
+    centred = left - left.mean(axis=0)
+    solved = np.linalg.solve(series.covariance, centred[:, :, None])[:, :, 0]
+    return chi2_tail(float((centred * solved).sum()), (len(left) - 1) * left.shape[1])
 
 
 def _clearer_channel(series: HeatSeries, motion: Floats, rest: Floats, column: int, own: tuple[str, ...]) -> str | None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from dtwin.kinds.volumetric._heat_series import FEWEST_CYCLES
 from dtwin.plan_file import filled, obeying
 from dtwin.schema import Finding
 
@@ -16,7 +17,6 @@ _MOTIONS, _PLACE = 24, 6
 FEWEST_TABLE_BALLS = 3
 _FEWEST_BALLS, _FEWEST_POSES = 3, 4
 _REDUNDANCY = 3.0
-_FEWEST_CYCLES = 20
 
 
 @dataclass(frozen=True)
@@ -147,12 +147,12 @@ def _length_advice(plan: BallPlan) -> list[Finding]:
             "another season, as warm as the machine ever gets",
         )
     ]
-    if plan.cycles < _FEWEST_CYCLES:
+    if plan.cycles < FEWEST_CYCLES:
         findings.append(
             Finding(
                 "plan.too_few_cycles",
                 "warning",
-                f"{plan.cycles} cycles; {_FEWEST_CYCLES} are needed to choose temperatures and to leave "
+                f"{plan.cycles} cycles; {FEWEST_CYCLES} are needed to choose temperatures and to leave "
                 "spans of hours out",
                 {"cycles_1": float(plan.cycles)},
             )

@@ -85,10 +85,9 @@ def fit_thermal(
         )
     fits: list[tuple[ThermalModel, Floats]] = []
     for remembers in (False,) if static else (False, True):
-        chosen: list[int] = []
-        for _ in range(min(most, rise_c.shape[1], len(motion) // 4)):
-            chosen.append(_next(motion, rise_c, chosen, remembers=remembers))
-            fits.append(_fitted(name, motion, rise_c, chosen, sensors, remembers=remembers))
+        order = _order(motion, rise_c, min(most, rise_c.shape[1], len(motion) // 4), remembers=remembers)
+        for count in range(1, len(order) + 1):
+            fits.append(_fitted(name, motion, rise_c, order[:count], sensors, remembers=remembers))
     # One number for all, or the criteria could not be compared.
     n = float(np.median([independent(left) for _, left in fits]))
     models = [replace(model, criterion=_criterion(left, model.free, n)) for model, left in fits]
@@ -121,17 +120,21 @@ def inflation(rise_c: Floats) -> Floats:
     return np.asarray(np.diag(np.linalg.pinv(correlation)))
 
 
-def _next(motion: Floats, rise_c: Floats, chosen: Sequence[int], *, remembers: bool) -> int:
-    """Return the sensor that leaves least together with those chosen before."""
-    y, past = (motion[1:], motion[:-1, None]) if remembers else (motion, motion[:, None][:, :0])
-    offered = rise_c[1:] if remembers else rise_c
-    basis = np.linalg.qr(np.column_stack([past, offered[:, list(chosen)]]))[0]
-    left = y - basis @ (basis.T @ y)
-    rest = offered - basis @ (basis.T @ offered)
-    size = (rest**2).sum(axis=0)
-    gain = np.where(size > 1e-9, (rest.T @ left) ** 2 / np.maximum(size, 1e-9), -1.0)
-    gain[list(chosen)] = -1.0
-    return int(np.argmax(gain))
+def _order(motion: Floats, rise_c: Floats, most: int, *, remembers: bool) -> list[int]:
+    """Return sensors in the order in which each leaves least together with those before it."""
+    left, rest = (motion[1:], rise_c[1:].copy()) if remembers else (motion, rise_c.copy())
+    if remembers:
+        past = motion[:-1] / max(float(np.linalg.norm(motion[:-1])), 1e-9)
+        left, rest = left - past * (past @ left), rest - np.outer(past, past @ rest)
+    chosen: list[int] = []
+    for _ in range(most):
+        size = (rest**2).sum(axis=0)
+        gain = np.where(size > 1e-9, (left @ rest) ** 2 / np.maximum(size, 1e-9), -1.0)
+        gain[chosen] = -1.0
+        chosen.append(int(np.argmax(gain)))
+        unit = rest[:, chosen[-1]] / max(float(np.sqrt(size[chosen[-1]])), 1e-9)
+        left, rest = left - unit * (unit @ left), rest - np.outer(unit, unit @ rest)
+    return chosen
 
 
 def _fitted(

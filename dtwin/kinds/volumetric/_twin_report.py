@@ -91,7 +91,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
                 micrometres(c["rms_after_um"]),
                 f"{100 * c['cv_gain']:z.0f} %" if c["cv_gain"] > 0.0 else "nothing",
                 f"{c['p_value']:.1g}",
-                _told_by(c),
+                _told_by(c, result.get("one_body")),
                 "yes" if c["in_group"] else "",
             )
             for c in result["candidates"]
@@ -103,6 +103,11 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     apart = [said for c in result["candidates"] if c["add"] and (said := _not_told_apart(c))]
     if apart:
         lines += ["these hours do not tell apart:", *(f"  {said}" for said in apart)]
+    if one_body := result.get("one_body"):
+        lines.append(
+            f"{one_body[0]} to {one_body[-1]} are of one body by their names, and nothing in it is told apart: "
+            "name each by what it sits on (bed_1_c, ram_1_c)"
+        )
     if result["quiet"]:
         lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
     if result["next_experiment"]:
@@ -168,13 +173,15 @@ def family_named(name: str) -> Family | None:
     return family_of(name)
 
 
-def _told_by(candidate: Mapping[str, Any]) -> str:
+def _told_by(candidate: Mapping[str, Any], one_body: object) -> str:
     if candidate["explained_by"]:
         return str(candidate["explained_by"])
     if not candidate["add"]:
         return "nothing logged"
     if not candidate["temperatures"]:
         return f"{_bodies(candidate['as_time_alone'])} or {TIME_ALONE}"
+    if one_body:
+        return ", ".join(candidate["temperatures"])
     alone = [label.partition("@")[2] for label in candidate["confounded_with"]]
     return " or ".join(alone) if alone else _bodies(candidate["temperatures"])
 

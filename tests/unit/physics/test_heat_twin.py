@@ -18,6 +18,7 @@ from dtwin.kinds.volumetric._heat_series import HeatSeries
 from dtwin.kinds.volumetric._heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
 from dtwin.kinds.volumetric._identify import Artefact, Balls
 from dtwin.kinds.volumetric._motions import FAMILIES, family_of, heat_terms
+from dtwin.kinds.volumetric._twin_report import diagnosis_text
 from dtwin.kinds.volumetric._twins import HeatTwins
 
 NOISE = 0.5
@@ -109,6 +110,16 @@ def test_a_motion_of_the_twin_that_lacks_a_temperature_gets_it() -> None:
     assert found(made, "EXX1").verdict == "nothing_missing"
 
 
+def test_thermocouples_that_differ_by_number_alone_are_told_by_name() -> None:
+    made = series({"EXX1": 2.0 * BED})
+    named = dict(zip((f"t{n}_c" for n in range(1, 5)), (made.rise_c[name] for name in made.thermocouples), strict=True))
+    said = found(replace(made, rise_c=named, begun_c=dict.fromkeys(named, 20.0), thermocouples=tuple(named), _fits={}))
+    text = diagnosis_text("t", said.as_dict())
+    assert "t1_c to t4_c are of one body by their names" in text
+    assert {"t1_c", "t2_c"} & set(text.split())
+    assert "of one body" not in diagnosis_text("t", found(made).as_dict())
+
+
 def with_room(made: HeatSeries, room: np.ndarray) -> HeatSeries:
     return replace(
         made,
@@ -157,6 +168,32 @@ def test_a_motion_below_a_quarter_of_the_floor_is_told_but_does_not_count() -> N
     small = found(series({"EXX1": 0.22 * warm / warm.std()}, n=900))
     assert (small.verdict, small.quiet) == ("nothing_missing", ("EXX1",))
     assert 1.0 < small.figures["rms_after_um"] / small.figures["noise_floor_um"] < 1.05
+
+
+def test_what_only_the_motions_together_show_is_told_with_its_size_and_p() -> None:
+    alike = NOISE**2 * np.where(np.eye(len(MOTIONS)), 1.0, 0.9)
+    noise = np.random.default_rng(5).multivariate_normal(np.zeros(len(MOTIONS)), alike, 120)
+    moves = np.outer(NOBODY / NOBODY.std(), [1.0, -1.0, 1.0, -1.0])
+    still = replace(series({}), values=noise, covariance=np.tile(alike, (120, 1, 1)), left_ms_um2=np.full(120, 0.01))
+    less, said = (found(replace(still, values=noise + um * moves)) for um in (0.18, 0.26))
+    assert (said.verdict, said.additions) == ("unknown_effect", ())
+    assert {m.motion for m in said.group} == {"EXX1", "EXZ1"}
+    assert all(0.1 < m.seen_um < 0.6 for m in said.group)
+    left = f"{said.figures['systematic_rms_um']:.2g} µm more than noise at the balls (p {said.lack_of_fit_p:.1g})"
+    assert f"all motions together leave {left}" in said.headline
+    assert less.verdict == "nothing_missing"
+    assert f"(p {less.lack_of_fit_p:.1g})" in less.headline
+    assert "together" not in found(still).headline
+
+
+def test_hours_left_out_have_no_part_in_the_choice_of_bodies() -> None:
+    made = series({"EX0": BED + RAM})
+    motion, span = made.values[:, 0], made.spans()[1]
+    other = motion.copy()
+    other[span] = 40.0 * NOBODY[span]
+    told = [made.driven("EX0", one).expected[span] for one in (motion, other)]
+    assert np.array_equal(*told)
+    assert made.driven("EX0", other).model.sensors != made.driven("EX0", motion).model.sensors
 
 
 def test_a_motion_that_lasts_is_not_given_a_cause_by_chance() -> None:
