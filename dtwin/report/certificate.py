@@ -8,10 +8,9 @@ from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment
-from plotly.offline import get_plotlyjs
 
 from dtwin.report._german import GERMAN
-from dtwin.report.html import figure_html
+from dtwin.report.html import drawing, figure_html
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
 
@@ -39,7 +38,7 @@ dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 
 section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1fr 1fr; gap: 30px; margin-top: 46px; break-inside: avoid; }
 .sign p { border-top: 1px solid #14212b; margin: 0; padding-top: 3px; } button { font: inherit; padding: 8px 14px; }
 @media print { button { display: none; } body { padding: 0; max-width: none; font-size: 12px; } }
-</style><script>{{ plotly|safe }}</script></head><body>
+</style></head><body>
 <button type="button" onclick="window.print()">{{ say("Print, or save as PDF") }}</button>
 <h1>{{ say("Test certificate") }}: {{ facts.machine }}</h1>
 <p class="decision">{{ say("Decision") }}{% if sheet.verdict %} {{ say("after ISO 14253-1") }}{% endif %}: <strong>{{ say(sheet.verdict or "no tolerance is stated") }}</strong><br>
@@ -58,7 +57,7 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 {% for severity, text in findings %}<p>{{ say(severity ~ ":") }} <span lang="en">{{ text }}</span></p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
 <p class="note">{{ tell(sheet.basis) }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" and (sheet.notes or findings) %} {{ say("Notes are in English.") }}{% endif %}</p>
 <div class="sign"><p>{{ say("operator") }}</p><p>{{ say("date and signature") }}</p></div>
-</body></html>
+{{ drawing|safe }}</body></html>
 """
 
 
@@ -123,7 +122,7 @@ def certificate_page(
             parts=parts,
             findings=findings,
             before=earlier["campaign"] if earlier is not None and old else "",
-            plotly=get_plotlyjs(),
+            drawing=drawing(),
         )
     )
 

@@ -147,7 +147,7 @@ def test_pictures_of_a_german_certificate_have_no_english_words(kind: str) -> No
         == set()
     )
     # Parts of the same runs have one picture.
-    assert page.count("Plotly.newPlot") == 1
+    assert page.count('application/vnd.plotly.v1+json"') == 1
 
 
 def _of_kind(kind: str) -> Run:
