@@ -59,7 +59,7 @@ GERMAN = {
     "pose repeatability, largest": "Pose-Wiederholgenauigkeit, größte",
     "drift of pose accuracy, largest": "Drift der Pose-Genauigkeit, größte",
     "drift of pose repeatability, largest": "Drift der Pose-Wiederholgenauigkeit, größte",
-    "Notes are in English.": "Anmerkungen sind englisch.",
+    "Notes are in English.": "Manche Anmerkungen sind englisch.",
     "circular deviation, counter-clockwise": "Kreisformabweichung, gegen den Uhrzeigersinn",
     "circular deviation, clockwise": "Kreisformabweichung, im Uhrzeigersinn",
     "largest radial deviation": "größte Radialabweichung",

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from jinja2 import Environment
 
 from dtwin.report._german import GERMAN
+from dtwin.report._german_sentences import german_of
 from dtwin.report.html import drawing, figure_html
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
@@ -19,6 +20,7 @@ _FIGURE_PX, _BESIDE_PX = 360, 280
 _DECIMAL_POINT = {"de": ","}
 LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": GERMAN}
 """Words and phrases of a certificate by language; what is not there is English."""
+_SENTENCES = {"de": german_of}
 _PAGE = """<!doctype html>
 <html lang="{{ language }}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy"
@@ -54,8 +56,8 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <table><thead><tr><th>{{ say("contribution") }}</th><th>u (k = 1), {{ unit }}</th><th class="from">{{ say("from") }}</th></tr></thead>
 <tbody>{% for row in budget[1] %}<tr><td>{{ tell(row[0]) }}</td><td>{{ tell(row[1]) }}</td><td class="from">{{ tell(row[2]) }}</td></tr>{% endfor %}</tbody></table></section>{% endif %}
 <h2>{{ say("Quality of the data") }}</h2>
-{% for severity, text in findings %}<p>{{ say(severity ~ ":") }} <span lang="en">{{ text }}</span></p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
-<p class="note">{{ tell(sheet.basis) }}{% for note in sheet.notes %} {{ note }}{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if language != "en" and (sheet.notes or findings) %} {{ say("Notes are in English.") }}{% endif %}</p>
+{% for severity, text, spoken in findings %}<p>{{ say(severity ~ ":") }} <span lang="{{ spoken }}">{{ text }}</span></p>{% else %}<p>{{ say("Nothing is wrong with the data.") }}</p>{% endfor %}
+<p class="note">{{ tell(sheet.basis) }}{% for text, spoken in notes %} <span lang="{{ spoken }}">{{ text }}</span>{% endfor %}{% if before %} {{ say("compared with") }} {{ before }}.{% endif %}{% if english %} {{ say("Notes are in English.") }}{% endif %}</p>
 <div class="sign"><p>{{ say("operator") }}</p><p>{{ say("date and signature") }}</p></div>
 {{ drawing|safe }}</body></html>
 """
@@ -90,6 +92,13 @@ def certificate_page(
         """Translate the phrases that are known in a longer text, and write its numbers as the language does."""
         return str(text) if phrase is None else phrase.sub(lambda found: phrases.get(found[0], point), str(text))
 
+    def spoken(text: str) -> tuple[str, str]:
+        """Return a sentence, and the language that it is in."""
+        said = _SENTENCES[language](text, tell) if language in _SENTENCES else None
+        return (text, "en") if said is None else (said, language)
+
+    findings_told = [(severity, *spoken(text)) for severity, text in findings]
+    notes = [spoken(note) for note in sheet["notes"]]
     old = {} if earlier is None else _values(earlier["sheet"])
     # A round picture leaves room beside it: three conditions fit on a page.
     beside = len(figures) > 1 and not old and all(trace.type == "scatterpolar" for f in figures for trace in f.data)
@@ -120,7 +129,9 @@ def certificate_page(
             sheet=sheet,
             budget=headline_budget(sheet),
             parts=parts,
-            findings=findings,
+            findings=findings_told,
+            notes=notes,
+            english=language != "en" and any(told[-1] == "en" for told in [*findings_told, *notes]),
             before=earlier["campaign"] if earlier is not None and old else "",
             drawing=drawing(),
         )

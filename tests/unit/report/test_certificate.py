@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import socket
@@ -15,6 +16,7 @@ from conftest import require_program
 from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
 
+import dtwin
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.commands import _certificate as certificate_command
@@ -23,6 +25,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.certificate import certificate, facts_of
+from dtwin.report._german_sentences import CLAUSES, german_of
 from dtwin.report.certificate import certificate_page
 from dtwin.schema import Run, RunMeta
 
@@ -131,6 +134,39 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
         "r-1.5",
     ):
         assert told in page
+
+
+def test_findings_are_german_as_a_whole_or_not_at_all() -> None:
+    def told(text: str) -> str | None:
+        return german_of(text, lambda name: str(name).replace(".", ","))
+
+    assert told("r-1: 3 of 4 conditions have no repeat: their noise floor is unknown.") == (
+        "r-1: 3 von 4 Bedingungen sind nicht wiederholt: ihr Rauschen ist unbekannt."
+    )
+    assert told(
+        "the mean feed is 48.5 mm/min, -3.8 % of the programmed 50: a wrong feed, or a radius in another unit"
+    ) == (
+        "der mittlere Vorschub beträgt 48,5 mm/min, das sind -3,8 % gegenüber programmierten 50: "
+        "ein falscher Vorschub oder ein Radius in anderer Einheit"
+    )
+    assert told("cw is evaluated, though not sound: something that nobody translated.") is None
+    assert told("measure 20 or more; something that nobody translated") is None
+
+
+def test_every_translated_clause_is_said_somewhere() -> None:
+    """A clause that was worded anew would be English again."""
+    said = ""
+    for file in Path(dtwin.__file__).parent.rglob("*.py"):
+        text = file.read_text("utf-8")
+        if ("Finding(" in text or "notes" in text or file.name == "cycles.py") and "german" not in file.name:
+            said += "".join(
+                node.value + "\n"
+                for node in ast.walk(ast.parse(text))
+                if isinstance(node, ast.Constant) and isinstance(node.value, str)
+            )
+    said = re.sub(r"\{\w+\}", "\n", said)
+    pieces = {piece.strip(" ,:;") for clause in CLAUSES for piece in clause.split("{}")}
+    assert [piece for piece in sorted(pieces) if piece not in said] == []
 
 
 @pytest.mark.parametrize("kind", ["drift", "linear", "poses", "rotation", "rotary"])
