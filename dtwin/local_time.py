@@ -21,3 +21,8 @@ def local_time(text: str) -> str:
 def local_day() -> date:
     """Return today, here: in UTC a crash of this morning would be one of yesterday."""
     return datetime.now().astimezone().date()
+
+
+def was_set(stamp: date) -> bool:
+    """Tell whether a clock that says this was set: one that was not says the first day of some calendar, 1980 the last of them, or a far year."""
+    return 1980 < stamp.year <= local_day().year + 1

@@ -11,13 +11,14 @@ from typing import Any
 
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
+from dtwin.local_time import was_set
 from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
 _COLDEST_C = -273.15
 _LONGEST = 400
 _AXIS = re.compile(r"[a-cu-z]\d?")
-_FIRST_YEAR, _BY_DAY = 1900, re.compile(r"\d{4}-\d\d-\d\d")
+_BY_DAY = re.compile(r"\d{4}-\d\d-\d\d")
 _OF_EVERY_KIND = {
     "instrument": (
         "model serial certificate calibrated_on operator calibrator_temperature_c sample_rate_hz columns tolerances "
@@ -62,12 +63,11 @@ def iso_time(value: object, name: str, where: str) -> str:
         return ""
     try:
         told = value if isinstance(value, datetime | date) else datetime.fromisoformat(str(value))
-        # A clock that was never set says the first day of some calendar.
-        if told.year >= _FIRST_YEAR:
+        if was_set(told):
             return str(value) if isinstance(value, str) and _BY_DAY.match(value) else told.isoformat()
     except ValueError:
         pass
-    raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z")
+    raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z, after 1980 and not in the future")
 
 
 def covariates(value: object, where: str) -> dict[str, float]:

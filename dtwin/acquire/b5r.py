@@ -16,6 +16,7 @@ from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.xmlsafe import child_text, number_or_none, parse_vendor_xml, read_bounded
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
+from dtwin.local_time import was_set
 from dtwin.schema import Direction, Floats, Run, RunMeta, standard_plane
 
 MAX_READINGS = 5_000_000
@@ -353,8 +354,7 @@ def _started(text: str) -> str:
         stamp = datetime.strptime(text, "%Y%m%d-%H%M%S")  # local, the file names no zone
     except ValueError:
         return ""
-    # A clock that was never set says the first day of some calendar.
-    return stamp.isoformat() if stamp.year >= 1900 else ""
+    return stamp.isoformat() if was_set(stamp) else ""
 
 
 def _vendor_date(started: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import is_number
 from dtwin.errors import InputError
+from dtwin.local_time import was_set
 from dtwin.schema import Floats
 
 FORMS = "ISO 8601, 31.12.2026 08:00, 12/31/2026 8:00:00 PM, 31-Dec-2026 08:00:00, 14:03:05, a date as days of a spreadsheet, or seconds of Unix"
@@ -157,10 +158,10 @@ def _dated(match: re.Match[str], *, day_first: bool) -> datetime | None:
 
 
 def _after(times: Sequence[datetime | None]) -> tuple[Floats, str]:
-    """Return seconds after the first, and that one; of some with a time zone and some without, NaN."""
+    """Return seconds after the first, and that one where the clock was set; of some with a time zone and some without, NaN."""
     first = next(time for time in times if time is not None)
     out = np.full(len(times), math.nan)
     for n, time in enumerate(times):
         if time is not None and (time.tzinfo is None) == (first.tzinfo is None):
             out[n] = (time - first).total_seconds()
-    return out, first.isoformat()
+    return out, first.isoformat() if was_set(first) else ""

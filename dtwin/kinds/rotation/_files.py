@@ -39,6 +39,7 @@ from dtwin.kinds.rotation._heads import (
     is_dial,
     is_turning,
 )
+from dtwin.local_time import was_set
 from dtwin.schema import Finding, Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
@@ -269,7 +270,7 @@ def _from_log(text: str, recipe: Mapping[str, Any], path: Path, needed: str) -> 
     for name, column in columns.items():
         if column.role in (ANGLE, PULSE, SPEED):
             reading.channels[column.role] = _ordered(stamps[name], values[name], column.factor)
-    reading.started = origin.isoformat() if origin else ""
+    reading.started = origin.isoformat() if origin and was_set(origin) else ""
     return reading
 
 
