@@ -48,6 +48,7 @@ class RobotRecorder(OpenAndClose):
         self._last_s: float | None = None
         self._kept: Floats | None = None
         self._running = False
+        self._said: tuple[Finding, ...] | None = None
 
     def open(self) -> None:
         """Connect; see ``UrLink``."""
@@ -61,7 +62,9 @@ class RobotRecorder(OpenAndClose):
         return Description(_GROUP, self._rate_hz, _COLUMNS, {"host": self.host})
 
     def check(self) -> tuple[Finding, ...]:
-        """Return whether the controller is stopped or runs slower than programmed."""
+        """Return whether the controller was stopped or ran slower than programmed when this was first asked: at the end it may have done its part."""
+        if self._said is not None:
+            return self._said
         state = self._next_state()
         findings = []
         if state[layout.RUNTIME_RUNNING] != layout.RUNNING:
@@ -71,7 +74,8 @@ class RobotRecorder(OpenAndClose):
         if scaling < 1.0:
             text = f"the speed slider is at {100 * scaling:z.0f} %"
             findings.append(Finding("robot.slow", "warning", text, {"scaling_1": scaling}))
-        return tuple(findings)
+        self._said = tuple(findings)
+        return self._said
 
     def start(self) -> None:
         """Begin with the next state."""

@@ -85,7 +85,7 @@ class Instrument(Protocol):
         ...
 
     def check(self) -> tuple[Finding, ...]:
-        """Return what is odd about the set-up."""
+        """Return what is odd about the set-up, and after a recording about what came, too."""
         ...
 
     def start(self) -> None:

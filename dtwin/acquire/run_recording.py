@@ -81,7 +81,7 @@ class RecordedRun:
     sealed : tuple of Sealed
         One signal file per instrument.
     findings : tuple of Finding
-        About the set-up of the instruments; gaps are in ``sealed``.
+        About the instruments and what came from them; gaps are in ``sealed``.
     """
 
     run_id: str
@@ -115,7 +115,8 @@ def record_run(
         _require_new(request)
         for instrument in instruments:
             opened.enter_context(instrument)
-        findings = tuple(f for instrument in instruments for f in instrument.check())
+        for instrument in instruments:
+            instrument.check()
         _write_intent(request)
         sealed: tuple[Sealed, ...] = ()
         try:
@@ -128,6 +129,7 @@ def record_run(
                 kept = f"what came before is kept in {request.folder}, run {request.run_id}"
                 error.hint = f"{error.hint}; {kept}" if error.hint else kept
             raise
+        findings = tuple(f for instrument in instruments for f in instrument.check())
     return RecordedRun(request.run_id, sealed, findings, request.folder / request.reference)
 
 

@@ -12,6 +12,7 @@ import pytest
 from serial_peer import SerialPeer, serial_peer
 
 from dtwin.acquire._serial_port import SerialInstrument
+from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.frames import FrameReader
 from dtwin.links.serial_line import SerialLink
@@ -70,6 +71,19 @@ def test_what_is_no_finite_number_is_nothing_that_was_read(peer: SerialPeer, dev
     assert values(device, 5) == pytest.approx([1.0, math.nan, math.nan, math.nan, 2.0], nan_ok=True)
     (finding,) = device.check()
     assert (finding.code, finding.numbers["values_1"]) == ("serial.not_finite", 3)
+
+
+def test_what_came_during_a_recording_is_told_with_it(peer: SerialPeer, tmp_path: Path) -> None:
+    peer.stream(2, 400.0)
+    taken = iter(range(10**6))
+
+    def stop() -> bool:
+        peer.raw(b"\x07half\x00")
+        return next(taken) > 1
+
+    request = RunRequest(tmp_path, "c", "m", "r1", None, "r1.csv")
+    done = record_run([SerialInstrument(peer.port, COLUMNS, 200.0)], request, stop)
+    assert [finding.code for finding in done.findings] == ["serial.garbage"]
 
 
 def test_only_garbage_is_silence(peer: SerialPeer, device: SerialInstrument) -> None:

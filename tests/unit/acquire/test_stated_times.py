@@ -22,7 +22,9 @@ def test_a_time_is_kept_as_stated_where_its_day_can_be_read(stated: str, kept: s
     assert iso_time(stated, "started", "file") == kept
 
 
-@pytest.mark.parametrize("stated", ["yesterday", 5, True, None, "0001-01-01T00:00:00", "1970-01-01T00:00:10Z", "2126-03-02"])
+@pytest.mark.parametrize(
+    "stated", ["yesterday", 5, True, None, "0001-01-01T00:00:00", "1970-01-01T00:00:10Z", "2126-03-02"]
+)
 def test_what_is_no_time_of_a_test_is_refused(stated: object) -> None:
     with pytest.raises(InputError, match="started"):
         iso_time(stated, "started", "file")
