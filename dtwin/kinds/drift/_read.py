@@ -37,8 +37,9 @@ from dtwin.errors import InputError
 from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, stepped
 from dtwin.kinds.drift._model import sense
 from dtwin.kinds.drift._standing import standing
+from dtwin.positioning.table_heads import ANGLE
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
-from dtwin.units import is_number
+from dtwin.units import ANGLES_DEG, is_number
 
 _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
@@ -55,6 +56,8 @@ _STEPS = "displacement_step"
 _SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
+_SLOPES = ("um/m", "µm/m", "mm/m")
+_SLOPE = re.compile(r"[uµm]m_?(/|per_)m\b", re.I)
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
 _OTHER_DEGREES = re.compile(r"\s*(k|kelvin)\s*", re.I)
 _SAME = 1e-6
@@ -114,6 +117,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         Finding("drift.left_out", "warning", f"{column.head} is left out: {column.why_not}")
         for column in _unknown(said, units, recipe)
     ]
+    if tilts := _tilts(said, units):
+        told = f"{', '.join(tilts)[:120]}: tilts are left out, figures and twins are of displacements"
+        cold.append(Finding("drift.tilts", "warning", told, {"columns_1": float(len(tilts))}))
     for name in temperatures:
         read = shared[name]
         if not possible(read).any():
@@ -271,8 +277,16 @@ def _named(
 def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any]) -> list[Column]:
     """Return columns that tell a unit, and are not used."""
     plain = [cell.strip() for cell in row]
-    told = columns_of(plain, units, {})
-    return [c for c in told if c.unit and c.why_not and c.head not in recipe and not FORM.search(c.head)]
+    told, tilts = columns_of(plain, units, {}), _tilts(row, units)
+    return [c for c in told if c.unit and c.why_not and c.head not in (*recipe, *tilts) and not FORM.search(c.head)]
+
+
+def _tilts(row: Sequence[str], units: Sequence[str] | None) -> list[str]:
+    """Return the heads of angles, of lengths over a length, too."""
+    columns = columns_of([cell.strip() for cell in row], units, {})
+    return [
+        c.head for c in columns if ANGLE.search(c.head) or _SLOPE.search(c.head) or c.unit in (*ANGLES_DEG, *_SLOPES)
+    ]
 
 
 def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any], path: Path) -> None:

@@ -211,10 +211,12 @@ def test_a_lag_of_any_time_leaves_no_other_name() -> None:
 
 def test_foreign_heads_say_by_their_units_what_they_are(tmp_path: Path) -> None:
     t_s, _, moved, skin, bed = machine(0)
-    rows = np.column_stack([t_s / 60.0, 0.5 * moved / 1e3, moved, skin, bed])
+    rows = np.column_stack([t_s / 60.0, 0.5 * moved / 1e3, moved, skin, bed, bed, bed, bed])
     lines = [";".join(f"{v:.7f}".replace(".", ",") for v in row) for row in rows]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(["Zeit [min];X [mm];Z [µm];Rahmen [°C];bed_c", *lines]), encoding="utf-8")
+    path.write_text(
+        "\n".join(["Zeit [min];X [mm];Z [µm];Rahmen [°C];bed_c;A [µm/m];b_urad;C (arcsec)", *lines]), encoding="utf-8"
+    )
     x, z = [run for runs, _ in open_source(path, {"machine": "mill-1"})[1] for run in runs]
     assert [(run.meta.run_id, run.meta.condition) for run in (x, z)] == [
         ("log-x", {"axis": "X"}),
@@ -224,6 +226,9 @@ def test_foreign_heads_say_by_their_units_what_they_are(tmp_path: Path) -> None:
     assert z.samples["displacement_um"] == pytest.approx(moved - moved[0], abs=1e-4)
     assert x.samples["displacement_um"] == pytest.approx(0.5 * (moved - moved[0]), abs=1e-3)
     assert {"temperature_rahmen_c", "temperature_bed_c"} <= set(z.samples)
+    assert [(f.code, f.message.partition(":")[0]) for f in z.findings] == [
+        ("drift.tilts", "A [µm/m], b_urad, C (arcsec)")
+    ]
     # Two axes of one machine differ; that is no wrong unit.
     assert judge_campaign_drift([x, z]) == []
 
