@@ -19,6 +19,7 @@ _MOST_TITLES = 20
 _BARE = re.compile(r"[xyzabcuvw]\d?", re.I)
 AXIS_CHOSEN = "file.axis"
 """Code of the finding that the file holds other axes, too: a run of it cannot be called one of another axis afterwards."""
+_POSE = re.compile(r"pose([\s_.]*(no|nr|number|nummer|id|name|#))?\.?", re.I)
 _CELLS = re.compile(r"[;\t|]")
 _MARKS = "#*|=-,;:\t \"'"
 
@@ -83,11 +84,11 @@ def require_axis(told: Sequence[str], axis: str, path: Path) -> None:
 
 
 def axis_by_row(rows: Sequence[Sequence[str]]) -> tuple[int, int] | None:
-    """Return the row of the heads and the column of the axis in a table whose rows tell X, Y and Z of one place after the other; None of another."""
+    """Return the row of the heads and the column of the axis in a table whose rows tell X, Y and Z of one place after the other, or that names poses; None of another."""
     for begin, row in enumerate(rows[:_MOST_TITLES]):
         axis = next((n for n, cell in enumerate(row) if AXIS_OF_ROW.fullmatch(cell.strip())), None)
         if axis is not None:
             below = [line[axis].strip().upper() for line in rows[begin + 1 : begin + 6] if axis < len(line)]
             told = [cell for cell in below if cell in ("X", "Y", "Z")][:3]
-            return (begin, axis) if len(set(told)) == 3 else None
+            return (begin, axis) if len(set(told)) == 3 or any(_POSE.fullmatch(cell.strip()) for cell in row) else None
     return None
