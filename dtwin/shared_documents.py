@@ -36,7 +36,7 @@ LISTS, CONTENT = "documents", "content"
 _INDEX, _ASIDE = "shared.json", "set-aside"
 _EVERY_S, _TRIES, _MAX_LIST = 5.0, 12, 8_000_000
 _UNNAMED_FOR = timedelta(days=7)
-_NOT_SHARED = (".lock", ".partial")
+_NOT_SHARED, _LONGEST = (".lock", ".partial"), 200
 Files = dict[str, str]
 """Hash of the content of each file of a unit."""
 
@@ -306,7 +306,7 @@ def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
         return {}, ""
     try:
         files = dict(json.loads(raw)["files"]) if len(raw) <= _MAX_LIST else {"/": ""}
-        good = all(_is_name(n) and _is_hash(h) for n, h in files.items())
+        good = all(_is_name(n) and _is_hash(h) for n, h in files.items()) and ("" not in files or len(files) == 1)
     except (ValueError, TypeError, KeyError, RecursionError):
         files, good = {}, False
     if not good or not _is_unit(unit):
@@ -357,7 +357,7 @@ def _stamps(place: Path) -> dict[str, list[int]]:
     stamps = {}
     for path in paths:
         name = "" if path == place else path.name
-        if _is_name(name) and not path.name.endswith(_NOT_SHARED):
+        if _is_name(name):
             with contextlib.suppress(FileNotFoundError):
                 state = path.stat()
                 stamps[name] = [state.st_size, state.st_mtime_ns, state.st_ino]
@@ -370,7 +370,9 @@ def _is_unit(unit: str) -> bool:
 
 
 def _is_name(name: Any) -> bool:
-    return isinstance(name, str) and "/" not in name and "\0" not in name and not name.startswith(".")
+    """Tell whether it is the name of a shared file; a unit that is a single file has it under an empty name."""
+    plain = isinstance(name, str) and "/" not in name and (name.isprintable() or not name)
+    return plain and not name.startswith(".") and not name.endswith(_NOT_SHARED) and len(name.encode()) <= _LONGEST
 
 
 def _is_hash(digest: Any) -> bool:

@@ -285,6 +285,20 @@ def test_a_damaged_object_is_told_and_not_taken_over(store: int, tmp_path: Path)
     with pytest.raises(StoreError, match="missing or damaged"):
         follow_shared(b)
     assert not (b.root / "twins" / "t" / "v001.json").exists()
+    # Names that no home would write: another's lock, a lone surrogate, one too long, a file that is a folder, too.
+    for unit, names in (
+        ("t", ["v001.lock"]),
+        ("t", ["\ud800.json"]),
+        ("u" * 300, ["v001.json"]),
+        ("t", ["", "v001.json"]),
+        ("t", ["../x"]),
+    ):
+        listed = json.dumps({"files": dict.fromkeys(names, "0" * 64)}).encode()
+        objects.put(f"documents/twins/{unit}.json", listed)
+        with pytest.raises(StoreError) as caught:
+            follow_shared(b)
+        assert caught.value.code == "shared.list"
+        objects.delete([f"documents/twins/{unit}.json"])
 
 
 @pytest.mark.parametrize(
