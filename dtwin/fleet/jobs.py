@@ -7,7 +7,8 @@ What it returns is kept by the one process that conducts the job.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
+import platform
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -16,7 +17,7 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.documents import finite
-from dtwin.errors import GateRefusal
+from dtwin.errors import GateRefusal, StoreError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import keep, kept_already, stamp_of
@@ -56,12 +57,10 @@ class Job:
 
 def _campaigns(home: Home, machines: Collection[str]) -> _Units:
     """Return campaigns that were not diagnosed since their runs changed."""
-    from dtwin.physics.library import Library
-
-    units, passed, effects = [], {}, " ".join(Library())
+    units, passed = [], {}
     for name, rows in _by_campaign(home, machines).items():
         kind = kind_named(str(rows[0]["kind"]))
-        stamp = f"{stamp_of(rows)} {effects}"
+        stamp = _stamp(rows)
         if all(row["left_out"] for row in rows):
             passed[name] = "all its runs are left out"
         elif not kind.offers("rows"):
@@ -80,6 +79,26 @@ def _by_campaign(home: Home, machines: Collection[str]) -> dict[str, list[Mappin
     return out
 
 
+def _stamp(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a diagnosis depends on: runs of a campaign, and effects that are known."""
+    from dtwin.physics.library import Library
+
+    return f"{stamp_of(rows)} {' '.join(Library())}"
+
+
+def _require(there: object, asked: object, unit: Unit, what: str) -> None:
+    """Refuse what is not of the unit that was asked for: a worker of another computer may have another home."""
+    if there != asked:
+        raise StoreError(
+            f"a worker has other {what} than the home that asked it",
+            code="fleet.other",
+            where=f"{unit.name}, worked on by {platform.node()}",
+            got=str(there)[:120],
+            allowed=str(asked)[:120],
+            hint="give workers the same home, and the same version of dtwin",
+        )
+
+
 def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
     """Return what the runs of a campaign can tell, from nothing but the set-up."""
     from dtwin.physics.diagnose import diagnose
@@ -88,6 +107,7 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
     from dtwin.twins.measured import load
 
     loaded = load(Home(Path(root)), unit.name)
+    _require(_stamp(Lake(Home(Path(root)).lake).runs(unit.name, left_out=True)), unit.stamp, unit, "runs or effects")
     diagnosis = replace(diagnose(loaded.obs, [], Library(), seed=seed), told=tuple(data_lines(loaded.data)))
     started = min((meta.started or "" for meta in loaded.obs.runs), default="")
     head = {"campaign": unit.name, "machine": unit.machine, "kind": loaded.obs.campaign.kind, "started": started}
@@ -98,6 +118,7 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
     # Before it is kept: what a worker of another version answers may be no diagnosis.
     told = {name: result[name] for name in ("verdict", "headline")}
+    _require((result["campaign"], result["machine"]), (unit.name, unit.machine), unit, "answers")
     keep(home, DIAGNOSES, unit.name, unit.stamp, result)
     return told
 
@@ -123,8 +144,12 @@ def _trainable(home: Home, machines: Collection[str]) -> _Units:
 
 
 def _trained(root: str, unit: Unit, seed: int) -> Any:
+    from dtwin.lifecycle.drift import usable
+    from dtwin.lifecycle.schedule import digest_of
     from dtwin.lifecycle.train import trained
 
+    rows = Lake(Home(Path(root)).lake).runs(unit.name)
+    _require(digest_of([row for row in rows if usable(row)]), unit.stamp, unit, "runs")
     return trained(Home(Path(root)), unit.name, seed=seed)
 
 
@@ -132,6 +157,7 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
     from dtwin.lifecycle.schedule import compared
     from dtwin.lifecycle.train import registered
 
+    _require((result.report.campaign, result.report.machine), (unit.name, unit.machine), unit, "answers")
     made = registered(home, result)
     comparison = compared(home, made)
     return {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -138,19 +138,24 @@ def news(home: Home, registry: Registry, machines: Collection[str] = ()) -> list
     for name in reversed(order):
         rows = [row for row in by_campaign[name] if usable(row)]
         machine = by_campaign[name][0]["machine"]
-        contents = sorted(row["content_sha256"] for row in rows)
         news.append(
             _CampaignNews(
                 campaign=name,
                 machine=machine,
                 rows=rows,
-                new_runs=len(set(contents) - known[machine]),
+                new_runs=len({row["content_sha256"] for row in rows} - known[machine]),
                 left_out=_left_out(registry, lake, machine, name),
-                digest=hashlib.sha256("".join(contents).encode()).hexdigest()[:16],
+                digest=digest_of(rows),
                 obstacle=_obstacle(rows, lake.campaign(name)),
             )
         )
     return news
+
+
+def digest_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what identifies the content of runs, given as rows of the lake."""
+    contents = sorted(str(row["content_sha256"]) for row in rows)
+    return hashlib.sha256("".join(contents).encode()).hexdigest()[:16]
 
 
 def compared(home: Home, made: Registered) -> Comparison | None:

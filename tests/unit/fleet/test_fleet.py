@@ -15,7 +15,7 @@ from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, Interrupted, StoreError
 from dtwin.fleet.engine import engine as engine_of
-from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, Unit
+from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, TRAIN, Unit
 from dtwin.fleet.run import run_fleet
 from dtwin.fleet.view import fleet_view
 from dtwin.locks import locked
@@ -101,6 +101,19 @@ def test_one_failure_stops_nothing_and_is_a_list(lake: Home) -> None:
     assert "ZeroDivisionError: by nothing" in run.failed["c02"]["message"]
     # It is tried again the next time.
     assert sorted(run_fleet(lake, ANSWER, workers=1).done) == ["c01", "c02"]
+
+
+def _mixes_up(root: str, unit: Unit, seed: int) -> Any:
+    return _answers(root, replace(unit, name="c01"), seed)
+
+
+def test_an_answer_of_another_campaign_or_of_another_home_is_not_kept(lake: Home) -> None:
+    run = run_fleet(lake, replace(DIAGNOSE, work=_mixes_up), workers=1)
+    assert (sorted(run.done), {error["code"] for error in run.failed.values()}) == (["c01"], {"fleet.other"})
+    # What a worker reads where somebody left a run out, or that has other effects.
+    for work, unit in ((DIAGNOSE.work, "c00"), (TRAIN.work, "c00")):
+        with pytest.raises(StoreError, match="other runs"):
+            work(str(lake.root), Unit(unit, "mill-0", "of before"), 0)
 
 
 def _kills_itself(root: str, unit: Unit, seed: int) -> Any:
