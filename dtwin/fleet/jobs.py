@@ -95,7 +95,7 @@ def _require(there: object, asked: object, unit: Unit, what: str) -> None:
             where=f"{unit.name}, worked on by {platform.node()}",
             got=str(there)[:120],
             allowed=str(asked)[:120],
-            hint="give workers the same home, and the same version of dtwin",
+            hint="give workers the same home and version of dtwin; where runs changed meanwhile, give the command again",
         )
 
 
@@ -116,8 +116,10 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
 
 
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
+    from dtwin.fleet.view import line_of
+
     # Before it is kept: what a worker of another version answers may be no diagnosis.
-    told = {name: result[name] for name in ("verdict", "headline")}
+    told = {name: line_of(result)[name] for name in ("verdict", "headline")}
     _require((result["campaign"], result["machine"]), (unit.name, unit.machine), unit, "answers")
     keep(home, DIAGNOSES, unit.name, unit.stamp, result)
     return told

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Mapping
+from typing import Any, get_args
 
 from dtwin.config import Home
 from dtwin.fleet.jobs import DIAGNOSES
+from dtwin.physics.diagnosis import Verdict
 from dtwin.pipeline.kept import kept_already
 
 
@@ -21,10 +22,16 @@ def fleet_view(home: Home, machines: Collection[str] = ()) -> list[dict[str, Any
         before = newest.get(diagnosed["machine"])
         if before is None or str(diagnosed["started"]) >= str(before["started"]):
             newest[diagnosed["machine"]] = diagnosed
-    return sorted((_line(diagnosed) for diagnosed in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
+    return sorted((line_of(diagnosed) for diagnosed in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
 
 
-def _line(diagnosed: dict[str, Any]) -> dict[str, Any]:
+def line_of(diagnosed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is shown of a diagnosis.
+
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` for what is none.
+    """
+    if diagnosed["verdict"] not in get_args(Verdict) or not isinstance(diagnosed["headline"], str):
+        raise ValueError(f"a verdict {str(diagnosed['verdict'])[:40]} is not known")
     floor, systematic = diagnosed["noise_floor_um"], diagnosed["systematic_rms_um"]
     names = ("machine", "campaign", "kind", "started", "verdict", "headline", "systematic_rms_um", "noise_floor_um")
     return {name: diagnosed[name] for name in names} | {

@@ -30,7 +30,9 @@ def lake() -> Home:
 
 def _answers(root: str, unit: Unit, seed: int) -> Any:
     """A diagnosis that costs nothing, for tests of what is done when and of what goes wrong beside it."""
-    return {"campaign": unit.name, "machine": unit.machine, "verdict": "missing_effect", "headline": "squareness XY"}
+    head = {"campaign": unit.name, "machine": unit.machine, "kind": "circular", "started": ""}
+    figures = {"systematic_rms_um": 2.0, "noise_floor_um": 0.5, "found": [], "unresolved": None}
+    return head | figures | {"verdict": "missing_effect", "headline": "squareness XY"}
 
 
 ANSWER = replace(DIAGNOSE, work=_answers)
@@ -193,9 +195,19 @@ def test_in_line_is_one_slot() -> None:
         assert at.executor.submit(len, "abc").result() == 3
 
 
-@pytest.mark.parametrize("answer", [{"half": 1}, [1.0], "no_findings"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {"half": 1},
+        [1.0],
+        "no_findings",
+        {"verdict": "missing_effect", "headline": "squareness XY", "campaign": "c", "machine": "m"},
+        _answers("", Unit("c", "m"), 0) | {"verdict": "sound"},
+        _answers("", Unit("c", "m"), 0) | {"systematic_rms_um": "2"},
+    ],
+)
 def test_an_answer_that_is_no_diagnosis_is_not_kept(tmp_path: Path, answer: Any) -> None:
     asked = Unit("c", "m", "stamp")
-    with pytest.raises((KeyError, TypeError)):
+    with pytest.raises((KeyError, TypeError, ValueError)):
         DIAGNOSE.keep(Home(tmp_path), asked, answer)
     assert kept_already(Home(tmp_path), DIAGNOSES, "c") is None
