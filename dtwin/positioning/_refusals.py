@@ -19,6 +19,7 @@ from dtwin.positioning.table_heads import (
     NAMED,
     OTHER_TEST,
     Wide,
+    is_deviation,
     is_opposite,
     is_unit,
     plain_unit,
@@ -122,6 +123,23 @@ def require_near(table: PositionTable, path: Path) -> None:
             got=f"{read % scale.turn if scale.turn else read:z.6g} {scale.unit} at a target of {target_mm[most]:z.6g} {scale.unit}",
             allowed="positions; or deviations whose heads say so and state the unit",
             hint=f"write into the heads of deviations that they are, and the unit, such as: deviation forward 1 [{scale.fine}]",
+        )
+
+
+def require_not_exchanged(targets: Sequence[str], read: Sequence[str], heads: tuple[str, str], path: Path) -> None:
+    """Refuse positions that are the same in every cycle beside targets that differ: the heads are exchanged.
+
+    ``heads``: of targets and of what was read.
+    """
+    fewest = len(set(read))
+    if 1 < fewest <= len(read) / 2 and 2 * fewest <= len(set(targets)) and not is_deviation(heads[1]):
+        raise InputError(
+            "targets and readings are exchanged: the readings come again to the last digit, the targets do not",
+            code="position_table.exchanged",
+            where=str(path),
+            got=f"{len(set(targets))} different targets under {heads[0].strip()}, {fewest} readings under {heads[1].strip()}",
+            allowed="targets that each cycle approaches again",
+            hint="exchange the heads of both columns",
         )
 
 

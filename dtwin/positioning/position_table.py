@@ -44,6 +44,7 @@ from dtwin.positioning._refusals import (
     require_counted,
     require_cycles,
     require_near,
+    require_not_exchanged,
     require_one_axis,
     require_positioning,
     require_sign,
@@ -306,6 +307,8 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
     factors = (_factor(heads[long.target], below[0], path, scale), _factor(heads[long.value], below[1], path, scale))
     numbered = [(f"{path}, row {number} below the heads", row) for number, row in enumerate(body, start=1)]
     targets = [_cell(row, long.target, where) * factors[0] for where, row in numbered]
+    said, read = ([row[i].strip() for row in body if i < len(row)] for i in (long.target, long.value))
+    require_not_exchanged(said, read, (heads[long.target], heads[long.value]), path)
     one = joined_targets(targets)
     if long.way is None and len(set(one.values())) == 1 < len(targets):
         value_um = [number_or_none(row[long.value]) for _, row in numbered if long.value < len(row)]

@@ -1133,6 +1133,14 @@ def test_a_scale_that_counts_the_other_way_is_told_as_that(tmp_path: Path) -> No
     with pytest.raises(InputError) as refused:
         read_position_table(path)
     assert refused.value.code == "position_table.mirrored"
+    rows = [f"{way},{t},{t + 0.001 * n}" for n in range(3) for way in "+-" for t in (0, 100, 200, 400)]
+    heads = "Dir,Target [mm],Actual [mm]"
+    path.write_text("\n".join([heads, *rows]), encoding="utf-8")
+    assert read_position_table(path).forward_um[2].tolist() == pytest.approx([0.0, 1.0, 2.0])
+    path.write_text("\n".join(["Dir,Actual [mm],Target [mm]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert refused.value.code == "position_table.exchanged"
 
 
 @pytest.mark.parametrize("heads", ["trial,session,reading [mm]", "Home switch\nTrial,Session,Position [mm]"])
