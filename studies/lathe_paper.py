@@ -22,7 +22,7 @@ from dtwin.kinds.linear._models import (
     inches_of,
     whole_turns,
 )
-from dtwin.kinds.linear._net_training import ALGORITHMS, Trained, train_net
+from dtwin.kinds.linear._net_training import Trained, train_net
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear._small_net import SmallNet, new_net
@@ -32,6 +32,7 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms, usual_size
+from studies.net_trainings import TRAININGS
 from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
 _SINGLE_NEURONS = 40
@@ -271,13 +272,15 @@ def _trainings(exact: Averages, size: Size) -> list[Line]:
     lines.append(_reached("A7", "8 neurons, one turn", 9e-9, 300, fast))
     inputs, target = whole_turns(exact, PITCH_IN)
     medians = {}
-    for algorithm in ALGORITHMS:
+    for name, train in TRAININGS.items():
         found = []
         for s in range(size.seeds):
-            net = new_net(30, ((0.0, 1.0), MAPPED_IN), np.random.default_rng(s))
-            found.append(train_net(net, inputs, target, algorithm=algorithm, epochs=size.epochs, goal=4e-8).sse)
-        medians[algorithm] = float(np.median(found))
-    lm, bfgs, scg, rprop = (medians[a] for a in ALGORITHMS)
+            net, _ = train(
+                new_net(30, ((0.0, 1.0), MAPPED_IN), np.random.default_rng(s)), inputs, target, size.epochs, 4e-8
+            )
+            found.append(np.sum((net.evaluate(inputs) - target) ** 2))
+        medians[name] = float(np.median(found))
+    lm, bfgs, scg, rprop = medians.values()
     lines.append(
         Line(
             f"order of the errors after {size.epochs} epochs: LM, BFGS, SCG, RProp",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import (
     Flanks,
     axis_number,
@@ -25,9 +25,8 @@ from dtwin.kinds.linear._bundle import (
 )
 from dtwin.kinds.linear._gates import along, positioning_gates, screw_logged, screw_metrics
 from dtwin.kinds.linear._models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
-from dtwin.kinds.linear._net_training import ALGORITHMS, train_net
 from dtwin.kinds.linear._simulate import mapping_plan
-from dtwin.kinds.linear._small_net import new_net
+from dtwin.kinds.linear._small_net import SmallNet, new_net
 from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, read_network
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
@@ -35,6 +34,7 @@ from dtwin.serve.export import to_python
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.runtime import CompiledBundle
 from studies.lathe_paper import exact_averages, table_steps
+from studies.net_trainings import TRAININGS
 
 NETWORK = read_network()
 UM_PER_IN, UM_PER_MM = 25400.0, 1000.0
@@ -196,28 +196,26 @@ def test_derivatives_of_a_small_net_are_right() -> None:
     assert np.allclose(2.0 * jacobian.T @ (output - target), gradient)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_training_learns_and_stops_at_its_goal(algorithm: str) -> None:
+@pytest.mark.parametrize("training", TRAININGS.values(), ids=TRAININGS)
+def test_every_training_learns_and_stops_at_its_goal(training: Callable[..., tuple[SmallNet, int]]) -> None:
     x = np.linspace(-1.0, 1.0, 60)[:, None]
     net = new_net(6, ((-1.0, 1.0),), np.random.default_rng(1))
     target = np.sin(3.0 * x[:, 0])
-    start = float(np.sum((net.evaluate(x) - target) ** 2))
-    found = train_net(net, x, target, algorithm=algorithm, epochs=3000, goal=0.05)
-    assert found.sse <= 0.05 < start
-    assert 0 < found.epochs < 3000
-    again = train_net(net, x, target, algorithm=algorithm, epochs=3000, goal=0.05)
-    assert again.sse == found.sse
-    with pytest.raises(InputError):
-        train_net(net, x, target, algorithm="guess")
+    found, epochs = training(net, x, target, 3000, 0.05)
+    assert np.sum((found.evaluate(x) - target) ** 2) <= 0.05 < np.sum((net.evaluate(x) - target) ** 2)
+    assert 0 < epochs < 3000
+    again, _ = training(net, x, target, 3000, 0.05)
+    assert np.array_equal(again.parameters(), found.parameters())
 
 
 def test_the_order_of_the_trainings_is_the_published_one(exact: Averages) -> None:
     inputs, target = whole_turns(exact, PITCH_IN)
     assert inputs.shape == (314, 2)
     found = []
-    for algorithm in ALGORITHMS:
+    for training in TRAININGS.values():
         net = new_net(30, ((0.0, 1.0), MAPPED_IN), np.random.default_rng(0))
-        found.append(train_net(net, inputs, target, algorithm=algorithm, epochs=300, goal=4e-8).sse)
+        best, _ = training(net, inputs, target, 300, 4e-8)
+        found.append(np.sum((best.evaluate(inputs) - target) ** 2))
     lm, bfgs, scg, rprop = found
     assert lm <= 4e-8 < bfgs
     assert 1000 * bfgs > scg > 1000 * lm
