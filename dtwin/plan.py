@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -170,40 +170,29 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
     return plan
 
 
-def advice(plan: Plan) -> list[Finding]:
+def advice(plan: Plan) -> Iterator[Finding]:
     """Say what the plan cannot tell, before anything is measured."""
-    findings = []
     if max(test.repeat for test in plan.tests) < 2:
-        findings.append(
-            Finding(
-                "plan.no_repeats",
-                "warning",
-                "no condition is repeated: the noise floor cannot be known, so no missing effect "
-                "can be told from noise",
-            )
+        yield Finding(
+            "plan.no_repeats",
+            "warning",
+            "no condition is repeated: the noise floor cannot be known, so no missing effect can be told from noise",
         )
     if len(plan.directions) < 2:
-        findings.append(
-            Finding(
-                "plan.one_direction",
-                "warning",
-                "one direction only: squareness and servo mismatch, and much else, look the same",
-            )
+        yield Finding(
+            "plan.one_direction",
+            "warning",
+            "one direction only: squareness and servo mismatch, and much else, look the same",
         )
     if len({test.feed_mm_min for test in plan.tests}) < 2:
-        findings.append(
-            Finding("plan.one_feed", "warning", "one feed only: no effect that grows with feed can be named")
-        )
+        yield Finding("plan.one_feed", "warning", "one feed only: no effect that grows with feed can be named")
     if not plan.calibrated_length and len({test.radius_mm for test in plan.tests}) > 1:
-        findings.append(
-            Finding(
-                "plan.radius_law",
-                "info",
-                "every radius is a set-up with its own zero: how the mean radius depends on the radius "
-                "stays unknown without a calibrated length (set plan.calibrated_length)",
-            )
+        yield Finding(
+            "plan.radius_law",
+            "info",
+            "every radius is a set-up with its own zero: how the mean radius depends on the radius "
+            "stays unknown without a calibrated length (set plan.calibrated_length)",
         )
-    return findings
 
 
 def _ordered(

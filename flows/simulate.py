@@ -82,4 +82,4 @@ def _planned(kind: str, quick: bool) -> Planned:
         return usual
     plan = quick_size().plan
     told = f"{plan.name}: {len(plan.tests)} tests, {plan.n_runs} runs"
-    return Planned(kind, plan, {"name": plan.name}, duration_s(plan)[1], advice(plan), (told,))
+    return Planned(kind, plan, {"name": plan.name}, duration_s(plan)[1], list(advice(plan)), (told,))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -119,13 +119,12 @@ def leave_out(lake: Lake, campaign: str, runs: Sequence[str], because: str, *, o
     _record(lake, campaign, {run: {"left_out": out} for run in runs}, because, who)
 
 
-def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Return in words what was stated anew of a campaign by its rows, all of them, and which are left out, and why."""
+def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """Yield in words what was stated anew of a campaign by its rows, all of them, and which are left out, and why."""
     by_version: dict[int, list[Mapping[str, Any]]] = {}
     for row in rows:
         for record in row["amendments"]:
             by_version.setdefault(record["version"], []).append(record)
-    findings = []
     for version, records in sorted(by_version.items()):
         first = records[0]
         names = [record["run_id"] for record in records]
@@ -138,16 +137,13 @@ def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
             what = ", ".join(n.removesuffix("_json") for n in fields if n not in _JUDGED)
             what = f"{what} stated anew"
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-        findings.append(
-            Finding(
-                code,
-                "info",
-                f"metadata version {version} ({first['when'][:16]}, {first['who']}): {shown} {what}, "
-                f"because {first['because']}",
-                {"version_1": float(version), "runs_1": float(len(names))},
-            )
+        yield Finding(
+            code,
+            "info",
+            f"metadata version {version} ({first['when'][:16]}, {first['who']}): {shown} {what}, "
+            f"because {first['because']}",
+            {"version_1": float(version), "runs_1": float(len(names))},
         )
-    return findings
 
 
 _JUDGED = ("findings_json", "n_errors")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def judge_motion(run: Run) -> list[Finding]:
     if not run.meta.radius_mm or not run.meta.feed_mm_min:
         return []
     if run.window is None:
-        return _feed_by_angle(run)
+        return list(_feed_by_angle(run))
     if run.n_samples < 1.3 * _programmed_revolution(run):
         # Of one turn the marks tell the feed; they may be off, but not by such a factor.
         return [finding for finding in _feed_by_angle(run) if finding.severity == "error"]
@@ -170,108 +171,97 @@ def _half_turn_chain(stops: Indices, half: float) -> Indices:
     return np.asarray(best if len(best) > 1 else [], dtype=np.int64)
 
 
-def _stops(motion: Motion) -> list[Finding]:
+def _stops(motion: Motion) -> Iterator[Finding]:
     if len(motion.stops) < 2:
-        return []
+        return
     listed = ", ".join(map(str, motion.stops))
-    return [
-        Finding(
-            "motion.stops",
-            "info",
-            f"the machine stops every half turn: bursts above 20 Hz near samples {listed}",
-            {"samples_1": [float(s) for s in motion.stops]},
-        )
-    ]
+    yield Finding(
+        "motion.stops",
+        "info",
+        f"the machine stops every half turn: bursts above 20 Hz near samples {listed}",
+        {"samples_1": [float(s) for s in motion.stops]},
+    )
 
 
-def _window(run: Run, motion: Motion) -> list[Finding]:
+def _window(run: Run, motion: Motion) -> Iterator[Finding]:
     assert run.window is not None
     marked = run.window[1] - run.window[0]
     angle = run.samples["angle_deg"]
     stated_deg = abs(float(angle[run.window[1] - 1] - angle[run.window[0]])) * marked / (marked - 1)
     period = motion.period_samples
     if not np.isfinite(period) or abs(stated_deg - 360.0) > 1.0:
-        return []
+        return
     true_deg = 360.0 * marked / period
     if abs(true_deg - 360.0) <= 360.0 * _WINDOW_TOLERANCE:
-        return []
+        return
     short = true_deg < 360.0
-    return [
-        Finding(
-            "arc.window_short" if short else "arc.window_long",
-            "error" if short else "warning",
-            f"the window marked as a full circle is about {true_deg:z.0f} deg: {marked} samples are "
-            f"marked, the true period is {period:z.0f}",
-            {"marked_samples_1": float(marked), "period_samples_1": float(period), "true_deg": true_deg},
-        )
-    ]
+    yield Finding(
+        "arc.window_short" if short else "arc.window_long",
+        "error" if short else "warning",
+        f"the window marked as a full circle is about {true_deg:z.0f} deg: {marked} samples are "
+        f"marked, the true period is {period:z.0f}",
+        {"marked_samples_1": float(marked), "period_samples_1": float(period), "true_deg": true_deg},
+    )
 
 
-def _feed(run: Run, motion: Motion) -> list[Finding]:
+def _feed(run: Run, motion: Motion) -> Iterator[Finding]:
     revolution = motion.revolution_samples
     radius, told = run.meta.radius_mm, run.meta.feed_mm_min
     if not np.isfinite(revolution) or radius is None or told is None:
-        return []
+        return
     real = 2.0 * np.pi * radius / (revolution / run.meta.sample_rate_hz) * 60.0
-    return _feed_differs(real, told, "mean", _FEED_TOLERANCE)
+    yield from _feed_differs(real, told, "mean", _FEED_TOLERANCE)
 
 
-def _feed_by_angle(run: Run) -> list[Finding]:
+def _feed_by_angle(run: Run) -> Iterator[Finding]:
     """Hold the feed that angles and times show against the programmed one."""
     angle, t_s = run.samples["angle_deg"], run.samples["t_s"]
     if len(angle) < 3 or run.meta.radius_mm is None or run.meta.feed_mm_min is None:
-        return []
+        return
     # The median: starts, stops and dwells do not count.
     speed_rad_s = float(np.median(np.radians(np.abs(np.gradient(angle, t_s)))))
-    return _feed_differs(speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE)
+    yield from _feed_differs(speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE)
 
 
-def _feed_differs(real: float, told: float, which: str, tolerance: float) -> list[Finding]:
+def _feed_differs(real: float, told: float, which: str, tolerance: float) -> Iterator[Finding]:
     if abs(real - told) <= tolerance * told:
-        return []
+        return
     wrong = not 1.0 / _OTHER_FEED < real / told < _OTHER_FEED
     why = ": a wrong feed, or a radius in another unit" if wrong else ""
-    return [
-        Finding(
-            "feed.differs",
-            "error" if wrong else "warning",
-            f"the {which} feed is {real:z.0f} mm/min, {100 * (real / told - 1):+z.1f} % of the programmed "
-            f"{told:z.0f}{why}",
-            {"real_mm_min": real, "programmed_mm_min": told},
-        )
-    ]
+    yield Finding(
+        "feed.differs",
+        "error" if wrong else "warning",
+        f"the {which} feed is {real:z.0f} mm/min, {100 * (real / told - 1):+z.1f} % of the programmed {told:z.0f}{why}",
+        {"real_mm_min": real, "programmed_mm_min": told},
+    )
 
 
-def _misregistered(run: Run, motion: Motion) -> list[Finding]:
+def _misregistered(run: Run, motion: Motion) -> Iterator[Finding]:
     aligned = aligned_angle_deg(run, motion)
     if aligned is None or run.window is None:
-        return []
+        return
     inside = run.marked
     apart = np.abs(run.samples["angle_deg"][inside] - aligned[inside])
     worst = float(apart.max())
     if worst < 5.0:
-        return []
-    return [
-        Finding(
-            "angle.misregistered",
-            "error" if worst > 20.0 else "warning",
-            f"the file's angles are misregistered by up to {worst:z.0f} deg against the stops",
-            {"worst_deg": worst},
-        )
-    ]
+        return
+    yield Finding(
+        "angle.misregistered",
+        "error" if worst > 20.0 else "warning",
+        f"the file's angles are misregistered by up to {worst:z.0f} deg against the stops",
+        {"worst_deg": worst},
+    )
 
 
-def _repeats(run: Run, motion: Motion) -> list[Finding]:
+def _repeats(run: Run, motion: Motion) -> Iterator[Finding]:
     found = non_repeatable_um(run, motion)
     if found is None:
-        return []
+        return
     correlation, repeatable, rest = found
-    return [
-        Finding(
-            "repeat.revolutions",
-            "info",
-            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:z.1f} µm RMS repeats "
-            f"(correlation {correlation:z.2f}), {rest:z.1f} µm does not",
-            {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
-        )
-    ]
+    yield Finding(
+        "repeat.revolutions",
+        "info",
+        f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:z.1f} µm RMS repeats "
+        f"(correlation {correlation:z.2f}), {rest:z.1f} µm does not",
+        {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
+    )

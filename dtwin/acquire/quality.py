@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 
@@ -45,26 +45,22 @@ def said_together(runs: Sequence[Run]) -> list[Finding]:
     return [f for f in judge_campaign(runs) if f.severity != "info" and not f.code.startswith("campaign.")]
 
 
-def _too_small(run: Run) -> list[Finding]:
-    """Return a finding for errors that hardly spread: millimetres in a column of micrometres.
+def _too_small(run: Run) -> Iterator[Finding]:
+    """Yield a finding for errors that hardly spread: millimetres in a column of micrometres.
 
     Where what was read stands beside them (``read_mm``), errors are of no other unit.
     """
-    findings: list[Finding] = []
     if "read_mm" in run.samples:
-        return findings
+        return
     for name in ("deviation_um", "error_um"):
         spread = float(np.std(run.samples[name])) if name in run.samples else np.inf
         if 0.0 < spread < _MIN_SPREAD_UM:
-            findings.append(
-                Finding(
-                    "reading.too_small",
-                    "error",
-                    f"{name} spreads by {spread:.2g} µm RMS, less than any instrument resolves: are these millimetres?",
-                    {"spread_um": spread},
-                )
+            yield Finding(
+                "reading.too_small",
+                "error",
+                f"{name} spreads by {spread:.2g} µm RMS, less than any instrument resolves: are these millimetres?",
+                {"spread_um": spread},
             )
-    return findings
 
 
 def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
@@ -127,21 +123,19 @@ def judge_places(error: Floats, place: Floats, name: str, code: str) -> list[Fin
     return [Finding(code, "error", text)]
 
 
-def judge_flagged(run: Run) -> list[Finding]:
+def judge_flagged(run: Run) -> Iterator[Finding]:
     """Say how many placements a rule has flagged; the rows stay, figures leave them out."""
     flags = run.samples.get("flag_1")
     count = int(np.count_nonzero(flags)) if flags is not None else 0
     if not count:
-        return []
-    return [
-        Finding(
-            "placement.flagged",
-            "info",
-            f"{count} of {run.n_samples} placements were flagged by a rule: they are left out of "
-            "every figure, not replaced",
-            {"placements_1": float(count)},
-        )
-    ]
+        return
+    yield Finding(
+        "placement.flagged",
+        "info",
+        f"{count} of {run.n_samples} placements were flagged by a rule: they are left out of "
+        "every figure, not replaced",
+        {"placements_1": float(count)},
+    )
 
 
 def without_samples(run: Run, columns: Sequence[str] = ()) -> Run:
@@ -151,33 +145,28 @@ def without_samples(run: Run, columns: Sequence[str] = ()) -> Run:
     return replace(run, samples=kept, signals=())
 
 
-def judge_clock(run: Run) -> list[Finding]:
-    """Return what is wrong with the times of the samples."""
+def judge_clock(run: Run) -> Iterator[Finding]:
+    """Yield what is wrong with the times of the samples."""
     t_s = run.samples.get("t_s", np.empty(0))
     gaps = np.diff(t_s)
     if not gaps.size:
-        return []
+        return
     typical = float(np.median(gaps))
     back = np.flatnonzero(gaps <= 0)
     if back.size:
-        return [
-            Finding(
-                "clock.backwards",
-                "error",
-                f"the clock runs backwards or stands still at sample {back[0] + 1}",
-                {"sample_1": float(back[0] + 1)},
-            )
-        ]
+        yield Finding(
+            "clock.backwards",
+            "error",
+            f"the clock runs backwards or stands still at sample {back[0] + 1}",
+            {"sample_1": float(back[0] + 1)},
+        )
+        return
     holes = np.flatnonzero(gaps > 1.5 * typical)
     if holes.size:
         lost = float(np.sum(gaps[holes] / typical - 1.0))
-        return [
-            Finding(
-                "clock.dropout",
-                "warning",
-                f"{holes.size} gap(s) in the clock, about {lost:z.0f} samples lost, "
-                f"the first at {t_s[holes[0]]:z.3f} s",
-                {"gaps_1": float(holes.size), "lost_1": lost},
-            )
-        ]
-    return []
+        yield Finding(
+            "clock.dropout",
+            "warning",
+            f"{holes.size} gap(s) in the clock, about {lost:z.0f} samples lost, the first at {t_s[holes[0]]:z.3f} s",
+            {"gaps_1": float(holes.size), "lost_1": lost},
+        )

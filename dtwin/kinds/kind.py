@@ -260,11 +260,11 @@ class Kind:
 
     def judge_run(self, run: Run) -> list[Finding]:
         """Return what is wrong with one run, with its samples."""
-        return self._done("judge_run")(run)
+        return list(self._done("judge_run")(run))
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
         """Return what the runs lack as a whole; of their samples, ``campaign_columns`` are there."""
-        return self._done("judge_campaign")(runs) if "judge_campaign" in self.places else []
+        return list(self._done("judge_campaign")(runs)) if "judge_campaign" in self.places else []
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         """Return the figures of the standard by condition, with what makes each uncertain beside its repeatability.

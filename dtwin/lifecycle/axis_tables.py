@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -246,15 +246,12 @@ def lost_motion_um(table: AxisTable) -> tuple[float, float]:
     return mean, float(np.abs(difference - mean).max())
 
 
-def lost_motion_notes(table: AxisTable, setting: str) -> list[str]:
-    """Return that one curve serves both directions, and what of the lost motion its setting does not hold."""
+def lost_motion_notes(table: AxisTable, setting: str) -> Iterator[str]:
+    """Yield that one curve serves both directions, and what of the lost motion its setting does not hold."""
     mean, uneven = lost_motion_um(table)
-    notes = [f"one curve for both directions: set {setting} to {mean / UM_PER_MM:z.6f} mm"]
+    yield f"one curve for both directions: set {setting} to {mean / UM_PER_MM:z.6f} mm"
     if uneven > TOLERANCE_UM:
-        notes.append(
-            f"lost motion changes along the axis: by up to {uneven:z.2f} µm it is not what {setting.split()[0]} holds"
-        )
-    return notes
+        yield f"lost motion changes along the axis: by up to {uneven:z.2f} µm it is not what {setting.split()[0]} holds"
 
 
 def csv_table(tables: list[AxisTable]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -157,45 +157,35 @@ class _Trigger:
         if halted and near and not beyond and (not self.never_inside or self.never_inside[-1] != target):
             self.never_inside.append(target)
 
-    def summary(self, t_s: Floats, position_mm: Floats) -> list[Finding]:
-        """Return the alarms after the last piece."""
-        alarms = []
+    def summary(self, t_s: Floats, position_mm: Floats) -> Iterator[Finding]:
+        """Yield the alarms after the last piece."""
         if self.left_early:
-            alarms.append(
-                _alarm(
-                    "trigger.dwell_too_short",
-                    self.left_early,
-                    f"the axis left the window before {self.setup.dwell_s:g} s were over: halt longer",
-                )
+            yield _alarm(
+                "trigger.dwell_too_short",
+                self.left_early,
+                f"the axis left the window before {self.setup.dwell_s:g} s were over: halt longer",
             )
         if self.never_inside:
-            alarms.append(
-                _alarm(
-                    "trigger.window_too_small",
-                    self.never_inside,
-                    f"the axis halted near, but not within {self.setup.window_mm:g} mm: widen the window",
-                )
+            yield _alarm(
+                "trigger.window_too_small",
+                self.never_inside,
+                f"the axis halted near, but not within {self.setup.window_mm:g} mm: widen the window",
             )
         moved = [r.target_mm for r in self.readings if _moved(r, t_s, position_mm, self.setup)]
         if moved:
-            alarms.append(
-                _alarm(
-                    "trigger.moved_while_reading",
-                    moved,
-                    "the axis moved while the laser averaged: windows overlap, or the halts are short",
-                )
+            yield _alarm(
+                "trigger.moved_while_reading",
+                moved,
+                "the axis moved while the laser averaged: windows overlap, or the halts are short",
             )
         missing = self.total - len(self.readings)
         if missing:
-            alarms.append(
-                Finding(
-                    "trigger.missed",
-                    "error",
-                    f"{missing} of {self.total} readings were not taken",
-                    {"missed_1": float(missing)},
-                )
+            yield Finding(
+                "trigger.missed",
+                "error",
+                f"{missing} of {self.total} readings were not taken",
+                {"missed_1": float(missing)},
             )
-        return alarms
 
 
 def _alarm(code: str, targets: Sequence[float], why: str) -> Finding:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -312,9 +312,8 @@ def _read_state(path: Path) -> _State:
         ) from error
 
 
-def _strange(run: Run, step: Step) -> list[Finding]:
+def _strange(run: Run, step: Step) -> Iterator[Finding]:
     """Compare a run with what was asked for."""
-    findings = []
     meta, asked = run.meta, step.stated
     told = [
         f"{name} {getattr(meta, name)} instead of {asked[name]}"
@@ -323,12 +322,11 @@ def _strange(run: Run, step: Step) -> list[Finding]:
     ]
     if told:
         text = f"the file is of another test: {', '.join(told)}"
-        findings.append(Finding("campaign.other_test", "error", text))
+        yield Finding("campaign.other_test", "error", text)
     if meta.correction not in (step.correction, "mixed"):
         was = f"under {meta.correction[:12]}" if meta.correction else "without a correction"
         text = f"it was measured {was}, and should have been {step.wanted}"
-        findings.append(Finding("campaign.other_way", "error", text))
-    return findings
+        yield Finding("campaign.other_way", "error", text)
 
 
 def _differ(one: object, other: object) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -58,8 +58,8 @@ def beat_of(step: float, span: float, pitch: float) -> tuple[float, float] | Non
     return None
 
 
-def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
-    """Return the findings of one positioning run.
+def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> Iterator[Finding]:
+    """Yield the findings of one positioning run.
 
     ``run``: with positions, ``direction`` and deviations, as ``scale`` calls them.
     """
@@ -67,33 +67,29 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> list[Finding]:
     # Of a clock that was assumed, a gap is a reading that is missing.
     assumed = clock_is_assumed([run])
     clock = [finding for finding in judge_clock(run) if not assumed or finding.code != "clock.dropout"]
-    findings = [*clock, *_missed(run, scale)]
+    yield from clock
+    yield from _missed(run, scale)
     largest = float(np.max(np.abs(error)))
     if largest > scale.largest:
-        findings.append(
-            Finding(
-                "reading.out_of_range",
-                "error",
-                f"an error of {largest:z.0f} {scale.fine} is beyond any axis: wrong unit, a lost beam, or the "
-                "instrument was not zeroed at the first target",
-                {f"largest_{scale.figure}": largest},
-            )
+        yield Finding(
+            "reading.out_of_range",
+            "error",
+            f"an error of {largest:z.0f} {scale.fine} is beyond any axis: wrong unit, a lost beam, or the "
+            "instrument was not zeroed at the first target",
+            {f"largest_{scale.figure}": largest},
         )
-    findings += judge_places(error, position, scale.error, f"{scale.kind}.positions")
+    yield from judge_places(error, position, scale.error, f"{scale.kind}.positions")
     constant = _longest_constant(error)
     if constant >= _STUCK_READINGS:
-        findings.append(
-            Finding(
-                "reading.stuck",
-                "error",
-                f"{constant} equal errors in a row: the beam was broken or the instrument not read",
-                {"readings_1": float(constant)},
-            )
+        yield Finding(
+            "reading.stuck",
+            "error",
+            f"{constant} equal errors in a row: the beam was broken or the instrument not read",
+            {"readings_1": float(constant)},
         )
     pitch = run.meta.condition.get("screw_pitch_mm")
     if is_number(pitch):
-        findings += _aliased(_targets_of(position), pitch)
-    return findings
+        yield from _aliased(_targets_of(position), pitch)
 
 
 def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Finding]:
@@ -101,22 +97,15 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
 
     ``runs``: with their samples.
     """
-    findings: list[Finding] = []
-    if len(runs) == 1:
-        findings.append(
-            Finding(
-                "campaign.no_repeat",
-                "warning",
-                "one run only: repeatability and noise floor are unknown",
-                {"conditions_1": 1.0},
-            )
-        )
+    said = "one run only: repeatability and noise floor are unknown"
+    single = [Finding("campaign.no_repeat", "warning", said, {"conditions_1": 1.0})] if len(runs) == 1 else []
     tests = tests_by_axis(runs, scale)
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum = [finding for test in tests if (finding := shifted_zero(test)) is not None]
-    zeroed = [finding for test in tests if (finding := zero_of_each_cycle(test)) is not None]
-    clipped = [finding for test in tests if (finding := _clipped(test)) is not None]
-    return findings + clipped + (told or _drift(runs, scale)) + datum + zeroed
+    datum, zeroed, clipped = (
+        [finding for test in tests if (finding := judge(test)) is not None]
+        for judge in (shifted_zero, zero_of_each_cycle, _clipped)
+    )
+    return [*single, *clipped, *(told or _drift(runs, scale)), *datum, *zeroed]
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
@@ -160,29 +149,25 @@ def _clipped(test: LinearTest) -> Finding | None:
     return None
 
 
-def _missed(run: Run, scale: Scale) -> list[Finding]:
+def _missed(run: Run, scale: Scale) -> Iterator[Finding]:
     position, direction = run.samples[scale.position], run.samples["direction"]
     wanted = _targets_of(position)
     ways = [way for way in ("forward", "reverse") if np.any(direction == way)]
     if len(ways) == 1:
-        return [
-            Finding(
-                f"{scale.kind}.one_direction",
-                "warning",
-                f"the targets were approached {ways[0]} only: play cannot be seen",
-            )
-        ]
+        yield Finding(
+            f"{scale.kind}.one_direction", "warning", f"the targets were approached {ways[0]} only: play cannot be seen"
+        )
+        return
     forward, reverse = (np.round(_targets_of(position[direction == way]), 6) for way in BOTH)
     if not np.intersect1d(forward, reverse).size:
         told = [", ".join(f"{t:z.6g}" for t in targets[:2]) for targets in (forward, reverse)]
-        return [
-            Finding(
-                f"{scale.kind}.other_targets",
-                "error",
-                f"the directions share no target (forward {told[0]} … {scale.unit}, reverse {told[1]} … {scale.unit}): no reversal follows, nor any figure of both; "
-                "measure the same targets from both sides; a file for each direction tells the figures of that one",
-            )
-        ]
+        yield Finding(
+            f"{scale.kind}.other_targets",
+            "error",
+            f"the directions share no target (forward {told[0]} … {scale.unit}, reverse {told[1]} … {scale.unit}): no reversal follows, nor any figure of both; "
+            "measure the same targets from both sides; a file for each direction tells the figures of that one",
+        )
+        return
     absent: list[float] = []
     twice = 0
     for way in ways:
@@ -190,27 +175,21 @@ def _missed(run: Run, scale: Scale) -> list[Finding]:
         targets = _targets_of(at)
         absent += np.setdiff1d(np.round(wanted, 6), np.round(targets, 6)).tolist()
         twice += len(at) - len(targets)
-    findings = []
     if absent:
-        findings.append(
-            Finding(
-                f"{scale.kind}.missed_targets",
-                "error",
-                f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
-                f"{absent[0]:z.3f} {scale.unit}: window too small, or the dwell too short",
-                {"missed_1": float(len(absent)), f"first_{scale.position.partition('_')[2]}": float(absent[0])},
-            )
+        yield Finding(
+            f"{scale.kind}.missed_targets",
+            "error",
+            f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
+            f"{absent[0]:z.3f} {scale.unit}: window too small, or the dwell too short",
+            {"missed_1": float(len(absent)), f"first_{scale.position.partition('_')[2]}": float(absent[0])},
         )
     if twice:
-        findings.append(
-            Finding(
-                f"{scale.kind}.read_twice",
-                "warning",
-                f"{twice} targets were read more than once in one sweep",
-                {"readings_1": float(twice)},
-            )
+        yield Finding(
+            f"{scale.kind}.read_twice",
+            "warning",
+            f"{twice} targets were read more than once in one sweep",
+            {"readings_1": float(twice)},
         )
-    return findings
 
 
 def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
@@ -244,7 +223,7 @@ def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
     return [Finding("linear.step_beats_pitch", "warning", said, {"step_mm": step, "alias_mm": alias})]
 
 
-def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
+def _drift(runs: Sequence[Run], scale: Scale) -> Iterator[Finding]:
     """Tell drift from noise by whether neighbouring readings of a run deviate alike.
 
     Deviations from the mean over the runs are put in the order of time; the mean square of their
@@ -254,32 +233,30 @@ def _drift(runs: Sequence[Run], scale: Scale) -> list[Finding]:
     deviations = _run_deviations_um(runs, scale)
     n = len(deviations)
     if n < 2 or deviations.shape[1] < _FEWEST_FOR_DRIFT:
-        return []
+        return
     # The mean over the runs took a share of every run with it.
     share = n / (n - 1)
     variance = share * float(np.mean(deviations**2))
     noise = share * float(np.mean(np.diff(deviations, axis=1) ** 2)) / 2.0
     if variance <= 0.0:
-        return []
+        return
     expected_scatter = 4.0 / math.sqrt(deviations.size)
     if noise / variance > min(0.7, 1.0 - expected_scatter):
-        return []
+        return
     drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
     why = (
         "A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the axis's own encoder with the reference, log temperatures"
         if drift_um >= ORDINARY
         else "Ordinary air, heat and mounting of the instrument: let both settle, shield the beam"
     )
-    return [
-        Finding(
-            f"{scale.kind}.drift",
-            "warning",
-            f"the runs disagree by drift, not by noise: {drift_um:z.2f} {scale.fine} RMS wander from run to "
-            f"run, {noise_um:z.2f} {scale.fine} RMS from one reading to the next; R counts it as scatter, and more runs do not average "
-            f"it away. {why}",
-            {f"drift_{scale.figure}": drift_um, f"noise_{scale.figure}": noise_um},
-        )
-    ]
+    yield Finding(
+        f"{scale.kind}.drift",
+        "warning",
+        f"the runs disagree by drift, not by noise: {drift_um:z.2f} {scale.fine} RMS wander from run to "
+        f"run, {noise_um:z.2f} {scale.fine} RMS from one reading to the next; R counts it as scatter, and more runs do not average "
+        f"it away. {why}",
+        {f"drift_{scale.figure}": drift_um, f"noise_{scale.figure}": noise_um},
+    )
 
 
 def _run_deviations_um(runs: Sequence[Run], scale: Scale) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import plotly.graph_objects as go
@@ -65,16 +65,15 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
     return (*sizes, _number(figures["controller_correlation"]))
 
 
-def _notes(found: Mapping[str, Any]) -> list[str]:
-    notes = [
+def _notes(found: Mapping[str, Any]) -> Iterator[str]:
+    yield (
         "The parts add up at every angle; their squares do so only where the correlation of the "
         "controller's part with the rest is zero. A sharp step (lost motion at a reversal) has "
         "high frequencies too: its corner counts as dynamic."
-    ]
+    )
     without = found["runs_without_controller"]
     if without:
-        notes.append(f"{len(without)} runs without the controller's positions are left out.")
-    return notes
+        yield f"{len(without)} runs without the controller's positions are left out."
 
 
 def _figure(found: Mapping[str, Any]) -> go.Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,13 +75,12 @@ def across_findings(runs: Sequence[Run]) -> list[Finding]:
     return [*found, *([] if differing is None else [differing]), *_of_another_unit(whole)]
 
 
-def _of_another_unit(runs: Sequence[Run]) -> list[Finding]:
-    """Return a finding for each condition whose largest and smallest circle have one shape, and sizes that are a unit apart."""
+def _of_another_unit(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield a finding for each condition whose largest and smallest circle have one shape, and sizes that are a unit apart."""
     of_condition: dict[tuple[object, ...], list[tuple[str, Floats]]] = {}
     for run in runs:
         m = run.meta
         of_condition.setdefault((m.plane, m.radius_mm, m.feed_mm_min), []).append((m.run_id, _binned(run)))
-    found = []
     for members in of_condition.values():
         curves = np.stack([curve for _, curve in members])
         curves = curves[:, np.isfinite(curves).all(axis=0)]
@@ -94,8 +93,7 @@ def _of_another_unit(runs: Sequence[Run]) -> list[Finding]:
                 f"{members[large][0]} and {members[small][0]} have one shape, and the first is {ratio:z.3g} times as large: about {unit:g}, as between "
                 "units (mm, µm, inch); one of both was written in another unit than it is read in"
             )
-            found.append(Finding("circular.scale", "warning", said, {"ratio_1": ratio}))
-    return found
+            yield Finding("circular.scale", "warning", said, {"ratio_1": ratio})
 
 
 def with_spoilt_told(runs: Sequence[Run]) -> list[Run]:

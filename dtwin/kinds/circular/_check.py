@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,32 +65,27 @@ def with_whole_angle(run: Run) -> Run:
     return replace(run, samples=samples, findings=(*run.findings, Finding("angle.unwrapped", "info", text)))
 
 
-def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what circles lack as a whole, directions and repeats, and what their samples say together where they are there."""
-    findings = across_findings(runs)
+def judge_circular_campaign(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield what circles lack as a whole, directions and repeats, and what their samples say together where they are there."""
+    yield from across_findings(runs)
     conditions = Counter((m.plane, m.radius_mm, m.feed_mm_min, m.direction) for m in (run.meta for run in runs))
     pairs = Counter(key[:3] for key in conditions)
     lonely = sum(count == 1 for count in pairs.values())
     if lonely:
-        findings.append(
-            Finding(
-                "campaign.one_direction",
-                "warning",
-                f"{lonely} of {len(pairs)} conditions were run in one direction only",
-                {"conditions_1": float(lonely)},
-            )
+        yield Finding(
+            "campaign.one_direction",
+            "warning",
+            f"{lonely} of {len(pairs)} conditions were run in one direction only",
+            {"conditions_1": float(lonely)},
         )
     single = sum(count == 1 for count in conditions.values())
     if single:
-        findings.append(
-            Finding(
-                "campaign.no_repeat",
-                "warning",
-                f"{single} of {len(conditions)} conditions have no repeat: their noise floor is unknown",
-                {"conditions_1": float(single)},
-            )
+        yield Finding(
+            "campaign.no_repeat",
+            "warning",
+            f"{single} of {len(conditions)} conditions have no repeat: their noise floor is unknown",
+            {"conditions_1": float(single)},
         )
-    return findings
 
 
 def _radius(run: Run) -> list[Finding]:
@@ -112,18 +107,15 @@ def _radius(run: Run) -> list[Finding]:
     ]
 
 
-def _reading(run: Run) -> list[Finding]:
+def _reading(run: Run) -> Iterator[Finding]:
     deviation = run.samples["deviation_um"]
     largest = float(np.max(np.abs(deviation)))
-    findings = []
     if largest > _MAX_DEVIATION_UM:
-        findings.append(
-            Finding(
-                "reading.out_of_range",
-                "error",
-                f"a deviation of {largest:z.0f} µm is beyond any ball bar: wrong unit, or the ball was lost",
-                {"largest_um": largest},
-            )
+        yield Finding(
+            "reading.out_of_range",
+            "error",
+            f"a deviation of {largest:z.0f} µm is beyond any ball bar: wrong unit, or the ball was lost",
+            {"largest_um": largest},
         )
     shift, spread = float(np.mean(deviation)), float(np.ptp(deviation))
     if spread > 0.0 and abs(shift) > _MANY_TIMES * spread:
@@ -131,26 +123,23 @@ def _reading(run: Run) -> list[Finding]:
             f"all deviations are off by {shift:+z.1f} µm, alike to within {spread:z.3g} µm: a datum, such as an instrument whose length is not "
             "calibrated, or a radius other than the one stated; G does not count it, Fmax, Fmin and D do"
         )
-        findings.append(Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread}))
+        yield Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread})
     angle = run.samples["angle_deg"]
     if spread > 0.0 and np.ptp(angle) > _STRAIGHT_DEG and np.corrcoef(angle, deviation)[0, 1] ** 2 > _STRAIGHT:
         said = f"deviations rise or fall evenly with the angle, by {spread:z.4g} µm: a column of angles or times, and no error of a circle"
-        findings.append(Finding("reading.ramp", "error", said, {"spread_um": spread}))
+        yield Finding("reading.ramp", "error", said, {"spread_um": spread})
     rate = run.meta.sample_rate_hz
     limit = max(8, int(_STUCK_S * rate)) if np.isfinite(rate) else 20
     length, value = _longest_constant(deviation)
     if length >= limit:
         extreme = bool(value in (deviation.max(), deviation.min())) and np.ptp(deviation) > 0
         code, what = ("reading.clipped", "the travel limit") if extreme else ("reading.stuck", "a stuck sensor")
-        findings.append(
-            Finding(
-                code,
-                "error",
-                f"{length} equal readings in a row at {value:z.1f} µm look like {what}",
-                {"samples_1": float(length), "value_um": float(value)},
-            )
+        yield Finding(
+            code,
+            "error",
+            f"{length} equal readings in a row at {value:z.1f} µm look like {what}",
+            {"samples_1": float(length), "value_um": float(value)},
         )
-    return findings
 
 
 def _angles(run: Run) -> list[Finding]:
@@ -235,50 +224,44 @@ def _as_the_file_says(run: Run) -> list[Finding]:
     return [Finding("vendor.differs", "warning", said, {"read_um": read_um, "stated_um": told["circularity_um"]})]
 
 
-def _signals(group: SignalGroup, *, gaps_told: bool) -> list[Finding]:
+def _signals(group: SignalGroup, *, gaps_told: bool) -> Iterator[Finding]:
     """Judge signals; samples without any value are lost ones when the recorder told of gaps."""
-    findings = []
     floats = {n: v for n, v in group.columns.items() if v.dtype.kind == "f"}
     lost = np.zeros(group.n_samples, dtype=bool)
     if gaps_told and floats:
         lost = np.logical_and.reduce([np.isnan(values) for values in floats.values()])
         if lost.mean() > _MOST_LOST:
             text = f"{lost.sum()} of {lost.size} samples of {group.name} are lost"
-            findings.append(Finding("signal.lost", "error", text, {"share_1": float(lost.mean())}))
+            yield Finding("signal.lost", "error", text, {"share_1": float(lost.mean())})
     for name, whole in floats.items():
         values = whole[~lost]
         bad = int(np.count_nonzero(~np.isfinite(values)))
         if bad:
-            findings.append(
-                Finding(
-                    "signal.not_finite",
-                    "error",
-                    f"{bad} values of {group.name} {name} are not finite",
-                    {"values_1": float(bad)},
-                )
+            yield Finding(
+                "signal.not_finite",
+                "error",
+                f"{bad} values of {group.name} {name} are not finite",
+                {"values_1": float(bad)},
             )
         elif name.endswith("_g"):
-            findings += _accelerometer(group.name, name, values)
-    return findings
+            yield from _accelerometer(group.name, name, values)
 
 
-def _accelerometer(group: str, name: str, values: Floats) -> list[Finding]:
+def _accelerometer(group: str, name: str, values: Floats) -> Iterator[Finding]:
     if not values.size:
-        return []
+        return
     top = float(np.max(np.abs(values)))
     clipped = int(np.count_nonzero(np.abs(values) >= 0.999 * top))
     if top > 0 and clipped > 20 and clipped > 1e-4 * values.size:
-        return [
-            Finding(
-                "signal.clipped",
-                "warning",
-                f"{clipped} values of {group} {name} sit at its extreme {top:.3g} g",
-                {"values_1": float(clipped), "extreme_g": top},
-            )
-        ]
+        yield Finding(
+            "signal.clipped",
+            "warning",
+            f"{clipped} values of {group} {name} sit at its extreme {top:.3g} g",
+            {"values_1": float(clipped), "extreme_g": top},
+        )
+        return
     if float(np.ptp(values)) == 0.0:
-        return [Finding("signal.dead", "error", f"{group} {name} does not move")]
-    return []
+        yield Finding("signal.dead", "error", f"{group} {name} does not move")
 
 
 def _longest_constant(values: Floats) -> tuple[int, float]:

@@ -35,7 +35,7 @@ def planned(plan: Plan) -> Planned:
             "motion_s": moving_s,
         },
         duration_s=total_s,
-        findings=advice(plan),
+        findings=list(advice(plan)),
         lines=(
             f"{plan.name} on {plan.machine}: {len(plan.tests)} tests, {plan.n_runs} runs, "
             f"{moving_s / 60:z.0f} min of motion, about {total_s / 60:z.0f} min without mounting",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
     steps = [_step(step) for step in result["plan"]]
     return [
         Section("Alignment", [*_alignment(result), *_stretches(result)]),
-        Section("The vendor's model", _vendor(result)),
+        Section("The vendor's model", list(_vendor(result))),
         Section(
             "From set-up to floor",
             tables=[Table(_RUNG_HEAD, _rungs(result["ladders"][result["best"]]))],
@@ -90,18 +90,17 @@ def _stretches(result: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _vendor(result: Mapping[str, Any]) -> list[str]:
+def _vendor(result: Mapping[str, Any]) -> Iterator[str]:
     vendor = result["vendor"]
     stated = vendor["stated_um"]
-    lines = [] if stated is None else [f"The vendor states a residual of {stated:z.1f} µm RMS."]
+    yield from [] if stated is None else [f"The vendor states a residual of {stated:z.1f} µm RMS."]
     for key, name in (("file_angles", "the file's angles"), ("aligned_angles", "aligned angles")):
         one = vendor[key]
-        lines.append(
+        yield (
             f"Terms of the same kinds ({one['parameters']} parameters) refitted at {name}: "
             f"{one['marked_window_um']:z.1f} µm in the marked windows; fitted to one pass they leave "
             f"{one['held_out_um']:z.1f} µm of the other."
         )
-    return lines
 
 
 def _rungs(rungs: Sequence[Mapping[str, Any]]) -> list[list[str]]:

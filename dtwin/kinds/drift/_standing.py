@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,11 @@ _OF_RANGE = 0.2
 """Of its range, how far a temperature goes while a probe stands that is suspect."""
 
 
-def standing(t_s: Floats, temperatures_c: Mapping[str, Floats]) -> list[Finding]:
-    """Return a finding for each sensor that is suspect; nothing is left out.
+def standing(t_s: Floats, temperatures_c: Mapping[str, Floats]) -> Iterator[Finding]:
+    """Yield a finding for each sensor that is suspect; nothing is left out.
 
     ``t_s`` (n,), ``temperatures_c`` (n,) each: as they were read, NaN where nothing was.
     """
-    found = []
     for name, read in temperatures_c.items():
         there = np.flatnonzero(np.isfinite(read) & np.isfinite(t_s))
         if there.size < _FEWEST:
@@ -51,8 +50,7 @@ def standing(t_s: Floats, temperatures_c: Mapping[str, Floats]) -> list[Finding]
             else ": a sensor that is stuck or came off"
         )
         said += '; what follows from it is suspect: leave it out ("HEAD" = "" in [campaign.instrument.columns]), or end the log there'
-        found.append(Finding("drift.sensor_stands", "warning", said, {"readings_1": float(stands.size)}))
-    return found
+        yield Finding("drift.sensor_stands", "warning", said, {"readings_1": float(stands.size)})
 
 
 def probe_standing(moved_um: Floats, temperatures_c: Sequence[Floats]) -> list[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -215,11 +215,9 @@ def _scores(series: Series, left: Floats) -> Scores:
     return Scores(HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios.get(worst, 0.0), worst, blocks, 1)
 
 
-def _told(runs: Sequence[Run], forms: Mapping[str, Fitted]) -> list[str]:
-    told = [
-        f"fitted to {runs[0].meta.run_id}, the longest log; each of its stretches of time was left out in turn",
-        "a lag begins anew, as if temperatures had long stood still, after a restart and where segment_id falls",
-    ]
+def _told(runs: Sequence[Run], forms: Mapping[str, Fitted]) -> Iterator[str]:
+    yield f"fitted to {runs[0].meta.run_id}, the longest log; each of its stretches of time was left out in turn"
+    yield "a lag begins anew, as if temperatures had long stood still, after a restart and where segment_id falls"
     best = min(forms.values(), key=lambda model: model.held_out_um)
     for run in runs[1:]:
         other = series_of(run)
@@ -227,8 +225,7 @@ def _told(runs: Sequence[Run], forms: Mapping[str, Fitted]) -> list[str]:
             foretold = sum(v * other.column(t) for t, v in zip(best.terms, best.value[1:], strict=True))
             left = other.moved_um - np.asarray(foretold)
             kept = float(np.std(left) / np.std(other.moved_um))
-            told.append(f"of log {run.meta.run_id}, which was not fitted, {100 * kept:z.0f} % of the motion is left")
-    return told
+            yield f"of log {run.meta.run_id}, which was not fitted, {100 * kept:z.0f} % of the motion is left"
 
 
 def _axes(conditions: Iterable[str]) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -275,54 +275,42 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
     return findings
 
 
-def _trigger_advice(plan: LinearPlan) -> list[Finding]:
-    findings = []
+def _trigger_advice(plan: LinearPlan) -> Iterator[Finding]:
     if plan.dwell_s <= plan.laser_dwell_s:
-        findings.append(
-            Finding(
-                "plan.dwell_too_short",
-                "warning",
-                f"the machine halts {plan.dwell_s:g} s, the laser wants {plan.laser_dwell_s:g} s "
-                "from when the axis enters its window: readings will be missed; halt half as long again",
-            )
+        yield Finding(
+            "plan.dwell_too_short",
+            "warning",
+            f"the machine halts {plan.dwell_s:g} s, the laser wants {plan.laser_dwell_s:g} s "
+            "from when the axis enters its window: readings will be missed; halt half as long again",
         )
     if plan.window >= plan.step / 2.0:
-        findings.append(
-            Finding(
-                "plan.window_too_wide",
-                "warning",
-                f"windows of {plan.window:g} {plan.unit} around targets {plan.step:g} apart overlap: "
-                "the laser may count one halt for two targets",
-            )
+        yield Finding(
+            "plan.window_too_wide",
+            "warning",
+            f"windows of {plan.window:g} {plan.unit} around targets {plan.step:g} apart overlap: "
+            "the laser may count one halt for two targets",
         )
     if plan.overshoot <= plan.window:
-        findings.append(
-            Finding(
-                "plan.overshoot_in_window",
-                "warning",
-                f"the axis turns {plan.overshoot:g} {plan.unit} beyond the ends, within the laser's "
-                f"window of {plan.window:g}: the laser cannot tell that it has turned",
-            )
+        yield Finding(
+            "plan.overshoot_in_window",
+            "warning",
+            f"the axis turns {plan.overshoot:g} {plan.unit} beyond the ends, within the laser's "
+            f"window of {plan.window:g}: the laser cannot tell that it has turned",
         )
-    return findings
 
 
-def _size_advice(plan: LinearPlan) -> list[Finding]:
-    findings = []
+def _size_advice(plan: LinearPlan) -> Iterator[Finding]:
     hours = duration_s(plan) / 3600.0
     if hours > 2.0:
-        findings.append(
-            Finding(
-                "plan.long",
-                "warning",
-                f"{plan.readings} readings take about {hours:z.0f} h: the machine's temperature will "
-                "drift more than readings repeat; take fewer targets or fewer runs, or log temperatures",
-                {"duration_s": hours * 3600.0},
-            )
+        yield Finding(
+            "plan.long",
+            "warning",
+            f"{plan.readings} readings take about {hours:z.0f} h: the machine's temperature will "
+            "drift more than readings repeat; take fewer targets or fewer runs, or log temperatures",
+            {"duration_s": hours * 3600.0},
         )
     if plan.runs < 2:
-        findings.append(Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known"))
-    return findings
+        yield Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known")
 
 
 def targets_mm(plan: LinearPlan) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -240,19 +240,18 @@ def _refusals(bundle: Bundle, screw: Screw) -> tuple[str, ...]:
     return tuple(f"fails: {v.gate}: {v.reason}" for v in verdicts if not v.passed)
 
 
-def _what_was_seen(test: LinearTest, screw: Screw, engine: Engine | None) -> list[str]:
+def _what_was_seen(test: LinearTest, screw: Screw, engine: Engine | None) -> Iterator[str]:
     runs = test.forward_um.shape[1]
-    told = [
+    yield (
         f"every run, one sweep up and down over {len(test.position_mm)} targets, was left out in "
         f"turn; the noise floor is what {runs} runs disagree by at the same target and direction, "
         f"and a mean of {runs - 1} runs cannot leave less than "
-        f"{noise_floor_um(test) * np.sqrt(runs / (runs - 1)):z.2f} µm",
-        f"the targets meet the screw at {screw.phases} angles",
-        "all runs have the same targets: what a candidate does between them is tried in the loop",
-    ]
+        f"{noise_floor_um(test) * np.sqrt(runs / (runs - 1)):z.2f} µm"
+    )
+    yield f"the targets meet the screw at {screw.phases} angles"
+    yield "all runs have the same targets: what a candidate does between them is tried in the loop"
     if engine is not None:
-        told.append(f"no equation was searched for with {engine.name}: their forms are given")
-    return told
+        yield f"no equation was searched for with {engine.name}: their forms are given"
 
 
 def _entries(model: PositionModel) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dtwin.kinds.kind import Kind
@@ -26,7 +26,7 @@ class _Placement(Kind):
 
         # Placements are events: minutes between them are no lost samples.
         clock = [finding for finding in judge_clock(run) if finding.code != "clock.dropout"]
-        return clock + judge_flagged(run) + _sizes(run)
+        return [*clock, *judge_flagged(run), *_sizes(run)]
 
     def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
         return "placements train no equation"
@@ -55,16 +55,15 @@ def _sizes(run: Run) -> list[Finding]:
         n for n, values in errors.items() if largest and len(values) > 1 and float(values.max()) == float(values.min())
     ]
     text = f"{' and '.join(still)} is the same at every placement: this direction was not measured"
-    return [Finding("placement.still", "warning", text)] * bool(still) + _far(run, errors)
+    return [*[Finding("placement.still", "warning", text)] * bool(still), *_far(run, errors)]
 
 
-def _far(run: Run, errors: Mapping[str, Floats]) -> list[Finding]:
-    """Return placements that lie far off all others, which no rule flagged."""
+def _far(run: Run, errors: Mapping[str, Floats]) -> Iterator[Finding]:
+    """Yield placements that lie far off all others, which no rule flagged."""
     import numpy as np
 
     from dtwin.schema import Finding
 
-    found = []
     kept = np.flatnonzero(run.samples.get("flag_1", np.zeros(len(run.samples["t_s"]))) == 0.0)
     for name, values in errors.items():
         off = abs(values[kept] - np.median(values[kept])) if len(kept) >= _FEWEST else np.zeros(0)
@@ -72,8 +71,7 @@ def _far(run: Run, errors: Mapping[str, Floats]) -> list[Finding]:
         far = kept[off > _TIMES_USUAL * usual] if usual > 0.0 else kept[:0]
         if far.size:
             text = f"{name} of row {', '.join(str(n + 1) for n in far[:5])} lies up to {off.max():.4g} µm off the others, half of which lie within {usual:.3g}: a part that slipped, or a reading of another one"
-            found.append(Finding("placement.far", "warning", text, {"off_um": float(off.max())}))
-    return found
+            yield Finding("placement.far", "warning", text, {"off_um": float(off.max())})
 
 
 KIND = _Placement()

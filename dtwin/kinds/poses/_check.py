@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,20 +138,19 @@ def _rows(numbers: NDArray[np.int64]) -> str:
     return f"rows {', '.join(str(n) for n in numbers[:_LISTED])}{more} lie"
 
 
-def _commanded(run: Run, series: Series) -> list[Finding]:
+def _commanded(run: Run, series: Series) -> Iterator[Finding]:
     """Compare the target with what joints and chain give, up to a frame and the tool that it was planned for."""
     if "target_x_mm" not in run.samples:
-        return []
+        return
     size = np.zeros(run.n_samples)
     if joints_of(run).size:
         planned = series_of(joints_of(run), axes(run, "target"), chain_in(run), None)
         size = np.linalg.norm(planned.error_mm, axis=1)
     rows = np.flatnonzero(size > max(1.0, 20.0 * float(np.median(size))))
-    findings = []
     if rows.size:
         listed = ", ".join(str(n) for n in numbers_of(run)[rows[:_LISTED]])
         said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():z.1f} mm: {listed}"
-        findings.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
+        yield Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))})
     if "measured_x_mm" in run.samples:
         ratio = float(
             np.ptp(axes(run, "target"), axis=0).max()
@@ -160,8 +159,7 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
         # One pose spans nothing.
         if ratio > 0.0 and not _ALIKE < ratio < 1.0 / _ALIKE:
             said = f"targets span {ratio:.3g} times what the points do: metres under a name of millimetres?"
-            findings.append(Finding("poses.units", "warning", said, {"ratio_1": ratio}))
-    return findings
+            yield Finding("poses.units", "warning", said, {"ratio_1": ratio})
 
 
 def _repeats(series: Series) -> list[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -122,27 +122,21 @@ def _pairs(poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return one, (one + rng.integers(1, poses, _PAIRS)) % poses
 
 
-def lines(run_id: str, found: dict[str, Any]) -> list[str]:
-    """Return the text of the figures of one run."""
-    out = [
-        f"{run_id}: {found['readings']} readings of {found['poses']} poses, {found['repeated_poses']} measured again"
-    ]
+def lines(run_id: str, found: dict[str, Any]) -> Iterator[str]:
+    """Yield the text of the figures of one run."""
+    yield f"{run_id}: {found['readings']} readings of {found['poses']} poses, {found['repeated_poses']} measured again"
     if found["as_written_mm"] is not None:
-        out.append(
+        yield (
             f"  error as written {found['as_written_mm']:z.4f} mm; the best frame alone leaves "
             f"{found['frame_alone_mm']:z.4f} mm"
         )
     accuracy, distance = found["pose_accuracy_mm"], found["distance_accuracy_mm"]
-    out += [
-        f"  left by {found['taken_away']}: {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
-        f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most",
-    ]
+    yield f"  left by {found['taken_away']}: {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most"
+    yield f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most"
     if distance is not None:
-        out.append(f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most")
+        yield f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most"
     said = found["pose_repeatability_mm"]
     if said is None:
-        return [*out, "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"]
-    return [
-        *out,
-        f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most",
-    ]
+        yield "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"
+        return
+    yield f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -97,32 +97,27 @@ def positioning_result(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return out
 
 
-def positioning_lines(result: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the lines that a terminal shows of :func:`positioning_result`."""
-    lines = [] if result else ["no target was read in every run from both sides: no figures of both directions"]
+def positioning_lines(result: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the lines that a terminal shows of :func:`positioning_result`."""
+    yield from [] if result else ["no target was read in every run from both sides: no figures of both directions"]
     for told in result:
-        lines.append(
+        yield (
             f"axis {told['axis']}: {counted(told['runs'], 'run')}, {counted(told['targets'], 'target')} "
             f"from {told['from_deg']:g}° to {told['to_deg']:g}°"
         )
         figures = told.get("iso_230_2", {})
         if figures:
-            lines.append(
-                "  " + ", ".join(f"{symbol} {figures[f'{name}_arcsec']:z.2f}″" for symbol, name in _SHOWN.items())
-            )
+            yield "  " + ", ".join(f"{symbol} {figures[f'{name}_arcsec']:z.2f}″" for symbol, name in _SHOWN.items())
         for wave in told.get("waves", ()):
             often, size, half = wave["often"], wave["amplitude_arcsec"], wave["k95_arcsec"]
             if (chance := wave["chance_arcsec"]) is not None and size <= chance:
-                lines.append(f"  {often} a turn no more than what runs differ by, {chance:z.2f}″")
+                yield f"  {often} a turn no more than what runs differ by, {chance:z.2f}″"
                 continue
             more = "" if half is None else f" ± {half:z.2f}″"
-            lines.append(
-                f"  {often} a turn {size:z.2f}″{more}, largest at {wave['largest_at_deg']:z.0f}°: {wave['may_be']}"
-            )
+            yield f"  {often} a turn {size:z.2f}″{more}, largest at {wave['largest_at_deg']:z.0f}°: {wave['may_be']}"
         if (drift := told.get("drift_arcsec")) is not None:
-            lines.append(f"  goes on by {drift:z.2f}″ over a turn, which is no part of these")
+            yield f"  goes on by {drift:z.2f}″ over a turn, which is no part of these"
         elif "waves" in told:
-            lines.append("  no place was read again a turn later: a drift over the turn would look like these")
+            yield "  no place was read again a turn later: a drift over the turn would look like these"
         if "waves" in told:
-            lines.append(f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left")
-    return lines
+            yield f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left"

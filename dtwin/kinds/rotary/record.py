@@ -63,7 +63,7 @@ class _Rotary(Kind):
         from dtwin.kinds.rotary._scale import ANGLES
         from dtwin.positioning.check import judge_positioning_run
 
-        return judge_positioning_run(run, ANGLES)
+        return list(judge_positioning_run(run, ANGLES))
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
         from dtwin.kinds.rotary._sheet import judge_campaign
@@ -92,7 +92,7 @@ class _Rotary(Kind):
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         from dtwin.kinds.rotary._sheet import positioning_lines
 
-        return positioning_lines(result["positioning"])
+        return list(positioning_lines(result["positioning"]))
 
     @property
     def drawings(self) -> Sequence[Drawing]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,24 +30,21 @@ def over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
     return [over_speed(key, points) for key, points in points_of(runs).items()]
 
 
-def judge_speeds(runs: Sequence[Run]) -> list[Finding]:
-    """Return what changes with speed or time, and what cannot be told."""
+def judge_speeds(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield what changes with speed or time, and what cannot be told."""
     whole = [run for run in runs if run.samples]
-    findings = []
     for found in over_speeds(whole):
-        findings += _judge(found)
+        yield from _judge(found)
     for told in run_outs(whole):
-        findings += [
+        yield from (
             Finding(code, "warning" if severity == "warning" else "info", text)
             for code, severity, text in runout_sentences(told)
-        ]
-    return findings
+        )
 
 
-def _judge(found: OverSpeed) -> list[Finding]:
-    out: list[Finding] = []
+def _judge(found: OverSpeed) -> Iterator[Finding]:
     if len(found.points) < 2:
-        return out
+        return
     if found.delay is not None:
         d = found.delay
         way = "behind" if d.ms > 0 else "ahead of"
@@ -55,13 +52,13 @@ def _judge(found: OverSpeed) -> list[Finding]:
             f"{found.probe}: the form of the surface turns with the speed: the angle is {abs(d.ms):z.3g} ± {d.k2_ms:z.1g} ms {way} the probe "
             f"(up to {d.largest_deg:z.1f}°), a delay of the recording; it is taken out before speeds are compared"
         )
-        out.append(Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms}))
+        yield Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms})
     if found.odd_wave:
         said = (
             f"{found.probe}: what comes {found.odd_wave} times per turn turns from speed to speed, and the rest of the form does not turn with it: a force of that order "
             "(poles of a motor, teeth, a coupling) through a structure that lags looks so; it is not taken for a delay of the angle"
         )
-        out.append(Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)}))
+        yield Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)})
     if (w := found.wave) is not None:
         said = (
             f"{found.probe}: what comes {w.times} times per turn is {w.least_um:z.3g} µm at {w.least_rpm:z.4g} rpm and {w.most_um:z.3g} µm at "
@@ -69,11 +66,10 @@ def _judge(found: OverSpeed) -> list[Finding]:
             "do, and a probe that is too slow"
         )
         numbers = {"per_turn_1": float(w.times), "least_um": w.least_um, "most_um": w.most_um}
-        out.append(Finding("rotation.wave_changes", "warning", said, numbers))
-    out += _judge_once(found)
-    out += _judge_mean(found)
-    out += _judge_orders(found)
-    return out
+        yield Finding("rotation.wave_changes", "warning", said, numbers)
+    yield from _judge_once(found)
+    yield from _judge_mean(found)
+    yield from _judge_orders(found)
 
 
 def _few(found: OverSpeed, what: str, spread_um: float) -> list[Finding]:
@@ -208,9 +204,8 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
     return [Finding(code, "warning", said, {"change_um": law.change, "p_value": law.p_value})]
 
 
-def _judge_orders(found: OverSpeed) -> list[Finding]:
+def _judge_orders(found: OverSpeed) -> Iterator[Finding]:
     """Say of lines that stand at several speeds whether they turn with the axis, or have a frequency of their own."""
-    out: list[Finding] = []
     speeds = sorted(found.points, key=lambda p: p.speed_rpm)
     hertz_told: list[float] = []
     orders_told: list[Order] = []
@@ -236,14 +231,11 @@ def _judge_orders(found: OverSpeed) -> list[Finding]:
                 else ""
             )
             said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
-            out.append(Finding("rotation.frequency", "info", said, {"frequency_hz": hertz}))
+            yield Finding("rotation.frequency", "info", said, {"frequency_hz": hertz})
         elif by_order and len(by_order) > len(by_hertz):
             orders_told.append(line)
             said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
-            out.append(
-                Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})
-            )
-    return out
+            yield Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})
 
 
 def _near(one: float, other: float, a: Order, b: Order) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from dtwin.acquire.quality import judge_clock
@@ -30,7 +32,7 @@ _MANY = 6
 def judge_rotation(run: Run) -> list[Finding]:
     """Return what is wrong with one run."""
     if run.meta.condition.get("form") == OVER_SPEED or "runout_um" in run.samples:
-        return _judge_table(run)
+        return list(_judge_table(run))
     if run.meta.condition.get("form") == AT_REST:
         return judge_at_rest(run)
     findings = [f for f in judge_clock(run) if f.code != "clock.dropout"]
@@ -84,25 +86,21 @@ def judge_rotation(run: Run) -> list[Finding]:
     return findings
 
 
-def _judge_table(run: Run) -> list[Finding]:
+def _judge_table(run: Run) -> Iterator[Finding]:
     speed, runout = run.samples["speed_rpm"], run.samples["runout_um"]
-    findings = []
     if float(runout.max()) > _LARGE_UM:
-        findings.append(_size(float(runout.max()), "the run-out is"))
+        yield _size(float(runout.max()), "the run-out is")
     for n in np.flatnonzero(spoilt(run)):
         said = f"{runout[n]:z.3g} µm at {speed[n]:g} rpm stands far off the other run-outs of that speed: dirt, a chip or a mistake; it is left out"
-        findings.append(
-            Finding("rotation.spoilt", "warning", said, {"speed_rpm": float(speed[n]), "runout_um": float(runout[n])})
-        )
+        yield Finding("rotation.spoilt", "warning", said, {"speed_rpm": float(speed[n]), "runout_um": float(runout[n])})
     if len(np.unique(speed)) == len(speed):
         said = (
             "no speed was measured twice (a row is a reading, a column a probe): what run-outs differ by from speed to speed cannot be "
             "compared with repeats"
         )
-        findings.append(Finding("rotation.no_repeats", "warning", said))
+        yield Finding("rotation.no_repeats", "warning", said)
     if len(np.unique(speed)) < 2:
-        findings.append(Finding("rotation.one_speed", "info", "one speed: nothing is known of what changes with it"))
-    return findings
+        yield Finding("rotation.one_speed", "info", "one speed: nothing is known of what changes with it")
 
 
 def _size(um: float, what: str) -> Finding:
@@ -145,25 +143,25 @@ def _judge_turns(turns: Turns, run: Run) -> list[Finding]:
     return [*findings, *_spikes(turns)]
 
 
-def _spikes(turns: Turns) -> list[Finding]:
+def _spikes(turns: Turns) -> Iterator[Finding]:
     """Name readings that stand far off in one turn alone."""
     if turns.n < 4:
-        return []
+        return
     off = turns.moved_um - np.median(turns.moved_um, axis=0)
     scale = max(usual_size(off), turns.step_um / 2.0)
     far = np.abs(off) > _SPIKE * scale
     alone = far & (far.sum(axis=0) == 1)
     rows = np.flatnonzero(alone.any(axis=1))
     if not rows.size or scale == 0.0 or alone.mean() > 0.01:
-        return []
+        return
     k, j = np.unravel_index(int(np.argmax(np.abs(np.where(alone, off, 0.0)))), off.shape)
     said = (
         f"readings stand out in one turn alone, by up to {abs(off[k, j]):z.3g} µm (turn {k + 1}, {turns.angle_deg[j]:z.0f}°): dirt, a chip, or a "
         "disturbed signal; asynchronous error motion counts them"
     )
-    return [
-        Finding("rotation.single", "warning", said, {"turns_1": float(rows.size), "largest_um": float(abs(off[k, j]))})
-    ]
+    yield Finding(
+        "rotation.single", "warning", said, {"turns_1": float(rows.size), "largest_um": float(abs(off[k, j]))}
+    )
 
 
 def _features(turns: Turns) -> list[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,76 +108,64 @@ def heard(run: Run) -> Tone | None:
     return fit_tone(group.t_s, group.columns[name], commanded(run).frequency_hz)
 
 
-def judge_sinusoidal_run(run: Run) -> list[Finding]:
-    """Return the findings of one run of a tone. ``run``: with samples, and with signals where there are any."""
+def judge_sinusoidal_run(run: Run) -> Iterator[Finding]:
+    """Yield the findings of one run of a tone. ``run``: with samples, and with signals where there are any."""
     told = commanded(run)
-    findings = judge_clock(run) + _sampling(run, told) + _tone(run, told)
+    yield from (*judge_clock(run), *_sampling(run, told), *_tone(run, told))
     bandwidth = run.meta.condition.get("z_bandwidth_hz")
     if is_number(bandwidth) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
-        findings.append(
-            Finding(
-                "sinusoidal.beyond_safe",
-                "error",
-                f"{told.frequency_hz:g} Hz is beyond the safe limit of {SAFE_SHARE * bandwidth:g} Hz "
-                f"({SAFE_SHARE:g} of the axis's bandwidth of {bandwidth:g} Hz)",
-                {"frequency_hz": told.frequency_hz, "limit_hz": SAFE_SHARE * bandwidth},
-            )
+        yield Finding(
+            "sinusoidal.beyond_safe",
+            "error",
+            f"{told.frequency_hz:g} Hz is beyond the safe limit of {SAFE_SHARE * bandwidth:g} Hz "
+            f"({SAFE_SHARE:g} of the axis's bandwidth of {bandwidth:g} Hz)",
+            {"frequency_hz": told.frequency_hz, "limit_hz": SAFE_SHARE * bandwidth},
         )
     for name in ("act_z_mm", "tool_z_mm"):
         if name in run.samples:
-            findings += _clipped(run.samples[name], name, "reading.clipped")
+            yield from _clipped(run.samples[name], name, "reading.clipped")
     for group in run.signals:
-        findings += _sensor(run, group, told)
-    return findings
+        yield from _sensor(run, group, told)
 
 
-def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the groups of a campaign lack together. ``runs``: samples are not needed."""
+def judge_sinusoidal_campaign(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield what the groups of a campaign lack together. ``runs``: samples are not needed."""
     told = [commanded(run) for run in runs]
     count = Counter(told)
     single = sum(n == 1 for n in count.values())
-    findings = []
     if single:
-        findings.append(
-            Finding(
-                "campaign.no_repeat",
-                "warning",
-                f"{single} of {len(count)} groups have no repeat: their noise floor is unknown",
-                {"conditions_1": float(single)},
-            )
+        yield Finding(
+            "campaign.no_repeat",
+            "warning",
+            f"{single} of {len(count)} groups have no repeat: their noise floor is unknown",
+            {"conditions_1": float(single)},
         )
     grid = len({c.frequency_hz for c in told}) * len({c.amplitude_um for c in told})
     if grid > len(count):
-        findings.append(
-            Finding(
-                "sinusoidal.grid",
-                "warning",
-                f"{grid - len(count)} of {grid} combinations of frequency and amplitude are missing",
-                {"missing_1": float(grid - len(count))},
-            )
+        yield Finding(
+            "sinusoidal.grid",
+            "warning",
+            f"{grid - len(count)} of {grid} combinations of frequency and amplitude are missing",
+            {"missing_1": float(grid - len(count))},
         )
-    return findings
 
 
-def _sampling(run: Run, told: Commanded) -> list[Finding]:
+def _sampling(run: Run, told: Commanded) -> Iterator[Finding]:
     t = run.samples["t_s"]
-    findings = _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
+    yield from _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
     if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
-        findings.append(
-            Finding(
-                "sinusoidal.short",
-                "warning",
-                f"{t[-1] - t[0]:z.2f} s are recorded; {LEARNED_S - FORETOLD_S:g} s for the features and "
-                f"{FORETOLD_S:g} s for what they foretell are needed",
-                {"duration_s": float(t[-1] - t[0])},
-            )
+        yield Finding(
+            "sinusoidal.short",
+            "warning",
+            f"{t[-1] - t[0]:z.2f} s are recorded; {LEARNED_S - FORETOLD_S:g} s for the features and "
+            f"{FORETOLD_S:g} s for what they foretell are needed",
+            {"duration_s": float(t[-1] - t[0])},
         )
-    return findings
 
 
-def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Finding]:
+def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> Iterator[Finding]:
     if not np.isfinite(rate_hz) or rate_hz >= FEWEST_PER_PERIOD * frequency_hz:
-        return []
+        return
     folded = rate_hz <= 2.0 * frequency_hz
     alias = abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz))
     why = (
@@ -185,54 +173,46 @@ def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Findin
         if folded
         else f"{rate_hz / frequency_hz:z.1f} samples to a period: peaks are missed"
     )
-    return [
-        Finding(
-            "sinusoidal.aliasing",
-            "error" if folded else "warning",
-            f"{what} come at {rate_hz:g} Hz: {why}",
-            {"rate_hz": rate_hz, "frequency_hz": frequency_hz},
-        )
-    ]
+    yield Finding(
+        "sinusoidal.aliasing",
+        "error" if folded else "warning",
+        f"{what} come at {rate_hz:g} Hz: {why}",
+        {"rate_hz": rate_hz, "frequency_hz": frequency_hz},
+    )
 
 
-def _tone(run: Run, told: Commanded) -> list[Finding]:
-    findings = []
+def _tone(run: Run, told: Commanded) -> Iterator[Finding]:
     tone = fit_tone(run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM, told.frequency_hz)
     if tone.share < _SAME_TONE or abs(tone.amplitude - told.amplitude_um) > 0.1 * told.amplitude_um:
-        findings.append(
-            Finding(
-                "sinusoidal.not_the_tone",
-                "error",
-                f"the command is not the stated tone of {told.amplitude_um:g} µm at "
-                f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
-                f"{tone.amplitude:z.2f} µm",
-                {"share_1": tone.share, "amplitude_um": tone.amplitude},
-            )
+        yield Finding(
+            "sinusoidal.not_the_tone",
+            "error",
+            f"the command is not the stated tone of {told.amplitude_um:g} µm at "
+            f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
+            f"{tone.amplitude:z.2f} µm",
+            {"share_1": tone.share, "amplitude_um": tone.amplitude},
         )
     else:
-        findings += _frequency(run, told)
-    findings += _exchanged(run, told, tone)
+        yield from _frequency(run, told)
+    yield from _exchanged(run, told, tone)
     if "tool_z_mm" not in run.samples:
-        findings.append(
-            Finding(
-                "sinusoidal.no_reference",
-                "warning",
-                "no column tool_z_mm: what the tool does beyond the encoder is not known",
-            )
+        yield Finding(
+            "sinusoidal.no_reference",
+            "warning",
+            "no column tool_z_mm: what the tool does beyond the encoder is not known",
         )
-        return findings
+        return
     encoder, tool = (fit_tone(run.samples["t_s"], run.samples[n], told.frequency_hz) for n in ("act_z_mm", "tool_z_mm"))
     if min(encoder.share, tool.share) > _SAME_TONE:
         behind_deg = float(np.degrees(np.angle(tool.phasor * np.conj(encoder.phasor))))
         if abs(behind_deg) > _AGAINST_DEG:
             said = f"the tool moves against the encoder ({behind_deg:z.0f}°): the probe reads with the opposite sign"
-            findings.append(Finding("sinusoidal.sign", "error", said, {"phase_deg": behind_deg}))
+            yield Finding("sinusoidal.sign", "error", said, {"phase_deg": behind_deg})
     # The error of a tool is no tone where noise is most of it.
     ratio = tool.amplitude / encoder.amplitude if encoder.share > _SAME_TONE else 1.0
     if ratio > 0.0 and not _LEAST_MOVED < ratio < _MOST_MOVED:
         said = f"the tool moves {ratio:z.3g} times as far as the encoder: another unit, or the tool's error in place of its position"
-        findings.append(Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio}))
-    return findings
+        yield Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio})
 
 
 def _exchanged(run: Run, told: Commanded, command: Tone) -> list[Finding]:
@@ -271,29 +251,26 @@ def _frequency(run: Run, told: Commanded) -> list[Finding]:
     return [Finding("sinusoidal.frequency", "warning", said, {"frequency_hz": true_hz})]
 
 
-def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
-    findings = _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
+def _sensor(run: Run, group: SignalGroup, told: Commanded) -> Iterator[Finding]:
+    yield from _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
     for name, values in group.columns.items():
-        findings += _clipped(values, name, "sensor.saturated")
+        yield from _clipped(values, name, "sensor.saturated")
     if group.name != "accelerometers" or not group.columns:
-        return findings
+        return
     tone = heard(run)
     if tone is None:
         said = f"no channel of the accelerometers is in g, such as tool_z_g ({', '.join(group.columns)}): none is read"
-        findings.append(Finding("sensor.unit", "warning", said))
+        yield Finding("sensor.unit", "warning", said)
     elif tone.share < HEARD:
-        findings.append(
-            Finding(
-                "sensor.below_noise",
-                "warning",
-                f"the accelerometer does not hear {told.amplitude_um:g} µm at {told.frequency_hz:g} Hz: "
-                f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
-                {"share_1": tone.share},
-            )
+        yield Finding(
+            "sensor.below_noise",
+            "warning",
+            f"the accelerometer does not hear {told.amplitude_um:g} µm at {told.frequency_hz:g} Hz: "
+            f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
+            {"share_1": tone.share},
         )
     else:
-        findings += _scale(run, told, tone)
-    return findings
+        yield from _scale(run, told, tone)
 
 
 def _scale(run: Run, told: Commanded, felt: Tone) -> list[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -138,25 +138,17 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     ]
 
 
-def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
-    verdicts = []
+def _held_out(metrics: Mapping[str, float]) -> Iterator[Verdict]:
     for name, least in _LEAST_R2.items():
         values = {g: metrics.get(f"leave_{g}_out.{name}", float("nan")) for g in HELD_OUT}
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"
-        verdicts.append(
-            Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R² {told}; at least {least}")
-        )
+        yield Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R² {told}; at least {least}")
     errors = [metrics.get(f"leave_{g}_out.mae_um", float("nan")) for g in HELD_OUT]
     told = ", ".join(f"{1000 * error:z.1f} nm" for error in errors)
-    verdicts.append(
-        Verdict(
-            "held-out mean error",
-            all(e <= MOST_ERROR_UM for e in errors),
-            f"{told}; at most {1000 * MOST_ERROR_UM:g} nm",
-        )
+    yield Verdict(
+        "held-out mean error", all(e <= MOST_ERROR_UM for e in errors), f"{told}; at most {1000 * MOST_ERROR_UM:g} nm"
     )
-    return verdicts
 
 
 def features_used(bundle: Bundle) -> dict[str, Sequence[str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -192,28 +192,27 @@ def exponent(acceleration: Floats, error_um: Floats) -> float:
     return float(least_squares(rest, [start, 1.0]).x[1])
 
 
-def feature_findings(groups: ToneGroups) -> list[str]:
+def feature_findings(groups: ToneGroups) -> Iterator[str]:
     """Say which features are constants on clean tones, and which tell the same.
 
     ``groups``: all groups; the clean ones are those that the accelerometer hears almost alone.
     """
     clean = groups.only(groups.heard > _CLEAN)
     if clean.n < 3:
-        return ["too few clean tones to tell constant features"]
-    lines = []
+        yield "too few clean tones to tell constant features"
+        return
     for name in ("crest_factor", "impulse_factor", "shape_factor", "kurtosis", "skewness"):
         values = clean.feature(name)
         middle, spread = float(np.median(values)), float(np.std(values))
         if spread < _DEAD * max(abs(middle), 1.0):
-            lines.append(
+            yield (
                 f"{name} is a dead constant on clean sines: {middle:z.3f} ± {spread:z.3f} over "
                 f"{clean.n} groups; as a factor of an equation it only rescales another constant"
             )
     sizes = ("rms", "mean_absolute_value", "peak_amplitude", "variance", "total_power")
     logs = np.log(np.column_stack([clean.feature(name) for name in sizes]))
     if np.min(np.corrcoef(logs.T)) > _SAME:
-        lines.append(f"{', '.join(sizes)} tell the same on clean sines: one of them is enough")
-    return lines
+        yield f"{', '.join(sizes)} tell the same on clean sines: one of them is enough"
 
 
 def dead_features(groups: ToneGroups) -> set[str]:

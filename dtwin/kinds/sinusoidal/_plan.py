@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,99 +111,80 @@ def tone_advice(plan: TonePlan) -> list[Finding]:
     return [*_drive_advice(plan), *_sampling_advice(plan), *_size_advice(plan)]
 
 
-def _drive_advice(plan: TonePlan) -> list[Finding]:
+def _drive_advice(plan: TonePlan) -> Iterator[Finding]:
     if plan.bandwidth_hz == 0.0:
-        return [
-            Finding(
-                "plan.bandwidth_unknown",
-                "info",
-                "the control bandwidth of the axis is not stated: nothing can be said about how fast it may be driven",
-            )
-        ]
+        yield Finding(
+            "plan.bandwidth_unknown",
+            "info",
+            "the control bandwidth of the axis is not stated: nothing can be said about how fast it may be driven",
+        )
+        return
     limit = SAFE_SHARE * plan.bandwidth_hz
     beyond = [f for f in plan.frequencies_hz if f > limit + 1e-9]
     if not beyond:
-        return []
-    return [
-        Finding(
-            "plan.beyond_safe",
-            "warning",
-            f"{_list(beyond)} Hz lie beyond the safe limit of {limit:g} Hz ({SAFE_SHARE:g} of the "
-            f"axis's bandwidth of {plan.bandwidth_hz:g} Hz): such groups are refused at ingest",
-            {"limit_hz": limit},
-        )
-    ]
+        return
+    yield Finding(
+        "plan.beyond_safe",
+        "warning",
+        f"{_list(beyond)} Hz lie beyond the safe limit of {limit:g} Hz ({SAFE_SHARE:g} of the "
+        f"axis's bandwidth of {plan.bandwidth_hz:g} Hz): such groups are refused at ingest",
+        {"limit_hz": limit},
+    )
 
 
-def _sampling_advice(plan: TonePlan) -> list[Finding]:
-    findings = []
+def _sampling_advice(plan: TonePlan) -> Iterator[Finding]:
     few = [f for f in plan.frequencies_hz if plan.sample_hz < FEWEST_PER_PERIOD * f]
     if few:
-        findings.append(
-            Finding(
-                "plan.too_few_samples",
-                "warning",
-                f"{_list(few)} Hz at {plan.sample_hz:g} samples a second have "
-                f"{plan.sample_hz / max(few):z.1f} samples to a period: peaks are missed, and below 2 "
-                f"the tone is another one; {FEWEST_PER_PERIOD * max(few):g} Hz would do",
-            )
+        yield Finding(
+            "plan.too_few_samples",
+            "warning",
+            f"{_list(few)} Hz at {plan.sample_hz:g} samples a second have "
+            f"{plan.sample_hz / max(few):z.1f} samples to a period: peaks are missed, and below 2 "
+            f"the tone is another one; {FEWEST_PER_PERIOD * max(few):g} Hz would do",
         )
     slow = [f for f in plan.frequencies_hz if f * FORETOLD_S < 1.0]
     if slow:
-        findings.append(
-            Finding(
-                "plan.too_slow",
-                "warning",
-                f"{_list(slow)} Hz make less than a period in the last second, where amplitude and lag are taken",
-            )
+        yield Finding(
+            "plan.too_slow",
+            "warning",
+            f"{_list(slow)} Hz make less than a period in the last second, where amplitude and lag are taken",
         )
     if plan.seconds < LEARNED_S:
-        findings.append(
-            Finding(
-                "plan.too_short",
-                "warning",
-                f"{plan.seconds:g} s of a group: features need {LEARNED_S - FORETOLD_S:g} s, what they "
-                f"foretell {FORETOLD_S:g} s more",
-            )
+        yield Finding(
+            "plan.too_short",
+            "warning",
+            f"{plan.seconds:g} s of a group: features need {LEARNED_S - FORETOLD_S:g} s, what they "
+            f"foretell {FORETOLD_S:g} s more",
         )
     weakest = min(plan.frequencies_hz) ** 2 * min(plan.amplitudes_um) * _G_PER_UM_HZ2
     if weakest < _WEAK_G:
-        findings.append(
-            Finding(
-                "plan.weak",
-                "info",
-                f"the weakest tone accelerates by {weakest:.1g} g: an accelerometer may hear only its "
-                "own noise, and such groups are left out of the training",
-                {"weakest_g": weakest},
-            )
+        yield Finding(
+            "plan.weak",
+            "info",
+            f"the weakest tone accelerates by {weakest:.1g} g: an accelerometer may hear only its "
+            "own noise, and such groups are left out of the training",
+            {"weakest_g": weakest},
         )
-    return findings
 
 
-def _size_advice(plan: TonePlan) -> list[Finding]:
-    findings = []
+def _size_advice(plan: TonePlan) -> Iterator[Finding]:
     if plan.repeats < 2:
-        findings.append(Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known"))
+        yield Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known")
     if min(len(plan.frequencies_hz), len(plan.amplitudes_um)) < _FEWEST_TONES:
-        findings.append(
-            Finding(
-                "plan.too_few_tones",
-                "warning",
-                f"{len(plan.frequencies_hz)} frequencies and {len(plan.amplitudes_um)} amplitudes: a "
-                f"model is judged by leaving one out, which needs {_FEWEST_TONES} of each",
-            )
+        yield Finding(
+            "plan.too_few_tones",
+            "warning",
+            f"{len(plan.frequencies_hz)} frequencies and {len(plan.amplitudes_um)} amplitudes: a "
+            f"model is judged by leaving one out, which needs {_FEWEST_TONES} of each",
         )
     hours = duration_s(plan) / 3600.0
     if hours > _LONG_H:
-        findings.append(
-            Finding(
-                "plan.long",
-                "warning",
-                f"{plan.count} groups take about {hours:z.1f} h: the slide will not stay as it was",
-                {"duration_s": hours * 3600.0},
-            )
+        yield Finding(
+            "plan.long",
+            "warning",
+            f"{plan.count} groups take about {hours:z.1f} h: the slide will not stay as it was",
+            {"duration_s": hours * 3600.0},
         )
-    return findings
 
 
 def _distinct(values: tuple[float, ...], most: float) -> bool:
