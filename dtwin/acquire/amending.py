@@ -39,24 +39,13 @@ def amend(
 ) -> dict[str, dict[str, Any]]:
     """State anew what was stated wrongly of runs; their quality is judged again.
 
-    Parameters
-    ----------
-    settings : sequence of str
-        ``FIELD=VALUE``, named as in ``campaign.toml``; ``condition.KEY=`` takes a key away.
-    runs : sequence of str
-        Only these; what belongs to the campaign is stated of all.
-    who : str
-        Who says so; the user of this computer by default.
+    ``settings``: ``FIELD=VALUE``, named as in ``campaign.toml``; ``condition.KEY=`` takes a key away.
+    ``runs``: only these; what belongs to the campaign is stated of all.
+    ``who``: who says so; the user of this computer by default.
 
-    Returns
-    -------
-    dict of str to dict
-        Changed fields of the row by run.
+    Returns changed fields of the row by run.
 
-    Raises
-    ------
-    InputError
-        When a field is not one of a run, a value is not usable, or nothing would change.
+    Raises ``InputError`` when a field is not one of a run, a value is not usable, or nothing would change.
     """
     told = [_setting(text) for text in settings]
     campaign_wide = [name for name, _ in told if name.split(".")[0] in _OF_CAMPAIGN]
@@ -96,17 +85,10 @@ def amend(
 def leave_out(lake: Lake, campaign: str, runs: Sequence[str], because: str, *, out: bool = True, who: str = "") -> None:
     """Leave runs out of every figure, twin, report and training, or bring them back.
 
-    Parameters
-    ----------
-    lake, campaign, because, who
-        As in :func:`amend`.
-    out : bool
-        False brings them back.
+    ``lake``, ``campaign``, ``because``, ``who``: as in :func:`amend`.
+    ``out``: False brings them back.
 
-    Raises
-    ------
-    InputError
-        When a run is not there, or is left out, or in, already.
+    Raises ``InputError`` when a run is not there, or is left out, or in, already.
     """
     wrong = [r["run_id"] for r in _rows(lake, campaign, runs) if (r["left_out"] is not None) is out]
     if wrong:

@@ -27,10 +27,7 @@ Stamp = tuple[tuple[str, int, int], ...]
 class Arrival:
     """A file, or a campaign folder, that has stood still for a while.
 
-    Attributes
-    ----------
-    stamp : tuple
-        Name, size and time of change of each of its files.
+    ``stamp``: name, size and time of change of each of its files.
     """
 
     path: Path
@@ -52,22 +49,12 @@ class Arrival:
 class Arrivals:
     """Looks at a folder and below it.
 
-    Parameters
-    ----------
-    folder : Path
-        What is looked at. A folder with a ``campaign.toml`` is one thing, every other file for
-        itself.
-    settle_s : float
-        Time for which size and time of change must not move.
-    wanted : callable
-        Whether a file by itself, not in a campaign folder, is of interest.
-    clock : callable
-        Seconds that never run back.
+    ``folder``: what is looked at. A folder with a ``campaign.toml`` is one thing, every other file for itself.
+    ``settle_s``: time for which size and time of change must not move.
+    ``wanted``: whether a file by itself, not in a campaign folder, is of interest.
+    ``clock``: seconds that never run back.
 
-    Raises
-    ------
-    InputError
-        When there is no such folder.
+    Raises ``InputError`` when there is no such folder.
     """
 
     def __init__(
@@ -82,10 +69,7 @@ class Arrivals:
     def look(self) -> list[Arrival]:
         """Return everything that stands still, sorted by path.
 
-        Raises
-        ------
-        OSError
-            When the folder cannot be read now, as when a share is gone.
+        Raises ``OSError`` when the folder cannot be read now, as when a share is gone.
         """
         now = self._clock()
         present = self.present()

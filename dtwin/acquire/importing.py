@@ -55,24 +55,15 @@ _MARKS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
 class Understood:
     """What a file is taken for; nothing is written yet.
 
-    Attributes
-    ----------
-    columns : tuple of Column
-        Empty where the kind reads such a table by rules of its own.
-    missing : tuple of str
-        Conditions that must be told before it can be written.
-    runs : tuple of (str, int)
-        Name and rows of each run; empty while conditions are missing.
-    remembered : str
-        The earlier file with this header whose answers were used; empty without one.
-    unconfirmed : tuple of str
-        Conditions that only that file tells: they must be confirmed, for this one may have been measured otherwise.
-    decimal : str
-        ``comma`` or ``point`` where it was told.
-    first_rows : tuple of tuple of str
-        The first rows as they stand in the file.
-    text : str
-        The table in the house's form.
+    ``columns``: empty where the kind reads such a table by rules of its own.
+    ``missing``: conditions that must be told before it can be written.
+    ``runs``, (str, int): name and rows of each run; empty while conditions are missing.
+    ``remembered``: the earlier file with this header whose answers were used; empty without one.
+    ``unconfirmed``: conditions that only that file tells: they must be confirmed, for this one may have been
+    measured otherwise.
+    ``decimal``: ``comma`` or ``point`` where it was told.
+    ``first_rows``: the first rows as they stand in the file.
+    ``text``: the table in the house's form.
     """
 
     path: Path
@@ -141,17 +132,10 @@ def read_as_it_is(path: Path) -> bool:
 def look(path: Path, home: Home, decimal: str = "", axis: str = "") -> Looked:
     """Return the table of a file, and what is remembered of an earlier one with its heads.
 
-    Parameters
-    ----------
-    decimal : str
-        ``comma`` or ``point``; empty: as it is remembered, else as the marks between columns tell.
-    axis : str
-        Whose table is taken of a workbook or a text of several.
+    ``decimal``: ``comma`` or ``point``; empty: as it is remembered, else as the marks between columns tell.
+    ``axis``: whose table is taken of a workbook or a text of several.
 
-    Raises
-    ------
-    InputError
-        When it is no table.
+    Raises ``InputError`` when it is no table.
     """
     if decimal not in ("", *DECIMALS):
         raise InputError(
@@ -209,17 +193,10 @@ def understand(
 ) -> Understood:
     """Return what a table is taken for.
 
-    Parameters
-    ----------
-    told : mapping
-        Conditions, as :func:`open_table` takes them; they go before those remembered.
-    answers : mapping of str to str
-        The house's column for a head of the file: ``{"Weg": "position_mm"}``; an empty one leaves it out.
+    ``told``: conditions, as :func:`open_table` takes them; they go before those remembered.
+    ``answers``: the house's column for a head of the file: ``{"Weg": "position_mm"}``; an empty one leaves it out.
 
-    Raises
-    ------
-    InputError
-        When it is no table, or its columns are those of no kind of test.
+    Raises ``InputError`` when it is no table, or its columns are those of no kind of test.
     """
     if read_as_it_is(path):
         raise InputError(
@@ -300,15 +277,10 @@ def understand(
 def write_folder(understood: Understood, folder: Path, home: Home, *, confirmed: bool = False) -> Path:
     """Write a campaign folder and remember the answers; return its ``campaign.toml``, which is written last.
 
-    Parameters
-    ----------
-    confirmed : bool
-        Whether the conditions of the earlier file hold for this one, too.
+    ``confirmed``: whether the conditions of the earlier file hold for this one, too.
 
-    Raises
-    ------
-    InputError
-        When the folder is there already, conditions are missing, or are those of another file and not confirmed.
+    Raises ``InputError`` when the folder is there already, conditions are missing, or are those of another file and
+    not confirmed.
     """
     if understood.unconfirmed and not confirmed:
         raise InputError(

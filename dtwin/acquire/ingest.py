@@ -27,16 +27,10 @@ _BATCH_RUNS = 24
 class IngestReport:
     """What an ingest brought into the lake.
 
-    Attributes
-    ----------
-    added, unchanged : tuple of str
-        Run ids.
-    findings : tuple of (str, Finding)
-        Data-quality findings with the run they belong to; ``""`` for the whole campaign.
-    rejected_rows : int
-        Rows kept in ``rejects`` instead of ``samples``.
-    versions : dict of str to int
-        Table versions afterwards.
+    ``added``, ``unchanged``: run ids.
+    ``findings``, (str, Finding): data-quality findings with the run they belong to; ``""`` for the whole campaign.
+    ``rejected_rows``: rows kept in ``rejects`` instead of ``samples``.
+    ``versions``: table versions afterwards.
     """
 
     campaign: str
@@ -55,17 +49,10 @@ def ingest(
     Safe to repeat: runs that are there with the same content are left alone, so an
     interrupted ingest continues where it stopped.
 
-    Parameters
-    ----------
-    path, told
-        As for :func:`open_source`.
-    progress : callable, optional
-        Called with (done, total, what) after every source file.
+    ``path``, ``told``: as for :func:`open_source`.
+    ``progress``: called with (done, total, what) after every source file.
 
-    Raises
-    ------
-    InputError
-        When a file cannot be used; batches committed before stay.
+    Raises ``InputError`` when a file cannot be used; batches committed before stay.
     """
     campaign, sources, total = open_source(path, told)
     added: list[str] = []
@@ -97,12 +84,8 @@ def open_source(
 ) -> tuple[Campaign, Iterable[tuple[list[Run], list[RejectedRows]]], int]:
     """Return the campaign of a path, its runs file by file, and the number of files.
 
-    Parameters
-    ----------
-    path : Path
-        A campaign folder, its ``campaign.toml``, a ``.b5r`` file, or a table.
-    told : mapping, optional
-        What is told of a table that lies alone; see :func:`open_table`.
+    ``path``: a campaign folder, its ``campaign.toml``, a ``.b5r`` file, or a table.
+    ``told``: what is told of a table that lies alone; see :func:`open_table`.
     """
     suffix = path.suffix.lower()
     if path.is_file() and (

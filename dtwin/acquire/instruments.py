@@ -142,12 +142,8 @@ ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
 def recorders(sensors: Path | None, robot: str | None, streams: Path | None = None) -> list[Instrument]:
     """Return what records a machine while its reference instrument measures, closed.
 
-    Parameters
-    ----------
-    sensors : Path or None
-        Channel file of the accelerometers.
-    streams : Path, optional
-        Stream file of an agent or a broker.
+    ``sensors``: channel file of the accelerometers.
+    ``streams``: stream file of an agent or a broker.
     """
     instruments: list[Instrument] = []
     if sensors is not None:

@@ -34,10 +34,7 @@ While = Callable[[Callable[[], None], Callable[[], bool]], None]
 class CirclePlan:
     """Which circles are measured, all in one mounting of the bar for each plane and radius.
 
-    Attributes
-    ----------
-    radii_mm, feeds_mm_min : tuple of float
-        Crossed with each other; each in both directions.
+    ``radii_mm``, ``feeds_mm_min``: crossed with each other; each in both directions.
     """
 
     planes: tuple[Plane, ...] = ("XY",)
@@ -48,10 +45,7 @@ class CirclePlan:
     def circles(self, seed: int) -> list[Circle]:
         """Return the circles, feeds and repeats in random order inside every mounting.
 
-        Raises
-        ------
-        InputError
-            When a plane is unknown, there is nothing to do, or the machine cannot do it.
+        Raises ``InputError`` when a plane is unknown, there is nothing to do, or the machine cannot do it.
         """
         strange = [p for p in self.planes if p not in PLANES]
         if strange or not (self.planes and self.radii_mm and self.feeds_mm_min):
@@ -82,18 +76,11 @@ class CirclePlan:
 def run_circles(session: LinuxcncSession, circles: Sequence[Circle], during: While | None = None) -> list[Trace]:
     """Run circles on a LinuxCNC while its sampler records, and return whole turns.
 
-    Parameters
-    ----------
-    circles : sequence of Circle
-        In order.
-    during : callable, optional
-        Called with a function that starts the program, and one that tells whether it has ended;
-        returns when it has.
+    ``circles``: in order.
+    ``during``: called with a function that starts the program, and one that tells whether it has ended; returns
+    when it has.
 
-    Raises
-    ------
-    DeviceError
-        When the control reports something, does not end, or a circle or a sample is missing.
+    Raises ``DeviceError`` when the control reports something, does not end, or a circle or a sample is missing.
     """
     limit_s = _SLOWEST * sum(_turn_s(c) for c in circles) + _SPARE_S
     (session.folder / "circles.ngc").write_text(program(circles), encoding="ascii")
@@ -173,15 +160,9 @@ def _geometry(faults: MillFaults) -> dict[str, Any]:
 def write_circles(folder: Path, measured: Sequence[Trace], faults: MillFaults, name: str = "linuxcnc") -> None:
     """Write turns as a campaign folder, and what is wrong with the machine in ``truth.toml``.
 
-    Parameters
-    ----------
-    measured : sequence of Trace
-        In order of measurement.
+    ``measured``: in order of measurement.
 
-    Raises
-    ------
-    InputError
-        When the folder holds another campaign.
+    Raises ``InputError`` when the folder holds another campaign.
     """
     require_free(folder)
     counts: dict[Circle, int] = {}

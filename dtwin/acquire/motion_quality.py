@@ -27,17 +27,11 @@ Indices = NDArray[np.int64]
 class Motion:
     """The motion that a ball-bar record shows by itself.
 
-    Attributes
-    ----------
-    stops : ndarray of int
-        Samples at which the machine stopped between half turns.
-    period_samples : float
-        Samples of one revolution by correlation; NaN when the record holds less than one
-        and a half.
-    lead_in_samples : int
-        Samples before the record begins to repeat one revolution later.
-    half_turns_samples : tuple of int
-        Samples from stop to stop.
+    ``stops``: samples at which the machine stopped between half turns.
+    ``period_samples``: samples of one revolution by correlation; NaN when the record holds less than one and a
+    half.
+    ``lead_in_samples``: samples before the record begins to repeat one revolution later.
+    ``half_turns_samples``: samples from stop to stop.
     """
 
     stops: Indices

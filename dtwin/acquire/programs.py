@@ -14,12 +14,8 @@ _WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"), "
 def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:
     """Return the ball-bar program for a CNC, centre at the work zero.
 
-    Parameters
-    ----------
-    test : PlannedTest
-        Full turns in XY; in upright planes half a turn with 5 degrees at each end.
-    directions : tuple of str
-        Directions in the order they are run.
+    ``test``: full turns in XY; in upright planes half a turn with 5 degrees at each end.
+    ``directions``: directions in the order they are run.
     """
     plane_code, a, b, i, j = _WORD[test.plane]
     r, outside = test.radius_mm, test.radius_mm + _FEED_IN_MM
@@ -72,14 +68,9 @@ def urscript(
     Not yet run on a controller. The path data that a serving loop needs are written to output
     registers before each half circle.
 
-    Parameters
-    ----------
-    directions : tuple of str
-        Directions in the order they are run.
-    centre_mm : tuple of float
-        Ball-bar centre in the base frame.
-    tcp_mm : float
-        Length of the tool along the flange's z.
+    ``directions``: directions in the order they are run.
+    ``centre_mm``: ball-bar centre in the base frame.
+    ``tcp_mm``: length of the tool along the flange's z.
     """
     axes = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}[test.plane]
     speed = test.feed_mm_min / 60_000.0

@@ -42,23 +42,13 @@ _WATCH_S = 0.1
 class RunRequest:
     """What to record, and where.
 
-    Attributes
-    ----------
-    folder : Path
-        Campaign folder; created.
-    campaign, machine : str
-        Names for ``campaign.toml``, when the folder has none yet.
-    duration_s : float or None
-        Time to record in s; None until stopped.
-    reference : str
-        Name, inside the folder, of the reference instrument's file of this run.
-    stated : mapping
-        Further settings of the ``[[run]]``, such as plane and radius.
-    head : mapping
-        Tables ``machine_geometry`` and ``instrument`` for ``campaign.toml``, when the folder has
-        none yet.
-    in_force : callable
-        Returns which correction was in force between two times, as the run shall say it.
+    ``folder``: campaign folder; created.
+    ``campaign``, ``machine``: names for ``campaign.toml``, when the folder has none yet.
+    ``duration_s``: time to record in s; None until stopped.
+    ``reference``: name, inside the folder, of the reference instrument's file of this run.
+    ``stated``: further settings of the ``[[run]]``, such as plane and radius.
+    ``head``: tables ``machine_geometry`` and ``instrument`` for ``campaign.toml``, when the folder has none yet.
+    ``in_force``: returns which correction was in force between two times, as the run shall say it.
     """
 
     folder: Path
@@ -76,12 +66,8 @@ class RunRequest:
 class RecordedRun:
     """A run that is in its campaign folder.
 
-    Attributes
-    ----------
-    sealed : tuple of Sealed
-        One signal file per instrument.
-    findings : tuple of Finding
-        About the instruments and what came from them; gaps are in ``sealed``.
+    ``sealed``: one signal file per instrument.
+    ``findings``: about the instruments and what came from them; gaps are in ``sealed``.
     """
 
     run_id: str
@@ -95,21 +81,12 @@ def record_run(
 ) -> RecordedRun:
     """Record instruments at the same time, each by its own clock, and seal what came.
 
-    Parameters
-    ----------
-    instruments : sequence of Instrument
-        Closed; opened and closed here. Without any, only the reference instrument measures.
-    asked_to_stop : callable
-        Asked ten times a second; true ends the recording in order.
+    ``instruments``: closed; opened and closed here. Without any, only the reference instrument measures.
+    ``asked_to_stop``: asked ten times a second; true ends the recording in order.
 
-    Raises
-    ------
-    InputError
-        When the run exists already, or a name is unusable.
-    DeviceError
-        When a device is absent, or fails; what came before is sealed and marked incomplete.
-    StoreError
-        When the folder cannot be written.
+    Raises ``InputError`` when the run exists already, or a name is unusable.
+    Raises ``DeviceError`` when a device is absent, or fails; what came before is sealed and marked incomplete.
+    Raises ``StoreError`` when the folder cannot be written.
     """
     with _alone(request.folder), ExitStack() as opened:
         _require_new(request)
@@ -136,17 +113,10 @@ def record_run(
 def recover_runs(folder: Path, in_force: InForce = lambda begin, end: "") -> list[RecordedRun]:
     """Seal what dead processes left in a folder, and enter their runs in ``campaign.toml``.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder; one that does not exist holds nothing.
-    in_force : callable
-        As for :class:`RunRequest`.
+    ``folder``: campaign folder; one that does not exist holds nothing.
+    ``in_force``: as for :class:`RunRequest`.
 
-    Raises
-    ------
-    StoreError
-        When somebody records into the folder, or a stream is damaged.
+    Raises ``StoreError`` when somebody records into the folder, or a stream is damaged.
     """
     if not folder.is_dir():
         return []
@@ -239,17 +209,10 @@ def _finish(folder: Path, run_id: str, in_force: InForce) -> tuple[Sealed, ...]:
 def withdraw_run(folder: Path, run_id: str) -> Path:
     """Take a run out of ``campaign.toml`` again and put its files aside; nothing is deleted.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder that :func:`record_run` wrote.
-    run_id : str
-        The run; it need not have been entered.
+    ``folder``: campaign folder that :func:`record_run` wrote.
+    ``run_id``: the run; it need not have been entered.
 
-    Returns
-    -------
-    Path
-        Folder with its files, below ``set-aside``.
+    Returns the folder with its files, below ``set-aside``.
     """
     with _alone(folder):
         toml = folder / "campaign.toml"

@@ -76,15 +76,9 @@ class _SensorSetup:
 def read_sensors(path: Path) -> _SensorSetup:
     """Read and check a channel file.
 
-    Parameters
-    ----------
-    path : Path
-        TOML with a table ``[sensors]`` and one ``[[channel]]`` per sensor.
+    ``path``: TOML with a table ``[sensors]`` and one ``[[channel]]`` per sensor.
 
-    Raises
-    ------
-    InputError
-        With the place of the first thing that is wrong.
+    Raises ``InputError`` with the place of the first thing that is wrong.
     """
     document = _document(path)
     _require_keys(document, dict.fromkeys(_TOP, True), str(path))

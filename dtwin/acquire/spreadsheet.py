@@ -68,10 +68,8 @@ def table_bytes(path: Path, max_bytes: int, axis: str = "") -> bytes:
     Formulas count as what the spreadsheet program last saved of them; one without a saved value is refused. Empty rows and columns are left
     out.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be read, or is larger than ``max_bytes`` or than the limits of this module.
+    Raises ``InputError`` when the file cannot be read, or is larger than ``max_bytes`` or than the limits of this
+    module.
     """
     if not is_spreadsheet(path):
         return _table_of_text(path, read_bounded(path, max_bytes))

@@ -38,15 +38,10 @@ def seconds_of(cells: Sequence[str], where: str, head: str = "") -> tuple[Floats
     Numbers are taken only for what they can be nothing else by their size. Of dates with strokes or hyphens the file must settle whether the
     day or the month stands first, by a number above 12 or in its head, unless it makes no difference.
 
-    Parameters
-    ----------
-    head : str
-        Where it says that a date stands there, numbers may be days of a spreadsheet; ``dd/mm/yyyy`` in it tells the order.
+    ``head``: where it says that a date stands there, numbers may be days of a spreadsheet; ``dd/mm/yyyy`` in it
+    tells the order.
 
-    Raises
-    ------
-    InputError
-        When days and months may be exchanged.
+    Raises ``InputError`` when days and months may be exchanged.
     """
     told = [_EASTERN.sub(r"\1-\2-\3", cell.strip()) for cell in cells]
     numbers = np.array([float(cell) if is_number(cell) else math.nan for cell in told])

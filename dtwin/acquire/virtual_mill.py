@@ -118,21 +118,12 @@ def simulate_mill(
 ) -> list[Run]:
     """Measure the virtual mill and write a campaign folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write; what is wrong with the mill is in its ``truth.toml``.
-    quick : bool
-        One plane instead of three.
-    hidden : str
-        Fault that nobody is told of.
-    plan : Plan, optional
-        Circles to measure, under its names of campaign and machine; the recommended set without.
+    ``folder``: folder to write; what is wrong with the mill is in its ``truth.toml``.
+    ``quick``: one plane instead of three.
+    ``hidden``: fault that nobody is told of.
+    ``plan``: circles to measure, under its names of campaign and machine; the recommended set without.
 
-    Raises
-    ------
-    InputError
-        When the folder holds another campaign.
+    Raises ``InputError`` when the folder holds another campaign.
     """
     require_no_campaign(folder)
     mill = virtual_mill(hidden, seed=seed)

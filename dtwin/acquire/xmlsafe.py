@@ -26,15 +26,9 @@ _TAG = re.compile(rb"<(/?)[A-Za-z_][^<>]*?(/?)>")
 def read_bounded(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
     """Return the bytes of a file, refusing what is empty, absent or absurdly large.
 
-    Parameters
-    ----------
-    max_bytes : int
-        Largest size that is still read.
+    ``max_bytes``: largest size that is still read.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be read, is empty, or exceeds ``max_bytes``.
+    Raises ``InputError`` when the file cannot be read, is empty, or exceeds ``max_bytes``.
     """
     require_bounded(path, max_bytes)
     try:

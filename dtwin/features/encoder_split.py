@@ -26,12 +26,8 @@ DEFAULT_CYCLES_PER_REV = 15.0
 class Cutoff:
     """Where quasi-static ends and dynamic begins; exactly one of the two is given.
 
-    Attributes
-    ----------
-    cycles_per_rev : float or None
-        In waves per revolution: a shape in space, whatever the feed.
-    hz : float or None
-        In waves per second: a shape in time, whatever the radius.
+    ``cycles_per_rev``: in waves per revolution: a shape in space, whatever the feed.
+    ``hz``: in waves per second: a shape in time, whatever the radius.
     """
 
     cycles_per_rev: float | None = None
@@ -63,18 +59,11 @@ class Cutoff:
 def seen_by_controller_um(meta: RunMeta, samples: Mapping[str, NDArray[Any]], angle_deg: Floats) -> Floats | None:
     """Return the controller's own following error along the radius.
 
-    Parameters
-    ----------
-    samples : mapping of str to ndarray, shape (n,)
-        ``cmd_x_mm``, ``act_x_mm`` and the same of the plane's other axis, in machine axes.
-    angle_deg : ndarray, shape (n,)
-        Path angle, from the plane's first axis towards its second.
+    ``samples``, (n,): ``cmd_x_mm``, ``act_x_mm`` and the same of the plane's other axis, in machine axes.
+    ``angle_deg``, (n,): path angle, from the plane's first axis towards its second.
 
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Actual minus commanded, projected on the outward radius, um; None when a column of either
-        axis is not there: half of a vector has no projection.
+    Returns (n,): actual minus commanded, projected on the outward radius, um; None when a column of either
+    axis is not there: half of a vector has no projection.
     """
     axes = (meta.plane or "").lower()
     wanted = [f"{kind}_{axis}_mm" for axis in axes for kind in ("cmd", "act")]
@@ -141,14 +130,9 @@ _PARTS = ("measured", "controller", "quasi_static", "dynamic")
 class Split:
     """The parts of measured circles, one row for each run.
 
-    Attributes
-    ----------
-    parts_um : dict of str to ndarray, shape (rows, bins)
-        By the names of ``_PARTS``; the first is the sum of the others.
-    known : ndarray of bool, shape (rows, bins)
-        Where something was measured.
-    condition_of : ndarray of int, shape (rows,)
-        Rows of one number are repeats.
+    ``parts_um``, (rows, bins): by the names of ``_PARTS``; the first is the sum of the others.
+    ``known``, (rows, bins): where something was measured.
+    ``condition_of``, (rows,): rows of one number are repeats.
     """
 
     parts_um: Mapping[str, Floats]

@@ -22,16 +22,10 @@ _LONGEST_DAYS = 36_500.0
 class Input:
     """One named input.
 
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit; the unit is part of the contract.
-    frame : str
-        One of ``_INPUT_FRAMES``.
-    source : str
-        ``feature`` inputs come from the window graph's sensors, the others every tick.
-    low, high : float
-        Validity box: what was seen in training.
+    ``name``, ``unit``: name and unit; the unit is part of the contract.
+    ``frame``: one of ``_INPUT_FRAMES``.
+    ``source``: ``feature`` inputs come from the window graph's sensors, the others every tick.
+    ``low``, ``high``: validity box: what was seen in training.
     """
 
     name: str
@@ -47,14 +41,9 @@ class Input:
 class Output:
     """One named output, in um.
 
-    Attributes
-    ----------
-    frame : str
-        One of ``OUTPUT_FRAMES``.
-    role : {"error", "correction"}
-        A predicted error is applied with its sign changed, a correction as it is.
-    unit : str
-        Always ``um``.
+    ``frame``: one of ``OUTPUT_FRAMES``.
+    ``role``: ``error``, a predicted one, which is applied with its sign changed; or ``correction``, applied as it is.
+    ``unit``: always ``um``.
     """
 
     name: str
@@ -121,16 +110,10 @@ class SafetyLimits:
 class Provenance:
     """Where a model comes from and what was shown of it.
 
-    Attributes
-    ----------
-    code_version, mlflow_version : str
-        Of this package, and of the registered model.
-    table_versions : dict of str to int
-        Versions of the lake's tables that it was trained on.
-    evidence : {"none", "virtual", "real"}
-        Closed-loop evidence.
-    valid_days : float
-        How long closed-loop evidence holds after it was measured; 0 for ever.
+    ``code_version``, ``mlflow_version``: of this package, and of the registered model.
+    ``table_versions``: versions of the lake's tables that it was trained on.
+    ``evidence``: of the closed loop: ``none``, ``virtual`` or ``real``.
+    ``valid_days``: how long closed-loop evidence holds after it was measured; 0 for ever.
     """
 
     code_version: str = ""

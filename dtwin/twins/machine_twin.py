@@ -30,16 +30,10 @@ _PLACES = 5
 class MachineTwin:
     """A version.
 
-    Attributes
-    ----------
-    members : tuple
-        A twin for each fit, in the form of its kind: tests of a path together, other campaigns one by one.
-    labels : tuple of str
-        Effects as a user writes them, each cause once.
-    contradictions : tuple of Contradiction
-        What campaigns do not agree on; the side that differs has a size of its own.
-    document : mapping
-        What is stored.
+    ``members``: a twin for each fit, in the form of its kind: tests of a path together, other campaigns one by one.
+    ``labels``: effects as a user writes them, each cause once.
+    ``contradictions``: what campaigns do not agree on; the side that differs has a size of its own.
+    ``document``: what is stored.
     """
 
     name: str

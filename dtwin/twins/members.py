@@ -47,14 +47,9 @@ def told_from(result: Mapping[str, Any], groups: Mapping[str, Any]) -> Told:
 class Member(ABC):
     """Campaigns of one kind, loaded, in a twin of several kinds.
 
-    Attributes
-    ----------
-    kind : str
-        Of the shelf where a twin of them alone would be.
-    begun : tuple of (str, str)
-        Of each campaign name and day.
-    machine : str
-        What they were measured on.
+    ``kind``: of the shelf where a twin of them alone would be.
+    ``begun``, (str, str): of each campaign name and day.
+    ``machine``: what they were measured on.
     """
 
     kind: str
