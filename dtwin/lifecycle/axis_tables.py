@@ -21,6 +21,7 @@ BY_MEMORY = (
 )
 TOLERANCE_UM = 0.05
 _CHECKED = 4001
+_LEAST_MM = 0.001
 
 
 @dataclass(frozen=True)
@@ -226,15 +227,15 @@ def _comp_notes(table: AxisTable) -> list[str]:
 LINUXCNC = AxisForm(_linuxcnc, _comp_notes)
 
 
-def require_apart(table: AxisTable, least_mm: float = 0.001) -> None:
+def require_apart(table: AxisTable) -> None:
     """Refuse rows that are closer together than a control takes."""
     step = float(np.diff(table.position_mm).min())
-    if step < least_mm:
+    if step < _LEAST_MM:
         raise InputError(
             "the rows of the table are too close together",
             code="export.step",
             got=f"{step:g} mm",
-            allowed=f"{least_mm:g} mm or more",
+            allowed=f"{_LEAST_MM:g} mm or more",
             hint="--travel LOW,HIGH, --points N",
         )
 

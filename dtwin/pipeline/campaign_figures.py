@@ -14,6 +14,8 @@ from dtwin.progress import Progress
 from dtwin.report.checking import run_result
 from dtwin.schema import Floats, Run, of_one_way
 
+_MOST_CURVES = 6
+
 
 def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
     """Return figures and findings of every run of a campaign in the lake.
@@ -43,7 +45,7 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
     }
 
 
-def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str, tuple[Floats, Floats]]]:
+def error_curves(home: Home, campaign: str) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     """Return the error over the path angle of the first run of each condition.
 
     ``campaign``: name of a circular campaign; another kind gives nothing.
@@ -57,7 +59,7 @@ def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str
             continue
         feed = f" F{row['feed_mm_min']:g}" if row["feed_mm_min"] else ""
         name = f"{row['plane']} R{row['radius_mm']:g}{feed}"
-        ways = curves.get(name, {}) if name in curves or len(curves) < most else None
+        ways = curves.get(name, {}) if name in curves or len(curves) < _MOST_CURVES else None
         if ways is not None and row["direction"] not in ways:
             ways[row["direction"]] = _centred(lake.load(row, signals=False))
             curves[name] = ways

@@ -9,12 +9,12 @@ import numpy as np
 
 from dtwin.positioning.cycles import moving_zero
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, in_order, linear_test
-from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.scale import LENGTHS
 from dtwin.positioning.ways import ways_of
 from dtwin.schema import Run
 
 
-def still(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Run]:
+def still(runs: Sequence[Run]) -> list[Run]:
     """Return runs of one set-up without what their zero moves by from reading to reading: slip, lost steps, settling.
 
     It belongs to no place and no direction of the axis, but makes both where cycles run forward first. Without a clock it cannot
@@ -23,7 +23,7 @@ def still(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Run]:
     ways = {ways_of(run) for run in runs}
     if not clock_is_assumed(runs) or len(ways) > 1 or len({run.meta.setup for run in runs}) > 1:
         return list(runs)
-    test = linear_test(runs, next(iter(ways)), scale)
+    test = linear_test(runs, next(iter(ways)), LENGTHS)
     moving = None if test.position_mm.size < 2 else moving_zero(test)
     if moving is None:
         return list(runs)

@@ -17,6 +17,8 @@ from dtwin.report.signature import signature_svg
 from dtwin.report.text import decimals
 from dtwin.units import shown_unit
 
+_PICTURE_PX = 72
+
 
 @dataclass(frozen=True)
 class _Fault:
@@ -53,7 +55,7 @@ class _Fault:
 
 
 def faults(
-    twin: Twin, diagnosis: Mapping[str, Any] | None = None, library: Mapping[str, Effect] | None = None, width: int = 72
+    twin: Twin, diagnosis: Mapping[str, Any] | None = None, library: Mapping[str, Effect] | None = None
 ) -> list[_Fault]:
     """Return the effects of a twin as faults, in the order of the twin.
 
@@ -66,7 +68,7 @@ def faults(
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
         own = (label for label in _labels(twin, term) if label in instead)
         others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
-        faults.append(replace(_fault(effect, axis, mine, width), instead=others))
+        faults.append(replace(_fault(effect, axis, mine), instead=others))
     return faults
 
 
@@ -83,7 +85,7 @@ def title_of(label: str, library: Mapping[str, Effect]) -> str:
     return f"{title} {axis}".rstrip()
 
 
-def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect], width: int = 72) -> list[list[_Fault]]:
+def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) -> list[list[_Fault]]:
     """Return what a diagnosis found, most first, as faults: of each group the names that these runs do not tell apart.
 
     ``diagnosis``: as ``as_dict`` of a diagnosis gives it; sizes are of each name alone in the place of the group.
@@ -98,14 +100,14 @@ def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect], wi
                     for e in suspect["sizes"]
                 ]
                 own = [e for e in sizes if (e.effect, e.axis) == (suspect["effect"], suspect["axis"])]
-                faults.append(_fault(library[suspect["effect"]], suspect["axis"], own, width))
+                faults.append(_fault(library[suspect["effect"]], suspect["axis"], own))
         groups.append(faults)
     return [faults for faults in groups if faults]
 
 
-def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate], width: int) -> _Fault:
+def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate]) -> _Fault:
     title = f"{effect.title}, {axis}" if axis else effect.title
-    picture = signature_svg(effect, axis, width)
+    picture = signature_svg(effect, axis, _PICTURE_PX)
     return _Fault(effect.name, axis, title, size_of(estimates), effect.looks_like, effect.remedy, picture)
 
 

@@ -100,21 +100,14 @@ class CompiledBundle:
         self.evaluate()
         return self.outputs
 
-    def run(self, inputs: Floats, features: Floats | None = None) -> Floats:
-        """Evaluate successive ticks through the state; return outputs, shape (n, n_outputs).
+    def run(self, inputs: Floats) -> Floats:
+        """Evaluate successive ticks through the state, with the features of the newest window; return outputs, shape (n, n_outputs).
 
         ``inputs``, shape (n, n_tick_inputs): one row per tick.
-        ``features``, shape (n, n_feature_inputs): features in force at each tick; those of the newest window by
-        default.
         """
         rows = np.empty((len(inputs), len(self._inputs)))
         rows[:] = self._inputs
         rows[:, : self._n_tick] = inputs
-        if features is not None:
-            first = self._n_tick
-            rows[:, first : first + len(self._features)] = features
-            if self._window_tape is not None:
-                rows[:, first + len(self._features) :] = self._window_tape.run_many(features)
         out = self._tape.run_many(rows)
         if self.fades:
             half = (

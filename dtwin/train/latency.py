@@ -17,14 +17,14 @@ _BUDGET_NS, _ROUNDS = 1e8, 3
 _EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
 
 
-def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
+def bundle_latency(bundle: Bundle) -> Latency:
     """Time single evaluations of a compiled bundle, as the loop does them."""
     compiled = CompiledBundle(bundle)
     low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
     high = np.array([i.high for i in bundle.inputs if i.source != "feature"])
     middle = 0.5 * (low + high)
     compiled.tick(middle)
-    return _timed(compiled.evaluate, calls, "bundle tick")
+    return _timed(compiled.evaluate, 20_000, "bundle tick")
 
 
 def latency_of(candidate: Candidate) -> Latency | None:
@@ -44,7 +44,7 @@ def onnx_of(model: Any, width: int) -> bytes | None:
         return None
 
 
-def _onnx_latency(model: bytes, calls: int = 2000) -> Latency:
+def _onnx_latency(model: bytes) -> Latency:
     """Time one row, of zeros, of a serialised ONNX model."""
     import onnxruntime
 
@@ -54,7 +54,7 @@ def _onnx_latency(model: bytes, calls: int = 2000) -> Latency:
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     wanted = session.get_inputs()[0]
     row = np.zeros((1, wanted.shape[1]), np.float32)
-    return _timed(lambda: session.run(None, {wanted.name: row}), calls, "onnxruntime")
+    return _timed(lambda: session.run(None, {wanted.name: row}), 2000, "onnxruntime")
 
 
 def _timed(call: Callable[[], Any], calls: int, what: str) -> Latency:

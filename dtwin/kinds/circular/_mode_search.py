@@ -15,13 +15,13 @@ _AFTER_S = 1.5
 _SMALLEST_GAIN = 0.03
 # Fewer rows after starts cannot tell modes; closer frequencies would be one mode found twice.
 _FEWEST_ROWS, _APART_HZ = 200, 1.5
+_MOST = 4
 
 
-def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
+def find_modes(rows: Rows, residual_um: Floats) -> list[Mode]:
     """Add one decaying oscillation after the other while the residual after starts falls.
 
     ``residual_um``, (n,): what position-locked terms leave.
-    ``most``: largest number of modes.
     """
     since_s, directions = _after_start(rows)
     inside = np.flatnonzero((since_s < _AFTER_S) & (since_s > 0.0))
@@ -30,7 +30,7 @@ def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
         return []
     ringing = [_Ringing(since_s[inside], directions[inside], damping) for damping in _DAMPING]
     modes: list[Mode] = []
-    while len(modes) < most:
+    while len(modes) < _MOST:
         near = [np.abs(_FREQUENCIES_HZ - mode.frequency_hz) <= _APART_HZ for mode in modes]
         gains = np.where(np.any(near, axis=0), 0.0, [one.taken(left) for one in ringing])
         which, place = np.unravel_index(int(np.argmax(gains)), gains.shape)

@@ -15,15 +15,12 @@ from dtwin.train.rows import Rows
 _COARSE = np.arange(20.0, 460.0, 4.0)
 _FINE = np.arange(-4.0, 4.01, 0.5)
 _SMALLEST_GAIN = 0.01
+# Orders at the most; of the rows each second one is looked at.
+_MOST, _EVERY = 16, 2
 
 
 def find_gears(
-    rows: Rows,
-    explained: Callable[[Sequence[Gear]], Floats],
-    *,
-    most: int = 16,
-    every: int = 2,
-    progress: Progress | None = None,
+    rows: Rows, explained: Callable[[Sequence[Gear]], Floats], *, progress: Progress | None = None
 ) -> list[Gear]:
     """Add one order of one joint after the other while the residual falls.
 
@@ -32,15 +29,13 @@ def find_gears(
     when an order explains less than one per cent of what is left.
 
     ``explained``: given the gears so far, returns the fitted prediction at all rows.
-    ``most``: largest number of orders.
-    ``every``: only each such row is looked at.
     """
-    some = np.arange(0, rows.n, every)
+    some = np.arange(0, rows.n, _EVERY)
     q, lever, flank = (part[some] for part in _joint_state(rows))
     coarse = [_Waves(q[:, j], lever[:, j], flank[:, j], _COARSE) for j in range(6)]
     gears: list[Gear] = []
     residual = rows.target_um - explained(gears)
-    for step in range(most):
+    for step in range(_MOST):
         part = residual[some]
         taken = np.array([waves.taken(part) for waves in coarse])
         j, place = np.unravel_index(int(np.argmax(taken)), taken.shape)
@@ -51,7 +46,7 @@ def find_gears(
         gears.append(Gear(int(j) + 1, float(fine[int(np.argmax(refined))])))
         residual = rows.target_um - explained(gears)
         if progress is not None:
-            progress(step + 1, most, f"joint {gears[-1].joint} order {gears[-1].order:g}")
+            progress(step + 1, _MOST, f"joint {gears[-1].joint} order {gears[-1].order:g}")
     return gears
 
 

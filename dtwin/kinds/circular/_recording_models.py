@@ -23,6 +23,7 @@ _ORDERS = tuple(float(o) for o in np.arange(10.0, 421.0, 5.0))
 _SMALLEST_GAIN = 0.01
 _MOST_TERMS = 24
 _RANK = 1e-6
+_BLOCK = 50
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,10 @@ class Passes:
     aligned: tuple[Aligned, ...]
     y_um: tuple[Floats, Floats]
 
-    def columns(self, term: Term, *, by_file: bool = False) -> tuple[Floats, Floats]:
-        """Return an effect in the first and in the second pass, each of shape (n, k).
-
-        ``by_file``: at the angles that the file states, not at the aligned ones.
-        """
+    def columns(self, term: Term) -> tuple[Floats, Floats]:
+        """Return an effect in the first and in the second pass, each of shape (n, k)."""
         effect, axis = term.instance.effect, term.instance.axis
-        whole = [effect.columns(a.file_state if by_file else a.state, axis, term.shape) for a in self.aligned]
-        return self.both(whole)
+        return self.both([effect.columns(a.state, axis, term.shape) for a in self.aligned])
 
     def both(self, whole: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return rows of the first and of the second pass from rows of whole runs.
@@ -173,14 +170,14 @@ def best_of(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) ->
     return pool[number][0], float(left_um[number])
 
 
-def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats], block: int = 50) -> float:
+def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats]) -> float:
     """Return the RMS on parts of the path that no pass of the fit has seen, in um.
 
     One block in five is left out of the first pass and foretold in the second, and so round.
 
     ``columns``, (n, k): model in both passes.
     """
-    fold = (np.arange(passes.y_um[0].size) // block) % 5
+    fold = (np.arange(passes.y_um[0].size) // _BLOCK) % 5
     total = 0.0
     for left_out in range(5):
         out = fold == left_out

@@ -19,7 +19,7 @@ _EPOCH = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 _BETWEEN = timedelta(minutes=5)
 
 
-def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
+def feed_sweep(*, quick: bool = False) -> Plan:
     """Return the published sweep: YZ, 50 mm, nine feeds, twice, both directions. ``quick``: three of the feeds."""
     grid = {
         "plane": ["YZ"],
@@ -28,7 +28,7 @@ def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
         "repeats": _REPEATS,
     }
     name = "hexapod-sweep-quick" if quick else "hexapod-sweep"
-    head = {"name": name, "machine": "virtual-hexapod", "seed": seed}
+    head = {"name": name, "machine": "virtual-hexapod", "seed": 1}
     return expand({"plan": head, "grid": grid}, "feed sweep")
 
 

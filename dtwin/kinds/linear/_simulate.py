@@ -51,20 +51,18 @@ def verification_plan() -> LinearPlan:
     return linear_plan(_HEAD | {"step": 0.52, "dwell_s": 6.0, "name": "lathe-z-check"}, "check")
 
 
-def virtual_lathe(truth: str, seed: int, wander: Wander | None = None) -> VirtualLathe:
-    """Return the lathe.
+def virtual_lathe(truth: str, seed: int) -> VirtualLathe:
+    """Return the lathe, with what the published scatter needs of wander, and heating with ``mechanism``.
 
     ``truth``, one of "published", "mechanism": the printed error of a real lathe, or a screw made of geometry that
     warms up.
     ``seed``: of wander and noise.
-    ``wander``: what else moves; by default what the published scatter needs, and heating with ``mechanism``.
     Raises ``InputError`` when there is no such lathe.
     """
     if truth == "published":
-        return VirtualLathe(NetworkScrew(read_network()), wander or Wander(), seed)
+        return VirtualLathe(NetworkScrew(read_network()), Wander(), seed)
     if truth == "mechanism":
-        warm = wander or Wander(offset_um=2.0, scale_um_per_m=1.0, heating_c=1.2)
-        return VirtualLathe(ThreadScrew(), warm, seed)
+        return VirtualLathe(ThreadScrew(), Wander(offset_um=2.0, scale_um_per_m=1.0, heating_c=1.2), seed)
     raise InputError("no such lathe", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
 
 

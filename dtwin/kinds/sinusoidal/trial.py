@@ -12,7 +12,7 @@ from dtwin.features.sine import fit_tone
 from dtwin.kinds.sinusoidal._loop import CLOCK, LoopRecord, ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._plots import Surface
 from dtwin.kinds.sinusoidal._simulate import virtual_slide
-from dtwin.machines.turning import SERVO_HZ, Slide
+from dtwin.machines.turning import SERVO_HZ
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -82,17 +82,15 @@ def trial(
     truth: str = "linear",
     seed: int = 1,
     frequencies_hz: Sequence[float] = TRIAL_HZ,
-    slide: Slide | None = None,
     progress: Progress | None = None,
 ) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:
     """Cut the surface at several frequencies without and with a bundle.
 
     ``bundle``: corrects tones.
     ``truth``: as for :func:`dtwin.kinds.sinusoidal._simulate.virtual_slide`.
-    ``slide``: a mechanism instead of ``truth``.
     Returns ``found``, ``surfaces``: JSON-ready figures, and (without, with) by frequency.
     """
-    mechanism = slide or virtual_slide(truth)
+    mechanism = virtual_slide(truth)
     rows, surfaces = [], {}
     for done, frequency in enumerate(frequencies_hz, start=1):
         command = _bicuspid(frequency)
