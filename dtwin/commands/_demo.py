@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -59,35 +60,28 @@ def demo(
 
 
 def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
-    from functools import partial
-
     from studies.mill_story import mill_story
     from studies.report.mill_story import mill_story_text
 
-    shown = partial(ProgressLine, quiet=as_json)
-    story = mill_story(home(), seed, quick=quick, progress=shown)
+    story = mill_story(home(), seed, quick=quick, progress=partial(ProgressLine, quiet=as_json))
     emit(story, lambda: mill_story_text(story), as_json=as_json)
 
 
 def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
-    from functools import partial
-
     from studies.linuxcnc_story import FULL, QUICK, linuxcnc_story
     from studies.report.linuxcnc import linuxcnc_text
 
-    shown = partial(ProgressLine, quiet=as_json)
-    story = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    size = QUICK if quick else FULL
+    story = linuxcnc_story(home(), seed, size=size, progress=partial(ProgressLine, quiet=as_json))
     emit(story, lambda: linuxcnc_text(story), as_json=as_json)
 
 
 def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
-    from functools import partial
-
     from studies.placement_story import FULL, QUICK, placement_story
     from studies.report.placement import placement_text
 
-    shown = partial(ProgressLine, quiet=as_json)
-    story = placement_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    size = QUICK if quick else FULL
+    story = placement_story(home(), seed, size=size, progress=partial(ProgressLine, quiet=as_json))
     emit(story, lambda: placement_text(story), as_json=as_json)
 
 

@@ -86,24 +86,34 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     An effect that no circle shows is drawn along an axis that swings, forward blue, reverse orange and dashed.
     """
     label, curves = _signature(effect, axis)
+    round_circle = bool(curves)
+    curves = curves or _along(effect)
     if not curves:
-        return _line_svg(effect, _along(effect), width)
+        return ""
     largest = max(float(np.abs(c).max()) for c in curves.values())
     middle, angle = _SIZE / 2, _angle()
+    across = middle - _CIRCLE * np.cos(angle[: _POINTS // 2])
     # About one pixel as it is shown; small ones would hide their own shape.
     wide = 1.5 * _SIZE / max(width, 100)
+    said = f"{label} round the circle" if round_circle else f"{effect.name} along an axis"
+    nominal = (
+        f'circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none"'
+        if round_circle
+        else f'line x1="{across[0]}" x2="{across[-1]}" y1="{middle}" y2="{middle}"'
+    )
     parts = [
-        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {label} round the circle">',
-        f'<circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none" stroke="#999" stroke-dasharray="3 3"/>',
+        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {said}">',
+        f'<{nominal} stroke="#999" stroke-dasharray="3 3"/>',
     ]
-    for way, curve in curves.items():
-        radius = _CIRCLE + _DRAWN * curve / largest
-        x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
+    for colour, (way, curve) in zip(_COLOURS.values(), curves.items(), strict=False):
+        x, y = across, middle - 0.8 * _CIRCLE * curve / largest
+        if round_circle:
+            radius = _CIRCLE + _DRAWN * curve / largest
+            x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
         path = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
-        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way == "CW" else ""
-        parts.append(
-            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{wide:z.1f}"{dash}/>'
-        )
+        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way in ("CW", "reverse") else ""
+        drawn = f'points="{path}" fill="none" stroke="{colour}" stroke-width="{wide:z.1f}"{dash}'
+        parts.append(f"<{'polygon' if round_circle else 'polyline'} {drawn}/>")
     return "".join([*parts, "</svg>"])
 
 
@@ -115,26 +125,6 @@ def signature_caption(effect: Effect) -> str:
             "clockwise orange and dashed; dotted: the nominal circle."
         )
     return "First parameter along an axis that swings: forward blue, reverse orange and dashed; dotted: no error."
-
-
-def _line_svg(effect: Effect, curves: Mapping[str, Floats], width: int) -> str:
-    if not curves:
-        return ""
-    largest = max(float(np.abs(c).max()) for c in curves.values())
-    middle = _SIZE / 2
-    across = middle - _CIRCLE * np.cos(_angle()[: _POINTS // 2])
-    wide = 1.5 * _SIZE / max(width, 100)
-    parts = [
-        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {effect.name} along an axis">',
-        f'<line x1="{across[0]}" x2="{across[-1]}" y1="{middle}" y2="{middle}" stroke="#999" stroke-dasharray="3 3"/>',
-    ]
-    for colour, (way, curve) in zip(_COLOURS.values(), curves.items(), strict=False):
-        path = " ".join(
-            f"{a:z.1f},{b:z.1f}" for a, b in zip(across, middle - 0.8 * _CIRCLE * curve / largest, strict=True)
-        )
-        dash = f' stroke-dasharray="{4 * wide:z.1f} {2 * wide:z.1f}"' if way == "reverse" else ""
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="{wide:z.1f}"{dash}/>')
-    return "".join([*parts, "</svg>"])
 
 
 def _angle() -> Floats:
