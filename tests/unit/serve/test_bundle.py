@@ -65,8 +65,7 @@ def test_window_values_are_held_until_the_next_window() -> None:
     expected = math.log(1 + 0.05 / 0.01) * math.cos(0.4) + 0.1
     assert compiled.tick(np.array([0.4]))[0] == pytest.approx(expected, abs=1e-12)
     assert compiled.tick(np.array([0.4]))[0] == pytest.approx(expected, abs=1e-12)
-    rows, features = np.full((3, 1), 0.4), np.tile([0.05, 100.0], (3, 1))
-    np.testing.assert_allclose(compiled.run(rows, features), expected, atol=1e-12)
+    np.testing.assert_allclose(compiled.run(np.full((3, 1), 0.4)), expected, atol=1e-12)
 
 
 def test_changed_number_is_refused(tmp_path: Path) -> None:
