@@ -9,9 +9,10 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Sizes
 from dtwin.schema import require_name
-from dtwin.twins._term_member import TermMember
+from dtwin.twins.members import Cause, Member, Told, Version, day_of
 from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
 
@@ -133,9 +134,9 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
     def readings(self, loaded: L) -> int:
         """Return how many readings a campaign has."""
 
-    def members(self, campaigns: Sequence[str]) -> Sequence[TermMember]:
+    def members(self, campaigns: Sequence[str]) -> Sequence[Member]:
         """Return campaigns of the lake as parts of a twin of several kinds, each by itself."""
-        return [TermMember(self, campaign) for campaign in campaigns]
+        return [_TermMember(self, campaign) for campaign in campaigns]
 
     @abstractmethod
     def stored(self, document: Mapping[str, Any]) -> W:
@@ -219,3 +220,73 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         head = {"format": self.form, "kind": self.named, "twin": name, "version": version}
         of = {key: getattr(loaded, key) for key in ("machine", "campaign", "data")}
         return {**head, **of, "action": action, **self.told(loaded, terms, sizes)}
+
+
+class _TermMember(Member):
+    """One campaign of a kind whose twins are lists of terms."""
+
+    def __init__(self, twins: TermTwins[Any, Any, Any, Any], campaign: str) -> None:
+        self._twins, self._loaded = twins, twins.loaded(campaign)
+        self.kind, self.machine = twins.named, self._loaded.machine
+        self.begun = ((campaign, day_of(Lake(twins.home.lake), campaign)),)
+
+    def named(self, effect: str, axis: str = "") -> Sequence[Any]:
+        return self._twins.asked(self._loaded, [effect], axis)
+
+    def of_cause(self, cause: Cause) -> Sequence[Any]:
+        return [term for term in self._twins.possible(self._loaded) if self.cause(term) == cause]
+
+    def cause(self, term: Any) -> Cause | None:
+        return self._twins.cause(self._loaded, term)
+
+    def label(self, term: Any) -> str:
+        return self._twins.label(term)
+
+    def joined(self, terms: Sequence[Any], more: Sequence[Any]) -> Sequence[Any]:
+        fresh: list[Any] = []
+        for term in more:
+            if not any(self._twins.same(term, old) for old in (*terms, *fresh)):
+                fresh.append(term)
+        return self._twins.joined(self._loaded, terms, fresh) if fresh else terms
+
+    def without(self, terms: Sequence[Any], gone: Sequence[Any]) -> Sequence[Any]:
+        return [term for term in terms if not any(self._twins.same(term, one) for one in gone)]
+
+    def fit(self, terms: Sequence[Any], *, robust: bool, refine: bool) -> tuple[Sequence[Any], Sizes]:
+        if robust:
+            raise InputError(f"{self.campaigns[0]} has no robust fit", code="twin.robust", hint=self._twins.no_robust)
+        # Those of a twin are what all agreed on.
+        found = self._twins.refound(self._loaded, terms)
+        return found, self._twins.sizes(self._loaded, found)
+
+    def sizes(self, fitted: tuple[Sequence[Any], Sizes]) -> Sizes:
+        return fitted[1]
+
+    def twin(self, fitted: tuple[Sequence[Any], Sizes], sizes: Sizes, of: Version) -> Any:
+        made = self._twins.made(self._loaded, fitted[0], sizes, name=of.name, version=of.version, action=of.action)
+        return self._twins.stored(made)
+
+    def entries(self, twin: Any) -> list[dict[str, Any]]:
+        ((campaign, day),) = self.begun
+        readings = self._twins.readings(self._loaded)
+        figures = twin.figures
+        return [
+            {
+                "campaign": campaign,
+                "kind": self.kind,
+                "started": day,
+                "runs": 1,
+                "readings": readings,
+                "rms_before_um": figures["rms_before_um"],
+                "residual_rms_um": figures["rms_after_um"],
+                "noise_floor_um": figures["noise_floor_um"],
+            }
+        ]
+
+    def compared(self, twin: Any) -> Any:
+        return self._twins.against(twin, self.campaigns[0])
+
+    def told(self, twin: Any, seed: int) -> Told:
+        said = self._twins.diagnosed(self._loaded, twin.terms)
+        group = (said.additions,) if said.additions else ()
+        return Told(said.as_dict(), group, group, tuple(self.label(term) for term in said.idle))

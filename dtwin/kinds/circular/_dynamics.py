@@ -11,10 +11,14 @@ import numpy as np
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.features.dynamics.figures import DynamicComponents, dynamic_components, relative_difference
+from dtwin.features.dynamics.figures import (
+    ACCEPTED_DIFFERENCE,
+    DynamicComponents,
+    dynamic_components,
+    relative_difference,
+)
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter, response
-from dtwin.features.dynamics.turns import Turn, one_turn
-from dtwin.kinds.circular._dynamics_findings import findings_of
+from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
 from dtwin.kinds.circular._dynamics_ways import (
     DynamicsRequest,
     alpha_sensitivity,
@@ -26,8 +30,10 @@ from dtwin.kinds.circular._dynamics_ways import (
 from dtwin.kinds.circular._filter_tuning import Tuning, log_tuning, tune
 from dtwin.lake.store import Lake
 from dtwin.physics.observations import observe
-from dtwin.schema import Campaign, Floats, Run, SignalGroup, of_one_way
+from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup, of_one_way
 from dtwin.train.registry import Registry
+
+_MOST_TAKEN, _MOST_BIAS = 0.01, 0.5
 
 
 @dataclass(frozen=True)
@@ -286,3 +292,79 @@ def _shaking_g(groups: Sequence[SignalGroup]) -> dict[str, float]:
     return {
         name: float(np.std(values)) for group in groups for name, values in group.columns.items() if name.endswith("_g")
     }
+
+
+def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
+    """Return what a reader must know before believing the figures.
+
+    ``result``: as :class:`Split` holds it.
+    ``measured``: fewest readings per revolution of a run, before resampling.
+    """
+    rows = result["rows"]
+    findings: list[Finding] = []
+
+    def say(code: str, message: str, **numbers: float) -> None:
+        findings.append(Finding(f"dynamics.{code}", "warning", message, numbers))
+
+    lobes = result["two_lobes"]
+    if lobes and lobes["taken"] > _MOST_TAKEN:
+        say(
+            "eats_features",
+            f"the filter takes {100 * lobes['taken']:z.0f} % of a real two-lobe error for dynamics "
+            f"(leaves {100 * lobes['gain']:z.0f} %, {lobes['lag_deg']:z.1f} deg late): raise Q or the "
+            "cutoff, or use the twin",
+            taken=lobes["taken"],
+        )
+    fastest = max(r["feed_mm_min"] for r in rows)
+    taken = float(np.mean([r["dc3_um"] for r in rows if r["feed_mm_min"] == fastest]))
+    one_feed = fastest == min(r["feed_mm_min"] for r in rows)
+    if one_feed:
+        say("one_feed", "one feed only: nothing slower to compare with, the reference is these runs")
+    elif result["bias"]["dc3_um"] > _MOST_BIAS * taken:
+        say(
+            "static_taken",
+            f"{result['bias']['dc3_um']:z.2f} µm RMS are taken out of the slow runs, {taken:z.2f} µm out "
+            "of the fastest: the twin lacks an effect (dtwin twin diagnose), the filter smooths too "
+            "much, or the reference is not slow enough",
+            slow_um=result["bias"]["dc3_um"],
+            fast_um=taken,
+        )
+    if len({row["direction"] for row in rows}) < 2:
+        say(
+            "one_direction",
+            "one direction only: servo mismatch and squareness, lateral play and backlash look the "
+            "same, and a lag of the filter looks like an error of the machine",
+        )
+    if measured < MOST_READINGS:
+        say(
+            "few_readings",
+            f"{measured} readings per revolution; {MOST_READINGS} or more are needed to tell "
+            "vibration from a real short feature",
+            readings=float(measured),
+        )
+    shaken = [r for r in rows if r["vibration_um"] > r["after_um"]]
+    if shaken:
+        say(
+            "vibration_exceeds",
+            f"in {len(shaken)} of {len(rows)} runs vibration exceeds the circular deviation that is "
+            "left: their static figures are not reliable",
+            runs=float(len(shaken)),
+        )
+    apart = [r for r in rows if r["difference"] > ACCEPTED_DIFFERENCE]
+    if apart and not one_feed:
+        worst = max(apart, key=lambda r: r["difference"])
+        say(
+            "differs_from_reference",
+            f"in {len(apart)} of {len(rows)} runs the circular deviation differs from the slow "
+            f"reference by more than {100 * ACCEPTED_DIFFERENCE:z.0f} %, most in {worst['run']} "
+            f"({100 * worst['difference']:z.0f} %): what changes with the feed was not all taken out",
+            worst=worst["difference"],
+        )
+    grown = [r for r in rows if r["dc1_um"] < 0.0]
+    if grown:
+        say(
+            "deviation_grew",
+            f"in {len(grown)} of {len(rows)} runs the circular deviation is larger after than before",
+            runs=float(len(grown)),
+        )
+    return findings
