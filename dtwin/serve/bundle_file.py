@@ -101,20 +101,22 @@ def require_new(path: Path, *, force: bool = False) -> None:
         )
 
 
-def load_bundle(path: Path, machine: str | None = None) -> CompiledBundle:
+def load_bundle(path: Path, machine: str | None = None, contract: WindowContract | None = None) -> CompiledBundle:
     """Read, check and prove a bundle, and compile it.
 
     Parameters
     ----------
     machine : str, optional
         Machine that will be served; a bundle of another one is refused.
+    contract : WindowContract, optional
+        What the sensors deliver; another contract is refused.
 
     Raises
     ------
     InputError
         When the file is missing, malformed, too large or was changed.
     GateRefusal
-        When it belongs to another machine, or its test vectors do not hold here.
+        When it belongs to another machine or contract, or its test vectors do not hold here.
     """
     bundle = Bundle.from_dict(read_json(path, MAX_BYTES))
     if machine is not None and bundle.machine != machine:
@@ -124,6 +126,15 @@ def load_bundle(path: Path, machine: str | None = None) -> CompiledBundle:
             where=str(path),
             got=bundle.machine,
             allowed=machine,
+        )
+    if contract is not None and bundle.window is not None and bundle.window != contract:
+        differs = [k for k, v in bundle.window.to_dict().items() if contract.to_dict()[k] != v]
+        raise GateRefusal(
+            "the sensors do not deliver what the model was trained on",
+            code="bundle.contract",
+            where=str(path),
+            got=", ".join(f"{k} = {contract.to_dict()[k]}" for k in differs)[:300],
+            allowed=", ".join(f"{k} = {bundle.window.to_dict()[k]}" for k in differs)[:300],
         )
     prove(bundle)
     return CompiledBundle(bundle)
