@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib import resources
+from pathlib import Path
 from typing import Any, get_type_hints
 
 from dtwin.errors import InputError
@@ -159,11 +160,18 @@ class CobotParameters:
     controller: ControllerParameters
 
 
-def load_parameters() -> CobotParameters:
-    """Return the parameters of the cobot."""
-    table = tomllib.loads(resources.files("dtwin.machines").joinpath("cobot.toml").read_text("utf-8"))
+def load_parameters(path: Path | None = None) -> CobotParameters:
+    """Return the parameters of a TOML file; without one, the committed ones.
+
+    Raises ``InputError`` when a section or a parameter is missing or unknown.
+    """
+    if path is None:
+        text = resources.files("dtwin.machines").joinpath("cobot.toml").read_text("utf-8")
+    else:
+        text = path.read_text("utf-8")
+    table = tomllib.loads(text)
     sections = {
-        name: _section(kind, table.get(name, {}), f"cobot.toml [{name}]")
+        name: _section(kind, table.get(name, {}), f"{path or 'cobot.toml'} [{name}]")
         for name, kind in get_type_hints(CobotParameters).items()
     }
     return CobotParameters(**sections)

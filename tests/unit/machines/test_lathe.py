@@ -14,7 +14,7 @@ from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._program import laser_program
 from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
 from dtwin.machines.laser_trigger import watch
-from dtwin.machines.lathe import ThreadScrew, VirtualLathe, Wander
+from dtwin.machines.lathe import NetworkScrew, ThreadScrew, VirtualLathe, Wander
 from dtwin.machines.lathe_control import run_program
 from dtwin.machines.printed_network import read_network
 from dtwin.report.checking import check_source
@@ -62,7 +62,7 @@ def test_what_laser_and_control_do_to_each_other_is_told_by_name() -> None:
 
 def test_a_window_smaller_than_the_error_is_told() -> None:
     plan = replace(SMALL, window=0.001)
-    lathe = virtual_lathe("published", 1, CALM)
+    lathe = VirtualLathe(NetworkScrew(read_network()), CALM, 1)
     found = lathe.measure(motion_of_plan(plan), laser_setup(plan))
     told = {a.code for a in found.triggered.alarms}
     assert told >= {"trigger.window_too_small", "trigger.missed"}
@@ -88,7 +88,7 @@ def test_the_tilted_nut_makes_the_cyclic_error_differ_with_the_direction() -> No
 
 
 def test_without_wander_the_laser_shows_the_published_map() -> None:
-    lathe = virtual_lathe("published", 1, CALM)
+    lathe = VirtualLathe(NetworkScrew(read_network()), CALM, 1)
     found = lathe.measure(motion_of_plan(SMALL), laser_setup(SMALL))
     target = np.array([r.target_mm for r in found.triggered.readings]) / 25.4
     way = np.array([r.direction == "reverse" for r in found.triggered.readings], float)
