@@ -17,14 +17,14 @@ _BUDGET_NS, _ROUNDS = 1e8, 3
 _EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
 
 
-def bundle_latency(bundle: Bundle) -> Latency:
+def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
     """Time single evaluations of a compiled bundle, as the loop does them."""
     compiled = CompiledBundle(bundle)
     low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
     high = np.array([i.high for i in bundle.inputs if i.source != "feature"])
     middle = 0.5 * (low + high)
     compiled.tick(middle)
-    return _timed(compiled.evaluate, 20_000, "bundle tick")
+    return _timed(compiled.evaluate, calls, "bundle tick")
 
 
 def latency_of(candidate: Candidate) -> Latency | None:
