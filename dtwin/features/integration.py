@@ -36,8 +36,6 @@ class _SwarmResult:
 
     position: float
     value: float
-    iterations: int
-    evaluations: int
 
 
 def swarm_minimum(
@@ -84,7 +82,7 @@ def swarm_minimum(
         best_at[better], best[better] = at[better], value[better]
         previous, leader = best[leader], int(np.argmin(best))
         idle = 0 if best[leader] < previous else idle + 1
-    return _SwarmResult(float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1))
+    return _SwarmResult(float(np.exp(best_at[leader])), float(best[leader]))
 
 
 def integrate(signal: Floats, rate_hz: float) -> Floats:
@@ -111,14 +109,9 @@ def coupled(signal: Floats, rate_hz: float, corner_hz: float = 0.5) -> Floats:
     ``signal``, (n,): record.
     ``rate_hz``, ``corner_hz``: sample rate and -3 dB frequency.
     """
-    k = np.tan(np.pi * corner_hz / rate_hz)
-    gain, feedback = 1 / (1 + k), (1 - k) / (1 + k)
-    out = np.empty_like(signal, dtype=np.float64)
-    state, before = 0.0, float(signal[0])
-    for i, x in enumerate(signal.tolist()):
-        state = gain * (x - before) + feedback * state
-        out[i], before = state, x
-    return out
+    from scipy.signal import butter, lfilter
+
+    return np.asarray(lfilter(*butter(1, corner_hz, "high", fs=rate_hz), signal - signal[0]))
 
 
 @dataclass(frozen=True)
