@@ -61,15 +61,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
             got=", ".join(bad)[:80] or "no run in both directions",
             hint=f"dtwin check {folder}",
         )
-    test = linear_test(usable)
-    if test.pitch_mm is None or len(test.position_mm) < 2:
-        raise InputError(
-            "the pitch of the screw is needed",
-            code="lathe.pitch",
-            where=str(folder),
-            hint="screw_pitch_mm under [campaign.machine_geometry]",
-        )
-    return campaign.machine, test
+    return campaign.machine, linear_test(usable)
 
 
 def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
