@@ -90,7 +90,7 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _
         if term.label in not_told:
             continue
         try:
-            does[term.label] = term_errors_um(term, twin, motion, {})
+            does[term.label] = term_errors_um(term, twin, motion)
         except InputError as error:
             not_told[term.label] = f"{error.message}: {error.got}"
             continue
@@ -181,7 +181,7 @@ def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
     """Return what the expanded uncertainty of each parameter of an effect does, shape (n, 3) each."""
     name, axis = term.instance.effect.name, term.instance.axis
     widths = [e.uncertainty for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
-    return [term_errors_um(term, twin, motion, {}, np.eye(len(widths))[k] * w) for k, w in enumerate(widths)]
+    return [term_errors_um(term, twin, motion, np.eye(len(widths))[k] * w) for k, w in enumerate(widths)]
 
 
 def _along(part: Floats, does: Floats, step_mm: Floats) -> float:

@@ -6,9 +6,8 @@ along one axis at a time gives the error as a vector in machine axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -68,13 +67,11 @@ def axis_errors_um(twin: Twin, motion: Motion) -> Floats:
     """
     out = np.zeros(motion.position_mm.shape)
     for term in twin.terms:
-        out += term_errors_um(term, twin, motion, {})
+        out += term_errors_um(term, twin, motion)
     return out
 
 
-def term_errors_um(
-    term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float], values: Floats | None = None
-) -> Floats:
+def term_errors_um(term: Term, twin: Twin, motion: Motion, values: Floats | None = None) -> Floats:
     """Return what one effect adds to every axis, shape (n, 3).
 
     ``values``: of its parameters; those of the twin without.
@@ -86,7 +83,7 @@ def term_errors_um(
         for plane in twin.box.planes:
             if AXES[axis] not in AXES_OF[plane]:
                 continue
-            state = _looking_along(AXES[axis], plane, motion, columns)
+            state = _looking_along(AXES[axis], plane, motion)
             errors_um = term.instance.effect.columns(state, term.instance.axis, term.shape) @ weights
             if np.abs(errors_um).max() > 0.0:
                 out[:, axis] = errors_um
@@ -128,9 +125,9 @@ def own_axis_only(
     out = {}
     for term in terms:
         try:
-            base = term_errors_um(term, twin, alone, {})[:, read]
+            base = term_errors_um(term, twin, alone)[:, read]
             for reason, motion in tries.items():
-                other = term_errors_um(term, twin, motion, {})[:, read]
+                other = term_errors_um(term, twin, motion)[:, read]
                 if np.abs(other - base).max() > _TOLERANCE_UM:
                     out[term.label] = reason
                     break
@@ -162,7 +159,7 @@ def _line(number: int, positions: Floats, speed_mm_s: float) -> Motion:
     return Motion.steady(position, velocity)
 
 
-def _looking_along(axis: str, plane: str, motion: Motion, columns: Mapping[str, float]) -> State:
+def _looking_along(axis: str, plane: str, motion: Motion) -> State:
     """Return the state of a plane's two axes for an instrument that looks along one of them."""
     first, second = AXES_OF[plane]
     n = len(motion.position_mm)
@@ -170,7 +167,6 @@ def _looking_along(axis: str, plane: str, motion: Motion, columns: Mapping[str, 
     speed = {a: motion.velocity_mm_s[:, AXES.index(a)] for a in (first, second)}
     size = np.hypot(speed[first], speed[second])
     # A radius of which nothing may depend: reversals lie that far away.
-    extra: dict[str, Any] = {name: np.full(n, value) for name, value in columns.items()}
     return State(
         kind=DEFAULT_KIND,
         axes=(first, second),
@@ -185,5 +181,4 @@ def _looking_along(axis: str, plane: str, motion: Motion, columns: Mapping[str, 
         radius_mm=_FAR_MM,
         feed_mm_s=float(size.mean()),
         direction=1.0,
-        columns=extra,
     )

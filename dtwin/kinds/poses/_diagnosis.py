@@ -175,9 +175,9 @@ def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None
     return PoseDiagnosis(verdict, headline, figures, shown, tuple(group), _invisible(grams, terms), idle, p)
 
 
-def selected(grams: Grams, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return the terms with all that a diagnosis after the other would add, less those that are idle at the end."""
-    chosen = list(terms)
+def selected(grams: Grams) -> tuple[Term, ...]:
+    """Return all terms that a diagnosis after the other would add, less those that are idle at the end."""
+    chosen: list[Term] = []
     while found := _group(grams, chosen, _candidates(grams, chosen)):
         chosen += found[0].terms
     idle = idle_terms(grams, chosen)
@@ -194,7 +194,7 @@ def nested_mean_mm(grams: Grams, folds: int = 4) -> float:
     for fold in range(folds):
         out = blocks % folds == fold
         rest = grams.without(blocks[out])
-        left = rest.left_elsewhere_mm(grams.series.chosen(selected(rest, ())), np.isin(grams.series.block, blocks[out]))
+        left = rest.left_elsewhere_mm(grams.series.chosen(selected(rest)), np.isin(grams.series.block, blocks[out]))
         total += float(np.linalg.norm(left, axis=1).sum())
     return total / len(grams.series.error_mm)
 
