@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from dtwin.acquire._daq import FULL_SCALE_MV, AccelerometerChannel, AccelerometerTask
 from dtwin.acquire._daq_windows import DaqWindows
+from dtwin.atomic import read_toml
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
@@ -110,11 +110,7 @@ def read_sensors(path: Path) -> _SensorSetup:
 
 def _document(path: Path) -> dict[str, Any]:
     try:
-        with path.open("rb") as file:
-            content = file.read(_MAX_BYTES + 1)
-        if len(content) > _MAX_BYTES:
-            raise ValueError(f"more than {_MAX_BYTES} bytes")
-        return tomllib.loads(content.decode("utf-8-sig"))
+        return read_toml(path, _MAX_BYTES)
     except (OSError, ValueError, RecursionError) as error:
         raise _wrong(path, "the channel file cannot be read", "sensors.unreadable", str(error)[:200], None) from error
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from dtwin.atomic import read_toml
 from dtwin.errors import InputError
 from dtwin.units import is_number
 
@@ -69,8 +69,7 @@ def read_faults(path: Path) -> MillFaults:
     """
     names = [f.name for f in fields(MillFaults)]
     try:
-        with path.open("rb") as file:
-            given = tomllib.loads(file.read(_MAX_COMP_BYTES).decode("utf-8"))
+        given = read_toml(path, _MAX_COMP_BYTES)
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(
             "the faults cannot be read", code="linuxcnc.faults", where=str(path), got=str(error)[:120]
