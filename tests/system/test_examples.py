@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -21,13 +21,7 @@ def test_the_tutorial_about_the_three_mills_prints_what_it_shows(tmp_path: Path)
 
 
 def test_the_script_makes_the_examples_that_are_kept(tmp_path: Path) -> None:
-    path = ROOT / "data" / "make_examples.py"
-    spec = importlib.util.spec_from_file_location("make_examples", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.make_examples(tmp_path)
+    run_path(str(ROOT / "data" / "make_examples.py"))["make_examples"](tmp_path)
     made = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*.*"))
     assert made == sorted(p.relative_to(EXAMPLES) for p in EXAMPLES.rglob("*.*"))
     for name in made:
