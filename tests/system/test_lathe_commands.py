@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import small_bundle
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
@@ -24,10 +25,8 @@ from dtwin.kinds.linear._loop import campaign_test
 from dtwin.kinds.linear._simulate import mapping_plan, simulate_lathe, verification_plan
 from dtwin.lifecycle.drift import check_drift
 from dtwin.lifecycle.schedule import scheduled_training
-from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
-from dtwin.serve.interface import Input, Output
+from dtwin.serve.bundle_file import load_bundle, save_bundle
 from dtwin.train.registry import Registry
 from studies.lathe_paper import Size, lathe_paper
 from studies.report.papers import lathe_paper_text
@@ -86,20 +85,7 @@ def test_campaigns_that_cannot_show_the_screw_are_refused(tmp_path: Path) -> Non
             fitted(tmp_path / name, "flanks", 0)
     with pytest.raises(InputError, match="say what"):
         CliRunner().invoke(app, ["lathe", "fit"], catch_exceptions=False)
-    builder = GraphBuilder()
-    graph = builder.graph({"error_um": builder.input("angle_rad") * 1.0})
-    angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
-    other = save_bundle(
-        create_bundle(
-            name="round",
-            machine="cobot",
-            model_version=1,
-            inputs=[angle],
-            outputs=[Output("error_um", "path_radial")],
-            tick_graph=graph,
-        ),
-        tmp_path / "other.json",
-    )
+    other = save_bundle(small_bundle(), tmp_path / "other.json")
     with pytest.raises(InputError, match="does not correct a position"):
         CliRunner().invoke(app, ["lathe", "compensate", str(other)], catch_exceptions=False)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_control import AxisControl
+from closed_loop import small_bundle
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
@@ -22,9 +23,7 @@ from dtwin.kinds.sinusoidal._plan import TonePlan
 from dtwin.kinds.sinusoidal._served import ServedSlide
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_slide
 from dtwin.lifecycle.drift import check_drift
-from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.bundle_file import create_bundle, save_bundle
-from dtwin.serve.interface import Input, Output
+from dtwin.serve.bundle_file import save_bundle
 from dtwin.train.registry import Registry
 from flows._runtime import run
 from flows.papers import turning_paper_flow
@@ -119,20 +118,7 @@ def test_what_a_gate_refused_is_not_written_without_force(campaign: Path, tmp_pa
 
 
 def test_bad_input_is_refused(campaign: Path, tmp_path: Path) -> None:
-    builder = GraphBuilder()
-    graph = builder.graph({"error_um": builder.input("angle_rad") * 1.0})
-    angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
-    other = save_bundle(
-        create_bundle(
-            name="round",
-            machine="cobot",
-            model_version=1,
-            inputs=[angle],
-            outputs=[Output("error_um", "path_radial")],
-            tick_graph=graph,
-        ),
-        tmp_path / "other.json",
-    )
+    other = save_bundle(small_bundle(), tmp_path / "other.json")
     for words, told in (
         (["fit", str(campaign), "--model", "magic"], "no such equation"),
         (["fit", str(campaign), "--action", "hope"], "no such equation"),
