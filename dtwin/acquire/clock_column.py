@@ -25,17 +25,22 @@ def of_stamps(head: str) -> bool:
     return _STAMP.fullmatch(FORM.sub("", head)) is not None
 
 
+def numbers_of(cells: Sequence[str]) -> Floats:
+    """Return cells as numbers, NaN where one is none."""
+    out = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        with suppress(ValueError):
+            out[i] = float(cell)
+    return out
+
+
 def times_of_cells(cells: Sequence[str], unit_s: float, where: str, head: str, *, stamps: bool) -> Floats | None:
     """Return times in seconds: numbers of ``unit_s``, or stamps; ``stamps``: numbers have no unit. None where most tell none.
 
     Raises ``InputError`` when days and months of stamps may be exchanged.
     """
     there = sum(bool(cell.strip()) for cell in cells)
-    numbers = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        with suppress(ValueError):
-            numbers[i] = float(cell)
-    numbers *= unit_s
+    numbers = numbers_of(cells) * unit_s
     if not stamps and 2 * np.isfinite(numbers).sum() > there:
         return numbers
     times = seconds_of(cells, where, head)[0]

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.acquire.clock_column import FORM, of_stamps, times_of_cells
+from dtwin.acquire.clock_column import FORM, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.foreign_columns import (
     CLOCK,
     PROBES,
@@ -33,6 +32,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.acquire.time_stamps import FORMS
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, stepped
 from dtwin.kinds.drift._model import sense
@@ -110,9 +110,9 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
         t_s, there, column = t_s[::-1], there[::-1], {name: values[::-1] for name, values in column.items()}
     _require_rising(there, path)
     shared: dict[str, Floats] = {"t_s": t_s}
-    shared |= {name: scales[name] * (_numbers(column[name]) - zero_of[name]) for name in temperatures}
+    shared |= {name: scales[name] * (numbers_of(column[name]) - zero_of[name]) for name in temperatures}
     if _SAMPLE in column:
-        shared[_SAMPLE] = _numbers(column[_SAMPLE])
+        shared[_SAMPLE] = numbers_of(column[_SAMPLE])
     cold = [
         Finding("drift.left_out", "warning", f"{column.head} is left out: {column.why_not}")
         for column in _unknown(said, units, recipe)
@@ -150,7 +150,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             step, contradiction = _step_mm(path, text, campaign, stated)
             scale = 1e3 * step
             findings = [*contradiction, *cold]
-        moved_um = _numbers(column[name]) * scale
+        moved_um = numbers_of(column[name]) * scale
         if (lost := nothing_read(moved_um)).any():
             said = f"{lost.sum()} readings of {name} are 0 far off their neighbours, {_when(t_s, lost)}: the probe read nothing, and the rows are left out"
             findings.append(Finding("drift.dropout", "warning", said, {"readings_1": float(lost.sum())}))
@@ -202,13 +202,13 @@ def _turns(said: Sequence[str], body: Sequence[Sequence[str]], heads: Sequence[s
     if "t_s" not in heads or not any(map(_SPEED.search, said)):
         return False
     clock = list(heads).index("t_s")
-    steps = np.diff(_numbers([row[clock] for row in body]) * factors[clock])
+    steps = np.diff(numbers_of([row[clock] for row in body]) * factors[clock])
     return bool(np.isfinite(steps).any() and np.nanmedian(steps) < _DRIFT_S)
 
 
 def _travels(cells: Sequence[str], factor: float) -> bool:
     """Return whether a column moves farther than heat moves a machine: it is a position."""
-    moved = _numbers(cells) * factor
+    moved = numbers_of(cells) * factor
     return bool(np.isfinite(moved).any() and np.nanmax(moved) - np.nanmin(moved) > _TRAVEL_UM)
 
 
@@ -341,26 +341,11 @@ def _step_mm(path: Path, text: str, campaign: Campaign, stated: Mapping[str, Any
             got=str(told)[:40],
             allowed="step_mm in [campaign.instrument] or in the run's condition, above 0",
         )
-    own = _number_or_none(said[1]) if said else None
+    own = number_or_none(said[1]) if said else None
     if own is None or abs(own - step) <= _SAME * step:
         return step, ()
     told = f"campaign.toml states a step of {step:g} mm, the file {own:g}; that of campaign.toml is used"
     return step, (Finding("drift.step", "warning", told, {"told_step_mm": step, "read_step_mm": own}),)
-
-
-def _number_or_none(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
-def _numbers(cells: Sequence[str]) -> Floats:
-    out = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        with suppress(ValueError):
-            out[i] = float(cell)
-    return out
 
 
 def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stamps: bool) -> Floats:

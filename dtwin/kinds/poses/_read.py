@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.clock_column import clock_of, of_stamps
+from dtwin.acquire.clock_column import clock_of, numbers_of, of_stamps
 from dtwin.acquire.foreign_columns import (
     below_heads,
     in_english,
@@ -190,7 +190,8 @@ def _columns(path: Path, campaign: Campaign) -> tuple[dict[str, Floats], list[st
         )
     columns: dict[str, Floats] = {}
     for name, place in wanted.items():
-        column = _numbers([row[place] for row in body])
+        # Decimal commas and points may be mixed within a column.
+        column = numbers_of([typed(row[place].strip()).replace(",", ".") for row in body])
         if not name.startswith("t_"):
             # Their squares would be infinite, and a decomposition of them never ends.
             column[~(np.abs(column) < _LARGEST)] = np.nan
@@ -232,17 +233,6 @@ def _headed(
         for head, below in zip_longest(heads, told[: len(heads)], fillvalue="")
     ]
     return named, heads, list(units or []), body, "m"
-
-
-def _numbers(cells: list[str]) -> Floats:
-    """Return cells as numbers; decimal commas and points may be mixed within a column."""
-    out = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        try:
-            out[i] = float(typed(cell.strip()).replace(",", "."))
-        except ValueError:
-            continue
-    return out
 
 
 def _require(columns: Mapping[str, Floats], path: Path, heads: list[str], unit: str) -> None:
