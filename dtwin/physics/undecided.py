@@ -25,10 +25,12 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
 
     ``obs``: without the runs that are not like their repeats.
     """
+    if not known:
+        return ()
     tried, _ = applicable(library, obs, [])
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
     problem = set_up(obs, [], within)
-    if problem.noise is None or not known:
+    if problem.noise is None:
         return ()
     whole = part = Candidates(obs, tried)
     told = problem
