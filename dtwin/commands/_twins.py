@@ -170,17 +170,24 @@ def restore_version(
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.physics.diagnosis import LEAST_GAIN
+    from dtwin.physics.twin import Twin
     from dtwin.pipeline.findings import moving_findings
+    from dtwin.report.faults import sized_effects
     from dtwin.report.twin_of_kind import discovery_text, said_by_runs
+    from dtwin.twins.verbs import Twins
 
     twins = _twins_with(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
-    campaigns = twins.newest(name).campaigns
-    moving = [one for campaign in campaigns for one in moving_findings(home(), campaign)]
+    twin = twins.newest(name)
+    effects: list[dict[str, Any]] = []
+    if isinstance(twins, Twins) and isinstance(twin, Twin):
+        effects = sized_effects(twin, twins.budget(twin) if len(twin.campaigns) == 1 else None)
+    moving = [one for campaign in twin.campaigns for one in moving_findings(home(), campaign)]
     payload = {
         "twin": name,
         "added": [twin.action.removeprefix("add ") for twin in made],
         "groups": [list(group) for group in groups],
+        "effects": effects,
         "history": twins.history(name),
         "final": said.as_dict(),
         "runs_say": moving,
@@ -325,7 +332,7 @@ def show_twin(
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
     from dtwin.pipeline.twin_report import write_report
-    from dtwin.report.faults import effect_sizes
+    from dtwin.report.faults import sized_effects
     from dtwin.report.twin_of_kind import report_of
     from dtwin.twins.confirm import interventions
 
@@ -342,9 +349,7 @@ def show_twin(
     ]
     document = {**twin.as_dict(), "interventions": mended}
     if isinstance(twin, Twin):
-        document["effects"] = [
-            {**entry, **sized} for entry, sized in zip(document["effects"], effect_sizes(twin), strict=True)
-        ]
+        document["effects"] = sized_effects(twin)
     emit(document, lambda: "\n".join([report.twin_text(twin), *lines]), as_json=as_json)
 
 

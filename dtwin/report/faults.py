@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from dtwin.physics.budget import Budget
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
 from dtwin.physics.machine_terms import key_of
@@ -137,14 +138,21 @@ def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str
     return sizes
 
 
-def effect_sizes(twin: Twin) -> list[dict[str, Any]]:
-    """Return value, k2 and unit of every effect of a twin, of several sizes the first; None where the runs do not tell it."""
+def sized_effects(twin: Twin, shares: Budget | None = None) -> list[dict[str, Any]]:
+    """Return every effect of a twin with its size: in words, and value, k2 and unit.
+
+    Of several sizes the first is in numbers; None where the runs do not tell it. With a budget also the RMS that it makes
+    of the error, um.
+    """
+    makes_um = {share.label: share.rms_um[""] for share in shares.shares} if shares else {}
     out: list[dict[str, Any]] = []
-    for term in twin.terms:
+    for entry, term in zip(twin.as_dict()["effects"], twin.terms, strict=True):
         where = term.instance.effect.name, term.instance.axis
-        sizes = sizes_of([e for e in twin.estimates if (e.effect, e.axis) == where])
+        mine = [e for e in twin.estimates if (e.effect, e.axis) == where]
+        sizes = sizes_of(mine)
         _, value, spread, unit = sizes[0] if sizes else ("", None, None, term.instance.effect.parameters[0].unit)
-        out.append({"value": value, "k2": spread, "unit": unit})
+        made = {"makes_um": makes_um[term.label]} if term.label in makes_um else {}
+        out.append({**entry, "size": size_of(mine), "value": value, "k2": spread, "unit": unit, **made})
     return out
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from dtwin.kinds.registry import kind_named
-from dtwin.report.text import micrometres
+from dtwin.report.text import micrometres, table
 from dtwin.report.twins import history_text
 from dtwin.schema import DEFAULT_KIND
 
@@ -49,7 +49,7 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     rest = report_of(last).diagnosis_text(payload["twin"], last)
     if not groups:
         return f"{history_text(rungs)}\n\n{rest}"
-    lines = ["found", *(f"  {' or '.join(group)}" for group in groups)]
+    lines = _found_lines(groups, payload["effects"])
     before, left = (rungs[n].get("systematic_rms_um") for n in (-1 - len(groups), -1))
     if before and left is not None:
         share = 100.0 * left / before
@@ -64,6 +64,20 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
         why = small if (one["cv_gain"] or 0.0) < least_gain else beside
         lines.append(f"not added: {one['effect']} {one['axis']}".rstrip() + f": {why}")
     return "\n\n".join([history_text(rungs), "\n".join(lines), f"what is left\n{rest}"])
+
+
+def _found_lines(groups: Sequence[Sequence[str]], effects: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the groups that were found; of tests of a path with the size of the first of each, k = 2."""
+    sized = {f"{effect['effect']} {effect['axis']}".rstrip(): effect for effect in effects}
+    if not all(group[0] in sized for group in groups):
+        return ["found", *(f"  {' or '.join(group)}" for group in groups)]
+    head = ("found", "size (k = 2)", "makes, µm RMS")
+    rows = [
+        (" or ".join(group), f"{own['size']}{' if alone' * (len(group) > 1)}", micrometres(own.get("makes_um")))
+        for group in groups
+        for own in [sized[group[0]]]
+    ]
+    return [table(head, rows)]
 
 
 def with_nan(diagnosis: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -117,7 +118,7 @@ def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
         for n, um in enumerate((4.0, 1.0, 0.02), start=1)
     ]
     groups = [["squareness XY"], ["servo_lag", "scale_mismatch XY"]]
-    payload = {"twin": "t", "groups": groups, "history": rungs, "final": said.as_dict()}
+    payload = {"twin": "t", "groups": groups, "effects": [], "history": rungs, "final": said.as_dict()}
     lines = [line.strip() for line in discovery_text(payload, 0.25).splitlines()]
     assert lines[2].endswith("squareness XY; lateral_play X or backlash X")
     at = lines.index("found")
@@ -125,3 +126,12 @@ def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
     assert lines[at + 3].endswith("µm are left (0 %)")
     assert lines[at + 4].startswith("not added: friction X: foretells less than 25 % of what")
     assert "found" not in discovery_text(payload | {"groups": []}, 0.25).split("\n")
+    effects = [
+        {"effect": "squareness", "axis": "XY", "size": "12.1 ± 0.4 µm/m", "makes_um": 0.42},
+        {"effect": "servo_lag", "axis": "", "size": "40 ± 2 ms²"},
+    ]
+    told = discovery_text(payload | {"effects": effects}, 0.25).splitlines()
+    at = next(n for n, line in enumerate(told) if line.startswith("found"))
+    rows = [re.split(r"  +", line.strip()) for line in told[at + 2 : at + 4]]
+    assert rows[0] == ["squareness XY", "12.1 ± 0.4 µm/m", "0.42"]
+    assert rows[1] == ["servo_lag or scale_mismatch XY", "40 ± 2 ms² if alone", "-"]
