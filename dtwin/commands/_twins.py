@@ -331,9 +331,10 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
-    from dtwin.pipeline.twin_report import write_report
+    from dtwin.pipeline.twin_report import diagnosed, write_report
     from dtwin.report.faults import sized_effects
     from dtwin.report.twin_of_kind import report_of
+    from dtwin.report.twins import undecided_lines
     from dtwin.twins.confirm import interventions
 
     twins = _twins_with(name, effects_path)
@@ -347,7 +348,9 @@ def show_twin(
         f"{m['grade'] or 'did not certainly go away'}"
         for m in mended
     ]
-    document = {**twin.as_dict(), "interventions": mended}
+    _, diagnosis = diagnosed(twins, twin)
+    lines += undecided_lines(diagnosis or {})
+    document = {**twin.as_dict(), "interventions": mended, "undecided": (diagnosis or {}).get("undecided", [])}
     if isinstance(twin, Twin):
         document["effects"] = sized_effects(twin)
     emit(document, lambda: "\n".join([report.twin_text(twin), *lines]), as_json=as_json)

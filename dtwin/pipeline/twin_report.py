@@ -35,7 +35,7 @@ def twin_report(
     ``shelf``: where the twin is.
     ``comparison``, ``compared``: with what it was fitted to, and its ``as_dict``; of the former None where only that is kept.
     """
-    version, diagnosis = _diagnosed(shelf, twin)
+    version, diagnosis = diagnosed(shelf, twin)
     report = report_of(twin.as_dict())
     sections = [
         _head(home, library, twin, version, diagnosis),
@@ -93,7 +93,7 @@ def _one_of(group: Sequence[object]) -> str:
     return "Missing" if len(group) == 1 else f"Missing, one or several of these {len(group)}"
 
 
-def _diagnosed(shelf: AnyTwins, twin: AnyTwin) -> tuple[int, dict[str, Any] | None]:
+def diagnosed(shelf: AnyTwins, twin: AnyTwin) -> tuple[int, dict[str, Any] | None]:
     """Return the newest version with these effects that was diagnosed, and its diagnosis: a roll back loses none."""
     for version in range(twin.version, 0, -1):
         file = diagnosis_path(shelf.newest_document(twin.name, version)[1])

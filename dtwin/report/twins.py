@@ -184,14 +184,14 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
-    lines += _undecided_lines(result)
+    lines += undecided_lines(result)
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))
     return "\n".join(lines)
 
 
-def _undecided_lines(result: Mapping[str, Any]) -> list[str]:
+def undecided_lines(result: Mapping[str, Any]) -> list[str]:
     """Return what the runs of a twin cannot tell apart of its effects."""
     return [
         f"these runs do not tell {own} from {', '.join(others)}: its size is that of it alone"
@@ -334,7 +334,7 @@ def _overlay(obs: Observations, number: int, measured_um: Floats, left_um: Float
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
     findings = [(_SEVERITY[result["verdict"]], f"{result['verdict']}: {result['headline']}")]
-    findings += [("warning", line) for line in _undecided_lines(result)]
+    findings += [("warning", line) for line in undecided_lines(result)]
     figures = [ranked_figure(result)] if result["candidates"] else []
     return Section("What is missing", [], findings, [], figures, [diagnosis_text(name, result)])
 
