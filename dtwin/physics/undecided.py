@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from dtwin.physics._grading import laws_of, survivors
 from dtwin.physics._hunt import MISFIT, away_from_reversals, is_sharp, repeat_variance
+from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._rivals import described
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis
@@ -16,12 +17,16 @@ from dtwin.physics.machine_terms import key_of
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 
+# Of the copies of runs that were measured once.
+_SEED = 0
+
 
 def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect]) -> tuple[tuple[str, ...], ...]:
     """Return each effect of a twin that these runs cannot tell from others, and those; labels.
 
     Each is judged as if it had just been found: whoever chose it from a group did not decide the group. A correction is
-    asked for more: there each effect is left out and must be found again. Nothing where no run was repeated.
+    asked for more: there each effect is left out and must be found again. Circles that were measured once are judged by
+    the least noise that they can have; nothing is said of other runs without repeats.
 
     ``obs``: without the runs that are not like their repeats.
     """
@@ -31,7 +36,8 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
     problem = set_up(obs, [], within)
     if problem.noise is None:
-        return ()
+        copied = as_if_repeated(obs, known, _SEED)
+        return () if copied is None else undecided(copied[0], known, library)
     whole = part = Candidates(obs, tried)
     told = problem
     if obs.grid.kind == "circular" and _laws_are_off(problem, known, whole):

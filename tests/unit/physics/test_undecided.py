@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mill_and_laser import circles
+import numpy as np
+from mill_and_laser import circles, laser
 
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
@@ -49,6 +50,13 @@ def test_runs_that_separate_them_are_proposed_and_decide() -> None:
     assert undecided(more, chosen_terms(_KNOWN, library, more), library) == ()
 
 
-def test_without_repeats_nothing_is_said() -> None:
+def test_circles_that_were_measured_once_are_judged_by_the_least_noise_that_they_can_have() -> None:
     library, obs = Library(), circles(_WRONG, repeats=1)
-    assert undecided(obs, chosen_terms(_KNOWN, library, obs), library) == ()
+    groups = {own: others for own, *others in undecided(obs, chosen_terms(_KNOWN, library, obs), library)}
+    assert "servo_lag" in groups["scale_mismatch XY"]
+
+
+def test_positions_that_were_measured_once_say_nothing() -> None:
+    library, obs = Library(), laser("X", 25.0, 3.0)
+    once = obs.take(np.flatnonzero(obs.run_of == 0))
+    assert undecided(once, chosen_terms(("backlash:X", "lead_error:X"), library, once), library) == ()
