@@ -73,6 +73,14 @@ def faults(
     return faults
 
 
+def not_tried(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> list[str]:
+    """Return the effects that a diagnosis could not try, by the reason; their labels, with a library their titles."""
+    of_reason: dict[str, list[str]] = {}
+    for label, why in diagnosis.get("untestable", {}).items():
+        of_reason.setdefault(why, []).append(label if library is None else title_of(label, library))
+    return [f"{', '.join(labels)}: {why}" for why, labels in of_reason.items()]
+
+
 def _labels(twin: Twin, term: Term) -> list[str]:
     """Return what an effect of a twin is called in it and in its campaigns."""
     parts = twin.parts if isinstance(twin, SeveralTwin) else ()

@@ -15,7 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
-from dtwin.report.faults import faults, with_k2
+from dtwin.report.faults import faults, not_tried, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -184,6 +184,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
+    lines += [f"not tried: {line}" for line in not_tried(result)]
     lines += undecided_lines(result)
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")

@@ -14,7 +14,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.twin import chosen_terms, twin_of
 from dtwin.physics.undecided import undecided
-from dtwin.report.faults import faults
+from dtwin.report.faults import faults, not_tried
 
 _WRONG = MillParameters().with_axis("X", scale_ppm=25.0, play_um=3.0)
 _KNOWN = ("backlash:X", "scale_mismatch")
@@ -60,3 +60,13 @@ def test_positions_that_were_measured_once_say_nothing() -> None:
     library, obs = Library(), laser("X", 25.0, 3.0)
     once = obs.take(np.flatnonzero(obs.run_of == 0))
     assert undecided(once, chosen_terms(("backlash:X", "lead_error:X"), library, once), library) == ()
+
+
+def test_what_could_not_be_tried_is_told_by_its_reason() -> None:
+    library, obs = Library(), laser("X", 25.0, 3.0)
+    said = diagnose(obs, [], library).as_dict()
+    assert (
+        "screw_error X, screw_error_by_direction X: screw_pitch_mm is not stated in the machine's geometry"
+        in not_tried(said)
+    )
+    assert any(line.startswith("Screw error within a turn X") for line in not_tried(said, library))
