@@ -96,7 +96,7 @@ class Fault:
 
 Mechanism = Callable[[Visits, np.random.Generator], Fault]
 _CURVE = frozenset(["lead_error", "pitch_error"])
-_WAVES = frozenset(["screw_error", "screw_error_by_direction"])
+_WAVES = frozenset(["screw_error", "screw_error_by_direction", "periodic_error"])
 _PLAY = frozenset(["backlash", "backlash_taper"])
 _WARM = frozenset(["thermal_shift", "thermal_drift", "lead_error"])
 
@@ -172,7 +172,7 @@ def periodic(visits: Visits, rng: np.random.Generator) -> Fault:
     if rng.random() < 0.5:
         wave += visits.side * um * rng.uniform(0.2, 0.5) * _wave(angle, rng)
         return Fault("periodic", wave, _WAVES)
-    return Fault("periodic", wave, frozenset(["screw_error"]), _WAVES)
+    return Fault("periodic", wave, frozenset(["screw_error", "periodic_error"]), _WAVES)
 
 
 def backlash(visits: Visits, rng: np.random.Generator) -> Fault:
@@ -257,7 +257,7 @@ def interp(visits: Visits, rng: np.random.Generator) -> Fault:
     wave = um * _wave(angle, rng) + 0.4 * um * _wave(2.0 * angle, rng)
     if period_mm < _SHORT_WAVE_MM:
         return Fault("interp_fine", wave, consequences=_WAVES)
-    return Fault("interp", wave, frozenset(["screw_error"]), _WAVES)
+    return Fault("interp", wave, frozenset(["screw_error", "periodic_error"]), _WAVES)
 
 
 def spoilt(visits: Visits, rng: np.random.Generator) -> Fault:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.physics._best_shapes import in_best_shapes
 from dtwin.physics._condensed import Condensed
-from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._dictionary import Dictionary, Entry, is_periodic
 from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
 from dtwin.physics.cross_validation import left_out_gain, left_out_places
@@ -114,7 +114,8 @@ def described(
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
-        any_curve = plain.obs.there_and_back and bool(term.instance.effect.special_cases)
+        free = bool(term.instance.effect.special_cases) or is_periodic(term.instance)
+        any_curve = plain.obs.there_and_back and free
         if term.instance.effect.stated or any_curve:
             # A curve along the axis may be drawn through its targets: what is said to be there must foretell them.
             places = left_out_places(bare, everywhere.whitened(bare, term))

@@ -17,11 +17,18 @@ from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import INVISIBLE, Problem, Term, least_visible, squares
 from dtwin.physics.score import NoiseLevel, Score, score_test
+from dtwin.physics.screw import ORDERS, PITCH
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
+# Steps between targets that differ by less, as a share of their mean, are equal.
+_EVEN = 0.2
+# How often the best of all lengths may fit by chance; numbers of a mean, a wave and its length.
+_BY_CHANCE, _WAVE = 0.01, 4
+# Steps between targets that a wave takes at least to be resolved; what it may leave of what one of those leaves.
+_RESOLVED, _CLEARLY = 2.0, 0.5
 # Runs of fewer numbers; how often noise is simulated for them, and the share of it that is called something.
 _FEW_BINS, _DRAWS, _AT = 100, 2000, 0.05
 _Complexes = NDArray[np.complex128]
@@ -209,6 +216,8 @@ def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: i
     odd = instance.effect.law.direction == "odd"
     theta = bin_angle_rad()
     angle_domain = from_harmonics(residual)
+    if obs.grid is not CIRCLE:
+        return _pitches_along(obs, angle_domain * (obs.sense[:, None] if odd else 1.0), n)
     rate = _pitch_rates(obs)
     total = np.zeros(len(rate), dtype=complex)
     for plane, radius, sign_of_row, rows in _by_radius(obs):
@@ -222,10 +231,46 @@ def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: i
             sense = -sign_of_row[row] * np.sign(across) if odd else 1.0
             mean += sense * angle_domain[row]
         total += (mean * along) @ _waves(axis == AXES_OF[plane][0], radius, len(rate), rate[0], rate[-1])
-    power = np.abs(total)
+    return _peaks(rate, np.abs(total), n) or [10.0]
+
+
+def _peaks(rate: Floats, power: Floats, n: int) -> list[float]:
+    """Return the lengths of the n largest peaks of a spectrum over cycles per mm."""
     peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
-    best = peaks[np.argsort(-power[peaks])[:n]]
-    return [float(1.0 / rate[i]) for i in best] or [10.0]
+    return [float(1.0 / rate[i]) for i in peaks[np.argsort(-power[peaks])[:n]]]
+
+
+def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
+    """Return the same of targets along an axis, none where they stand at equal distances: there a wave is another as well.
+
+    Nor of runs one way only, nor longer than targets resolve: that is a pitch error. Of many lengths one fits any targets: it must explain more than the best would by chance
+    once in a hundred. What turns with a screw of a stated pitch is an effect of its own.
+    """
+    at_mm, travel_mm = obs.grid.points, float(np.ptp(obs.grid.points))
+    steps_mm = np.diff(np.sort(at_mm))
+    if not obs.there_and_back or np.ptp(steps_mm) < _EVEN * steps_mm.mean():
+        return []
+    rate = np.arange(1.0 / travel_mm, 1.0 / _PITCH_MM[0], 1.0 / (8.0 * travel_mm))
+    mean = (um * obs.mask).sum(axis=0)
+    power = np.abs((mean - mean.mean()) @ np.exp(-2j * np.pi * np.outer(at_mm, rate)))
+    resolved = rate < 1.0 / (_RESOLVED * steps_mm.mean())
+    # A longer wave that does nearly as well is the one that is there.
+    longer = max((_explained(mean, at_mm / mm) for mm in _peaks(rate[resolved], power[resolved], n)), default=0.0)
+    stated_mm = obs.campaign.machine_geometry.get(PITCH)
+    if isinstance(stated_mm, int | float) and stated_mm > 0.0:
+        turns = np.arange(1, ORDERS + 1) / stated_mm
+        power[(np.abs(rate[:, None] - turns) < 1.0 / travel_mm).any(axis=1)] = 0.0
+    found = _peaks(rate[~resolved], power[~resolved], n)
+    chance = (_BY_CHANCE / independent_pitches(obs)) ** (2.0 / max(len(at_mm) - _WAVE, 1))
+    least = 1.0 - min(chance, _CLEARLY * (1.0 - longer))
+    return [pitch for pitch in found if _explained(mean, at_mm / pitch) > least]
+
+
+def _explained(um: Floats, turns: Floats) -> float:
+    """Return the share of values at targets, as a mean square about their mean, that a wave explains."""
+    waves = np.stack([np.ones(len(turns)), np.cos(2.0 * np.pi * turns), np.sin(2.0 * np.pi * turns)], axis=1)
+    left = um - waves @ np.linalg.lstsq(waves, um, rcond=None)[0]
+    return 1.0 - float((left**2).sum()) / max(float(((um - um.mean()) ** 2).sum()), 1e-300)
 
 
 @lru_cache(maxsize=32)
@@ -254,6 +299,8 @@ def _pitch_rates(obs: Observations) -> Floats:
 
 def independent_pitches(obs: Observations) -> float:
     """Return how many pitches the runs tell apart."""
+    if obs.grid is not CIRCLE:
+        return float(np.ptp(obs.grid.points)) * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
     largest = max(c.radius_mm for c in obs.conditions)
     return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
 
