@@ -232,8 +232,5 @@ def _write_toml(folder: Path, plan: Plan, bench: Bench, done: Mapping[str, Mappi
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb") as handle:
-        while block := handle.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -19,6 +19,7 @@ from dtwin.config import Home
 from dtwin.documents import finite
 from dtwin.errors import GateRefusal, StoreError
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.pipeline.kept import keep, kept_already, stamp_of
 
@@ -58,7 +59,7 @@ class Job:
 def _campaigns(home: Home, machines: Collection[str]) -> _Units:
     """Return campaigns that were not diagnosed since their runs changed."""
     units, passed = [], {}
-    for name, rows in _by_campaign(home, machines).items():
+    for name, rows in by_campaign(Lake(home.lake).runs(left_out=True, machine=machines or None)).items():
         kind = kind_named(str(rows[0]["kind"]))
         stamp = _stamp(rows)
         if all(row["left_out"] for row in rows):
@@ -70,13 +71,6 @@ def _campaigns(home: Home, machines: Collection[str]) -> _Units:
         else:
             units.append(Unit(name, str(rows[0]["machine"]), stamp))
     return units, passed
-
-
-def _by_campaign(home: Home, machines: Collection[str]) -> dict[str, list[Mapping[str, Any]]]:
-    out: dict[str, list[Mapping[str, Any]]] = {}
-    for row in Lake(home.lake).runs(left_out=True, machine=machines or None):
-        out.setdefault(str(row["campaign"]), []).append(row)
-    return out
 
 
 def _stamp(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.lifecycle._against_champion import Comparison, compare_with_champion
 from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, left_out_since, trained_rows, usable
@@ -127,17 +128,13 @@ def news(home: Home, registry: Registry, machines: Collection[str] = ()) -> list
     a version was trained on is read back from the lake at the version's own table version.
     """
     lake = Lake(home.lake)
-    by_campaign: dict[str, list[dict[str, Any]]] = {}
-    for row in lake.runs(machine=machines or None):
-        by_campaign.setdefault(row["campaign"], []).append(row)
-    order = sorted(by_campaign, key=lambda n: max(r["ingested"] for r in by_campaign[n]))
-    known = {
-        machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in by_campaign.values()}
-    }
+    every = by_campaign(lake.runs(machine=machines or None))
+    order = sorted(every, key=lambda n: max(r["ingested"] for r in every[n]))
+    known = {machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in every.values()}}
     news = []
     for name in reversed(order):
-        rows = [row for row in by_campaign[name] if usable(row)]
-        machine = by_campaign[name][0]["machine"]
+        rows = [row for row in every[name] if usable(row)]
+        machine = every[name][0]["machine"]
         news.append(
             _CampaignNews(
                 campaign=name,

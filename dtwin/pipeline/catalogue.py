@@ -11,6 +11,7 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import StoreError
+from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.pipeline.findings import SEVERITIES, campaign_findings, findings_of
 from dtwin.pipeline.kept import keep, kept_already
@@ -57,9 +58,7 @@ def catalogue(home: Home) -> list[Overview]:
     lines = {name: before[name] for name in files if name in before and before[name]["files"] == files[name]}
     changed = [name for name in files if name not in lines]
     for at in range(0, len(changed), _TOGETHER):
-        rows: dict[str, list[dict[str, Any]]] = {}
-        for row in lake.runs(changed[at : at + _TOGETHER], left_out=True):
-            rows.setdefault(row["campaign"], []).append(row)
+        rows = by_campaign(lake.runs(changed[at : at + _TOGETHER], left_out=True))
         lines |= {name: {"files": files[name], "line": asdict(overview(name, mine))} for name, mine in rows.items()}
     if changed or len(lines) != len(before):
         with suppress(StoreError):  # A home that cannot be written is read all the same.

@@ -18,7 +18,7 @@ from dtwin.errors import DtwinError, InputError
 from dtwin.kinds.kind import Kind, Planned
 from dtwin.kinds.machine import PLAN, VirtualMachine
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.lake.rows import campaign_of, meta_of
+from dtwin.lake.rows import by_campaign, campaign_of, meta_of
 from dtwin.lake.store import Lake
 from dtwin.local_time import local_day
 from dtwin.machine_record import read_record
@@ -247,9 +247,7 @@ def kept_plans(home: Home, machine: str) -> list[dict[str, Any]]:
     made = sorted(_plans_of(home, machine), key=lambda plan: plan[0], reverse=True)
     if not made:
         return []
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for row in Lake(home.lake).runs(machine=machine):
-        rows.setdefault(row["campaign"], []).append(row)
+    rows = by_campaign(Lake(home.lake).runs(machine=machine))
     taken = {planned.summary["name"] for _, planned in made} & set(rows)
     out = []
     for when, planned in reversed(made):
