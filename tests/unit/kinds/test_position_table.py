@@ -46,6 +46,12 @@ def read_position_table(path: Path) -> PositionTable:
     return table_in(text, rows_of(text), path)
 
 
+def refusal(path: Path) -> InputError:
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    return refused.value
+
+
 def wide(head: str, scale: float, by_position: bool, part: str = ",", comma: str = ".") -> str:
     ways = [w for c in (1, 2) for w in (head.format(way="forward", c=c), head.format(way="reverse", c=c))]
     lines = [part.join(["target [mm]", *ways])]
@@ -288,9 +294,7 @@ def test_whole_numbers_in_groups_are_told_from_decimals(
 def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, got: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert got in str(refused.value.got)
+    assert got in str(refusal(path).got)
 
 
 def test_targets_below_zero_on_their_side_are_no_way_back(tmp_path: Path) -> None:
@@ -359,9 +363,7 @@ def test_a_column_of_the_opposite_sign_is_no_deviation(tmp_path: Path, sign: str
     path = tmp_path / "x.csv"
     heads = ",".join(f"{way} {n} {sign} [µm]" for n in (1, 2) for way in ("forward", "reverse"))
     path.write_text(f"target [mm],{heads}\n" + "".join(f"{t},1,2,3,4\n" for t in (0, 100, 200)), encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert refused.value.code == "position_table.sign"
+    assert refusal(path).code == "position_table.sign"
 
 
 @pytest.mark.parametrize(
@@ -381,9 +383,7 @@ def test_a_table_whose_title_is_of_another_test_is_refused(tmp_path: Path) -> No
         "target [mm],forward 1 [µm],reverse 1 [µm],forward 2 [µm],reverse 2 [µm]\n0,1,2,3,4\n100,1,2,3,4\n200,1,2,3,4\n"
     )
     path.write_text(f"Straightness test\n{table}", encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert refused.value.code == "position_table.test"
+    assert refusal(path).code == "position_table.test"
     path.write_text(f"Linear positioning test\n{table}", encoding="utf-8")
     assert read_position_table(path).target_mm.tolist() == [0.0, 100.0, 200.0]
 
@@ -392,9 +392,7 @@ def test_angles_are_not_taken_for_lengths(tmp_path: Path) -> None:
     path = tmp_path / "c-axis.csv"
     for heads in ("target_deg,cycle,direction,position_deg", "target [°],cycle,direction,error [arcsec]"):
         path.write_text(by_reading(heads, "{t},{c},{way},{at:.6f}"), encoding="utf-8")
-        with pytest.raises(InputError) as refused:
-            read_position_table(path)
-        assert refused.value.code == "position_table.unit"
+        assert refusal(path).code == "position_table.unit"
 
 
 def test_targets_that_not_every_run_read_are_said_to_be_left_out(tmp_path: Path) -> None:
@@ -445,9 +443,8 @@ def test_directions_that_share_no_target_are_told_as_that_and_not_as_readings_th
 def test_a_report_of_two_instruments_is_refused_with_a_way_out(tmp_path: Path) -> None:
     path = tmp_path / "report.md"
     path.write_text(report_by_target(("Laser", "Encoder")), encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "Encoder, Laser")
+    refused = refusal(path)
+    assert (refused.code, refused.got) == ("position_table.instruments", "Encoder, Laser")
 
 
 @pytest.mark.parametrize(
@@ -619,9 +616,8 @@ def test_columns_of_cycles_without_a_direction_are_asked_for_it(tmp_path: Path, 
     heads = f"Soll [mm];{head};{head.replace('1', '2')}"
     path.write_text(f"{heads}\n0;0,001;0,002\n9;9,001;9,002\n", encoding="utf-8")
     assert is_position_table(path)
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert (refused.value.code, refused.value.got) == ("position_table.direction", head)
+    refused = refusal(path)
+    assert (refused.code, refused.got) == ("position_table.direction", head)
 
 
 def test_deviations_go_before_the_positions_beside_them(tmp_path: Path) -> None:
@@ -825,9 +821,7 @@ def test_sweeps_that_are_numbered_through_make_cycles(tmp_path: Path) -> None:
 def test_readings_of_several_machines_or_targets_in_a_row_are_not_mixed(tmp_path: Path, text: str, code: str) -> None:
     path = tmp_path / "axis.csv"
     path.write_text(text)
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert refused.value.code == code
+    assert refusal(path).code == code
 
 
 def test_what_the_runs_say_of_slip_stands_beside_what_a_twin_calls_it(
@@ -1130,17 +1124,13 @@ def test_a_scale_that_counts_the_other_way_is_told_as_that(tmp_path: Path) -> No
     path = tmp_path / "a.csv"
     rows = [f"{t},{400 - t + 0.002},{400 - t - 0.001}" for t in (0, 100, 200, 400)]
     path.write_text("\n".join(["Target [mm],Fwd 1 [mm],Rev 1 [mm]", *rows]), encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert refused.value.code == "position_table.mirrored"
+    assert refusal(path).code == "position_table.mirrored"
     rows = [f"{way},{t},{t + 0.001 * n}" for n in range(3) for way in "+-" for t in (0, 100, 200, 400)]
     heads = "Dir,Target [mm],Actual [mm]"
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
     assert read_position_table(path).forward_um[2].tolist() == pytest.approx([0.0, 1.0, 2.0])
     path.write_text("\n".join(["Dir,Actual [mm],Target [mm]", *rows]), encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert refused.value.code == "position_table.exchanged"
+    assert refusal(path).code == "position_table.exchanged"
 
 
 @pytest.mark.parametrize("heads", ["trial,session,reading [mm]", "Home switch\nTrial,Session,Position [mm]"])
@@ -1203,9 +1193,8 @@ def test_columns_of_two_instruments_are_not_cycles_of_one(tmp_path: Path) -> Non
         lines.append(";".join([f"{t:g}", *laser, *["0.1"] * 4]))
     path = tmp_path / "beside.csv"
     path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert (refused.value.code, refused.value.got) == ("position_table.instruments", "Encoder, Laser")
+    refused = refusal(path)
+    assert (refused.code, refused.got) == ("position_table.instruments", "Encoder, Laser")
     runs, _ = read_position_runs(path, Campaign("c", "m", kind="linear"), {"condition": {"instrument": "Laser"}})
     assert np.allclose(runs[1].samples["error_um"], [*FORWARD[:, 1], *REVERSE[::-1, 1]], atol=0.01)
 
@@ -1342,13 +1331,9 @@ def test_a_place_that_moves_steadily_is_told_as_that_and_not_as_scatter(tmp_path
     path = tmp_path / "home.csv"
     off = (0.0, 1.0, -1.0, 0.5, -0.5, 0.0)
     path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{-0.01 * n + x / 1000}" for n, x in enumerate(off)))
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert "they move by -10.1 µm from one reading to the next, and scatter by 0.77 µm" in str(refused.value.got)
+    assert "they move by -10.1 µm from one reading to the next, and scatter by 0.77 µm" in str(refusal(path).got)
     path.write_text("cycle,dial [mm]\n" + "\n".join(f"{n},{x / 1000}" for n, x in enumerate(off)))
-    with pytest.raises(InputError) as refused:
-        read_position_table(path)
-    assert "they move" not in str(refused.value.got)
+    assert "they move" not in str(refusal(path).got)
 
 
 def test_a_sheet_of_several_alike_is_read_by_its_name_whatever_it_is(tmp_path: Path) -> None:
@@ -1503,8 +1488,6 @@ def test_numbers_of_conditions_and_machines_count_no_cycles(tmp_path: Path, head
     path = tmp_path / "a.csv"
     path.write_text("\n".join([f"Target [mm],{heads}", "0,1,2,3,4", "50,1,2,3,4"]), encoding="utf-8")
     if code:
-        with pytest.raises(InputError) as refused:
-            read_position_table(path)
-        assert refused.value.code == code
+        assert refusal(path).code == code
         return
     assert [run.samples["error_um"][0] for run in runs_of(read_position_table(path), path, {})] == [1.0, 3.0]
