@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from typing import Any
 
 import pytest
+from command_here import said
 from running_servers import Up, wait_for
 
 from dtwin.config import home
@@ -59,12 +57,5 @@ def test_a_stopped_job_shows_on_the_page_and_resumes(up: Up, monkeypatch: pytest
     )
     table = json.loads(up.artifacts_of(resumed)["cell-tested"]["data"])
     assert [row["state"] for row in table] == [DONE] * len(STEPS)
-    seen = subprocess.run(
-        [sys.executable, "-m", "dtwin", "cell", "status", "--cell", "tested", "--json"],
-        env=dict(os.environ),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    shown = json.loads(seen.stdout)
+    shown = said("cell", "status", "--cell", "tested")
     assert (shown["condition"], shown["done_steps"], shown["live_twin"]) == ("done", 8, "none")

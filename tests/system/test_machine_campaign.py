@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 from closed_loop import circles
-from command_here import command_here
+from command_here import command_here, refused, said
 from real_linuxcnc import skip_without_linuxcnc
 from virtual_robot import virtual_robot
 
@@ -179,16 +179,16 @@ def test_linuxcnc_runs_what_was_handed_out(home: Home, inbox: Path, tmp_path: Pa
 
 @pytest.mark.long
 def test_evidence_is_measured_by_turns_and_promoted(home: Home, inbox: Path, tmp_path: Path) -> None:
-    ended(started("simulate", "--quick", "--out", tmp_path / "training", "--json"))
-    ended(started("ingest", tmp_path / "training", "--json"))
-    ended(started("train", "training-quick", "--json"))
+    said("simulate", "--quick", "--out", tmp_path / "training")
+    said("ingest", tmp_path / "training")
+    said("train", "training-quick")
     lenient(home, "virtual-cobot")
     plan = plan_file(tmp_path, "virtual-cobot", 150.0, 5000.0, 2, "YZ")
     folder = tmp_path / "shop"
     command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.6", "--with", "1", "--json")
-    refused = ended(started(*command[:-1]), code=3)
-    assert "neither on trial nor champion" in refused
-    ended(started("promote", "1", "--trial", "--json"))
+    refusal = refused(*command)
+    assert (refusal.exit_code, "neither on trial nor champion" in refusal.message) == (3, True)
+    said("promote", "1", "--trial")
     with operator(folder, inbox, "cobot", "virtual-cobot"):
         found = ended(started(*command))
     assert found["measured"] == 4
@@ -200,7 +200,7 @@ def test_evidence_is_measured_by_turns_and_promoted(home: Home, inbox: Path, tmp
     rows = {row["run_id"]: row["correction"] for row in Lake(home.lake).runs("shop-v1")}
     assert {bool(correction) for name, correction in rows.items() if "-with-" in name} == {True}
     assert {correction for name, correction in rows.items() if "-without-" in name} == {""}
-    promoted = ended(started("promote", "1", "--json"))
+    promoted = said("promote", "1")
     assert promoted["champion"] is True
     assert promoted["evidence"]["campaigns"]["with"] == ["shop-v1"]
     assert resolve("latest", "virtual-cobot", home).version == 1
@@ -298,11 +298,11 @@ def test_ctrl_c_keeps_what_is_there_and_names_the_command(home: Home, inbox: Pat
     assert "0 of 2 tests are kept" in said
     assert "run the same command again" in said
     other = plan_file(tmp_path, "mill-b", 50.0, 1000.0, 2)
-    for refused, in_words in (
+    for words, in_words in (
         ((other, "--inbox", inbox), "another plan"),
         ((plan, "--inbox", folder / "programs"), "must not write into"),
     ):
-        code, _, said = command_here("campaign", *map(str, refused), "--out", str(folder))
+        code, _, said = command_here("campaign", *map(str, words), "--out", str(folder))
         assert code == 1
         assert in_words in said
 

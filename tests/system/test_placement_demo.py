@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_here import said
 
 from dtwin.acquire.ingest import ingest
 from dtwin.lake.store import Lake
@@ -23,16 +20,11 @@ TCP_MM = np.array([0.0, 0.0, 158.3])
 
 
 @pytest.mark.long
-def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "dtwin", "demo", "placement", "--quick", "--json"],
-        env=dict(os.environ, DTWIN_HOME=str(tmp_path)),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = json.loads(done.stdout)
+def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
+    found = said("demo", "placement", "--quick")
     # A table by place and time comes less near to the best correction at the highest feed, and it says so.
     (feed,) = found["sphere"]["feeds"]
     assert 0.6 < feed["share_of_oracle"] < found["wanted_share"]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_here import command_here, printed, said
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
@@ -367,24 +365,13 @@ def test_mistakes_are_named(twins: Twins, home: Home) -> None:
         twins.compare("damaged")
 
 
-def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "dtwin", *arguments],
-        env=dict(os.environ, DTWIN_HOME=str(home.root), OMP_NUM_THREADS="1"),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
-
-
 @pytest.mark.long
-def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path) -> None:
-    made = dtwin(home, "twin", "fit", "mill-march", "--effects", ",".join(KNOWN), "--name", "cli")
-    assert made.returncode == 0, made.stderr
-    assert "noise floor" in made.stdout
-    told = dtwin(home, "twin", "diagnose", "cli", "--json")
-    result: dict[str, Any] = json.loads(told.stdout)
+def test_the_command_line_says_the_same(
+    home: Home, twins: Twins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(home.root))
+    assert "noise floor" in printed("twin", "fit", "mill-march", "--effects", ",".join(KNOWN), "--name", "cli")
+    result = said("twin", "diagnose", "cli")
     assert {
         "twin",
         "version",
@@ -401,15 +388,14 @@ def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path
         result["candidates"][0]
     )
     page = tmp_path / "twin.html"
-    shown = dtwin(home, "twin", "show", "cli", "--html", str(page))
-    assert shown.returncode == 0, shown.stderr
+    printed("twin", "show", "cli", "--html", page)
     content = page.read_text(encoding="utf-8")
     for heading in ("The twin", "Measured against predicted", "What is missing"):
         assert heading in content
     assert 'src="http' not in content, "the page needs the network"
-    wrong = dtwin(home, "twin", "add", "cli", "warp_drive")
-    assert wrong.returncode == 1
-    assert "effect.unknown" in wrong.stderr
+    code, _, err = command_here("twin", "add", "cli", "warp_drive")
+    assert code == 1
+    assert "effect.unknown" in err
 
 
 def test_runs_with_errors_are_left_out_and_said_so(home: Home, tmp_path: Path) -> None:
