@@ -74,7 +74,7 @@ def test_advice_on_balls_follows_the_heat_and_the_unknowns() -> None:
     assert "plan.too_few_balls" in said(balls=5)
     assert "plan.too_few_balls" in said(poses=3)
     assert "plan.table_balls" in said(table_balls=2)
-    assert "plan.too_few_cycles" in said(hours=19)
+    assert "plan.too_few_cycles" in said(hours=18)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from dtwin.kinds.volumetric._drivers import Drivers, drivers_of
 from dtwin.schema import Floats
 
 _SPANS = 5
-FEWEST_CYCLES = 20
+FEWEST_CYCLES = 19
 """For temperatures to be chosen twice with hours left out."""
 _NUMBERED = re.compile(r"_?\d*_c$")
 
