@@ -21,6 +21,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
+from dtwin.serve._lease import is_leased
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.serve.live_state import RECENT_S, live_state
 from dtwin.serve.served_time import events_path, never_released
@@ -52,12 +53,16 @@ def live_page(request: Request) -> Response:
     """Show what is served now, and the sessions that ended."""
     home = bench_of(request).home
     serving = _servings(home)
+    begun = _never_ended(home, {s.machine for s in serving})
+    # In another container a process holds its machine as well, and the kernel does not list it here.
+    unseen = {machine for machine in begun if is_leased(machine, home)}
     return rendered(
         request,
         "live.html",
         title="Live",
         serving=serving,
-        dead=_dead(home, {s.machine for s in serving}),
+        dead={machine: at for machine, at in begun.items() if machine not in unseen},
+        unseen={machine: begun[machine] for machine in sorted(unseen)},
         states={s.machine: live_state(_board(s, home), time.monotonic()) for s in serving},
         seen=_seen(home),
         sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
@@ -244,8 +249,8 @@ def _is_whole(line: Mapping[str, Any]) -> bool:
     return texts and tables and line.keys() >= _WHOLE and "late_share" in timing
 
 
-def _dead(home: Home, serving: Collection[str]) -> dict[str, str]:
-    """Return the machines whose newest server was killed, or went away without a word, and when it began; a server that runs is none."""
+def _never_ended(home: Home, serving: Collection[str]) -> dict[str, str]:
+    """Return the machines whose newest server said nothing of its end, and when it began; those of ``serving`` left out."""
     paths = sorted(home.logs.glob(f"serve-*{_EVENTS}"))
     machines = [path.name.removeprefix("serve-").removesuffix(_EVENTS) for path in paths]
     begun = {machine: never_released(home, machine) for machine in machines if machine not in serving}

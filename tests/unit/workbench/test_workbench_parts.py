@@ -29,6 +29,7 @@ from dtwin.plan import expand, training_plan
 from dtwin.serve import safety
 from dtwin.serve._lease import lease
 from dtwin.serve.live_board import _PID, _SHOWN, live_board
+from dtwin.serve.served_time import events_path
 from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
@@ -287,7 +288,9 @@ _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0
 """
 
 
-def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(tmp_path: Path) -> None:
+def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     home = Home(tmp_path)
     client = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
 
@@ -316,6 +319,16 @@ def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_o
         assert now()["state"]["word"] == "starting"
         assert client.get("/api/live/mill-a/correction").status_code == 400
         assert "has shown no tick yet" in client.get("/live").text
+        # In another container: the kernel does not list its lock here.
+        begun = {"time": "2026-03-02T08:00:00+00:00", "event": "serving", "session": "a", "mode": "live"}
+        events_path(home, "mill-a").parent.mkdir(exist_ok=True)
+        events_path(home, "mill-a").write_text(json.dumps(begun | {"model_sha256": "x"}) + "\n", encoding="utf-8")
+        monkeypatch.setattr("dtwin.workbench._live_routes._locked_inodes", dict)
+        text = client.get("/live").text
+        assert "mill-a is held by a server that this page does not see" in text
+        assert "gone without a word" not in text
+        assert "Nothing is being served" not in text
+    assert "gone without a word" in client.get("/live").text
 
 
 def test_a_home_that_is_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -> None:
