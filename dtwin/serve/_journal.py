@@ -14,6 +14,7 @@ import os
 import secrets
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -26,6 +27,9 @@ from dtwin.processes import end_child
 ENDED, KILLED, GAP = "ended", "killed", "lines_lost"
 SERVING, RELEASED, NOT_RELEASED = "serving", "released", "not_released"
 LINK_LOST, RECONNECTED = "link_lost", "reconnected"
+CLOCK_SET = "clock_set"
+"""The clock of this computer went on otherwise than time, ``by_s``: what is told of by the times of lines is before and after."""
+_LOOKS_EVERY_S, _SET_BY_S = 0.5, 1.0
 _CLOSE_S = 5.0
 _PIPE_PROMISE_BYTES = 4096
 _BURST, _PER_S = 20.0, 0.5
@@ -158,15 +162,29 @@ class _Writer:
         self._path = path
         self.lost = 0
         self.was_lost = False
+        self.session: Any = None
+        self._alone = threading.Lock()
 
     def write(self, line: bytes) -> None:
-        if self.lost:
-            gap = json.dumps({"time": _now(), "event": GAP, "lines": self.lost}).encode()
-            if self._append(gap):
-                self.lost = 0
-        if not self._append(line):
-            self.lost += 1
-            self.was_lost = True
+        with self._alone:
+            if self.lost:
+                gap = json.dumps({"time": _now(), "event": GAP, "lines": self.lost}).encode()
+                if self._append(gap):
+                    self.lost = 0
+            if not self._append(line):
+                self.lost += 1
+                self.was_lost = True
+
+    def watch_clock(self) -> None:
+        """Note whenever the clock is set, for ever."""
+        ahead_s = _ahead_s()
+        while True:
+            time.sleep(_LOOKS_EVERY_S)
+            by_s = _ahead_s() - ahead_s
+            if abs(by_s) > _SET_BY_S and self.session is not None:
+                ahead_s += by_s
+                about = {"time": _now(), "event": CLOCK_SET, "session": self.session, "by_s": round(by_s, 3)}
+                self.write(json.dumps(about).encode())
 
     def _append(self, line: bytes) -> bool:
         try:
@@ -180,11 +198,18 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+def _ahead_s() -> float:
+    """Return how far the clock is ahead of the time since this computer was started, sleep counted."""
+    return time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
 def _main(path: Path) -> int:
     writer, last = _Writer(path), b""
+    threading.Thread(target=writer.watch_clock, daemon=True).start()
     for line in sys.stdin.buffer:
         writer.write(line)
         last = line
+        writer.session = _field(line, "session")
     if _field(last, "event") != ENDED:
         text = "the serving process died without a word; the machine's own watchdog leads to zero"
         about = {"time": _now(), "event": KILLED, "session": _field(last, "session"), "why": text}

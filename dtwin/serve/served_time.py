@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.schema import MIXED_CORRECTION, require_name
-from dtwin.serve._journal import ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
+from dtwin.serve._journal import CLOCK_SET, ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
 from dtwin.serve._lease import is_leased
+from dtwin.units import is_number
 
 _ENDS = (RELEASED, NOT_RELEASED, ENDED, KILLED)
 _LAST_LINES_S = 0.3
+_LONGEST_S = 1e9
 _FOREVER = datetime.max.replace(tzinfo=UTC)
 
 
@@ -140,6 +142,10 @@ def _not_ended(home: Home, machine: str) -> str:
     return left
 
 
+def _number(value: object) -> float:
+    return float(value) if is_number(value) and abs(value) < _LONGEST_S else 0.0
+
+
 def _told(stretch: ServedStretch) -> str:
     until = "now" if stretch.end == _FOREVER else stretch.end.isoformat(timespec="seconds")
     return f"{stretch.begin.isoformat(timespec='seconds')} to {until}"
@@ -182,12 +188,17 @@ def _stretches(events: Iterable[Mapping[str, Any]]) -> list[ServedStretch]:
     done: list[ServedStretch] = []
     going: dict[str, ServedStretch] = {}
     lost: dict[str, ServedStretch] = {}
+    latest: dict[str, datetime] = {}
+
+    def ended(session: str, at: datetime) -> ServedStretch:
+        stretch = going.pop(session)
+        return replace(stretch, begin=min(stretch.begin, at), end=max(stretch.begin, at, latest.get(session, at)))
+
     for event in events:
         session, what = event["session"], event.get("event")
         if _begins(event):
             # One session at a time holds the lease: another that never ended is dead.
-            done += [replace(left, end=event["at"]) for left in going.values()]
-            going.clear()
+            done += [ended(left, event["at"]) for left in list(going)]
             going[session] = ServedStretch(
                 event["at"],
                 _FOREVER,
@@ -195,13 +206,18 @@ def _stretches(events: Iterable[Mapping[str, Any]]) -> list[ServedStretch]:
                 str(event.get("device", "real")),
                 bool(event.get("trial", False)),
             )
+        elif what == CLOCK_SET and session in going:
+            # By the clock it was in force until then, and from then: all between counts.
+            before = event["at"] - timedelta(seconds=_number(event.get("by_s")))
+            latest[session] = max(before, latest.get(session, before))
+            going[session] = replace(going[session], begin=min(going[session].begin, event["at"]))
         elif what == LINK_LOST and session in going:
-            lost[session] = replace(going.pop(session), end=event["at"])
+            lost[session] = ended(session, event["at"])
             done.append(lost[session])
         elif what == RECONNECTED and session in lost:
             going[session] = replace(lost.pop(session), begin=event["at"], end=_FOREVER)
         elif what in _ENDS:
             lost.pop(session, None)
             if session in going:
-                done.append(replace(going.pop(session), end=event["at"]))
+                done.append(ended(session, event["at"]))
     return sorted([*done, *going.values()], key=lambda s: s.begin)

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from dtwin.errors import DeviceError
+from dtwin.serve import _journal
 from dtwin.serve._journal import Journal, journal
 
 
@@ -47,6 +48,18 @@ def test_events_are_there_in_order_and_the_end_has_its_reason(tmp_path: Path) ->
     found = [(line["event"], line.get("why", line.get("now"))) for line in lines(path)]
     assert found == [("program", "paused"), ("ended", "done"), ("ended", "ur.link_lost")]
     assert not said
+
+
+def test_a_clock_that_is_set_is_noted_with_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead, slept = iter([5.0, 5.4, -25.0, -24.9]), iter(range(3))
+    monkeypatch.setattr(_journal, "_ahead_s", lambda: next(ahead))
+    monkeypatch.setattr(_journal.time, "sleep", lambda _: next(slept))
+    writer = _journal._Writer(tmp_path / "events.jsonl")
+    writer.session = "s"
+    with pytest.raises(StopIteration):
+        writer.watch_clock()
+    (line,) = lines(tmp_path / "events.jsonl")
+    assert (line["event"], line["session"], line["by_s"]) == ("clock_set", "s", -30.0)
 
 
 def test_a_killed_session_is_noted_by_the_writer(tmp_path: Path) -> None:

@@ -73,6 +73,17 @@ def test_a_lost_link_ends_it_and_a_link_that_comes_back_begins_it(home: Home) ->
     assert between(at(10), at(40)) == "mixed"
 
 
+def test_a_clock_that_is_set_back_makes_no_corrected_run_an_uncorrected_one(home: Home) -> None:
+    journal(home, (100, "s", "serving", live()), (75, "s", "clock_set", {"by_s": -40.0}))
+    with lease("127.0.0.9", "m", home):
+        assert correction_in_force(home, "m")(at(80), at(95)) == A
+    journal(home, (98, "s", "released"))
+    between = correction_in_force(home, "m")
+    assert between(at(80), at(95)) == between(at(101), at(114)) == A
+    assert between(at(90), at(120)) == "mixed"
+    assert between(at(60), at(70)) == between(at(116), at(120)) == ""
+
+
 def test_one_model_after_the_other_within_a_run_is_mixed(home: Home) -> None:
     journal(
         home, (0, "s", "serving", live()), (20, "s", "released"), (20, "t", "serving", live(B)), (60, "t", "released")
