@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+import unicodedata
 from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
@@ -77,9 +79,18 @@ def open_table(path: Path, told: Mapping[str, Any], made_of: Path | None = None)
     return CampaignFolder(campaign_from(head, path), (entry,))
 
 
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
+
+
 def safe_name(text: str) -> str:
-    """Return a text, or what a file is called, as a name: what is not allowed in one becomes a hyphen."""
+    """Return a text, or what a file is called, as a name: what is not allowed in one becomes a hyphen.
+
+    Letters of other alphabets are told by a hash: two machines with names of them are two.
+    """
     # Of a file that was packed: kreis.csv.gz.
-    text = re.sub(r"\.(csv|tsv|txt|dat)$", "", text, flags=re.I)
-    name = re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-._")[:80].lower()
-    return re.sub(r"\.{2,}", ".", name) or "unnamed"
+    text = unicodedata.normalize("NFC", re.sub(r"\.(csv|tsv|txt|dat)$", "", text, flags=re.I))
+    plain = unicodedata.normalize("NFKD", text.translate(_UMLAUTS))
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", "".join(c for c in plain if not unicodedata.combining(c)))
+    name = re.sub(r"\.{2,}", ".", name.strip("-._")[:80].lower()) or "unnamed"
+    foreign = any(c.isalnum() and not c.isascii() for c in plain)
+    return f"{name}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:6]}" if foreign else name

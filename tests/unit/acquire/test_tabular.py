@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from dtwin.acquire._lone_table import safe_name
 from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.parquet_file import require_moderate
@@ -165,3 +166,17 @@ def test_a_file_of_parquet_that_unpacks_to_very_much_is_refused_before(
         with pytest.raises(InputError, match="too large when it is unpacked") as error:
             reader(tmp_path / "a.parquet")
         assert error.value.got == "120 values"
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("Müller Straße.csv", "mueller-strasse"), ("Mu\u0308hle", "muehle"), ("a.b", "a.b"), ("...", "unnamed")],
+)
+def test_a_name_is_what_people_would_write_without_umlauts(text: str, name: str) -> None:
+    assert safe_name(text) == name
+
+
+def test_names_of_other_alphabets_are_not_one() -> None:
+    names = [safe_name(text) for text in ("旋盤", "フライス盤", "旋盤1", "Ось")]
+    assert len({*names}) == 4
+    assert all(map(str.isascii, names))
