@@ -27,7 +27,7 @@ _MAX_RATIO = 300
 _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH, _MAX_PART_BYTES = 4, 200
 _CHUNK = 1024 * 1024
-_PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
+_PART = re.compile(r"[\w(\[#][\w .,()+\-&'#=@~!;%°\[\]]{0,119}")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".md", ".rtl", ".pos", ".parquet", *SPREADSHEETS)
 _ALLOWED = "a .b5r, a table (.csv, .xlsx, .txt, .dat, .md, .rtl), a .zip of a table or of a campaign folder, or all files of one with its campaign.toml"
 
@@ -111,7 +111,7 @@ def safe_path(name: str) -> PurePosixPath:
             "a file has a name that is not taken",
             code="upload.name",
             got=repr(name[:120]),
-            allowed="letters, digits, space and . , _ + - ( ), at most three folders deep, without '..' and not hidden",
+            allowed="letters, digits, space and . , _ + - ( ) [ ] & ' # = @ ~ ! ; % °, at most three folders deep, without '..' and not hidden",
         )
     return PurePosixPath(*parts)
 

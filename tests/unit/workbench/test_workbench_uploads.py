@@ -49,7 +49,7 @@ def test_names_that_could_leave_their_folder_are_refused(name: str, tmp_path: Pa
 
 
 def test_ordinary_names_stay() -> None:
-    for name in ("r001.csv", "my campaign/r 1 (2).csv", "Prüfung/ä.csv"):
+    for name in ("r001.csv", "my campaign/r 1 (2).csv", "Prüfung/ä.csv", "Kreis #3 50%.csv", "O'Brien & Co [1].csv"):
         assert str(uploads.safe_path(name)) == name
 
 
