@@ -30,6 +30,7 @@ class PositionTable:
     ``joined_mm``: by how much targets that are taken as one differ from it at most.
     ``read_with``: the instrument, where columns of a report name it.
     ``left_out``: titles of its tables of a single pass, beside those of several cycles.
+    ``otherwise``: whether its heads say deviations all the same.
     ``apart``: a column that is not known, and tells rows apart that are counted as cycles.
     """
 
@@ -42,6 +43,7 @@ class PositionTable:
     joined_mm: float = 0.0
     read_with: str = ""
     left_out: tuple[str, ...] = ()
+    otherwise: bool = False
     apart: str = ""
     scale: Scale = LENGTHS
 
@@ -87,6 +89,9 @@ def said_of(table: PositionTable) -> Iterator[Finding]:
             "the table names no direction: the order of its targets is taken for the way on which they were approached"
         )
         yield Finding(f"{table.scale.kind}.direction_assumed", "warning", assumed)
+    if table.otherwise:
+        text = "the heads are of deviations, and the values follow the targets: they are read as positions"
+        yield Finding(f"{table.scale.kind}.positions", "warning", text)
     if not table.unit_told and table.scale.turn:
         assumed = f"targets, or positions, state no unit: they are taken to be in {table.scale.unit}"
         yield Finding(f"{table.scale.kind}.unit_assumed", "warning", assumed)

@@ -209,6 +209,7 @@ def table_in(
     name = report[0].read_with if report else ""
     stated = all(_tells_units(lines) for lines in tables)
     apart = next(filter(None, map(told_apart, tables)), "")
+    table = replace(table, otherwise=table.by_position and not any(reading[4] for reading in every))
     return replace(table, in_order=in_order, unit_told=stated, read_with=name, left_out=tuple(left_out), apart=apart)
 
 

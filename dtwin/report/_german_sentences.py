@@ -47,7 +47,9 @@ CLAUSES: Mapping[str, str] = {
     "ISO 230-2 asks for {} targets on this travel, these are {}": "ISO 230-2 verlangt {} Zielpositionen auf diesem Weg, hier sind es {}",
     "ISO 230-2 asks for five runs, {}": "ISO 230-2 verlangt fünf Läufe, {}",
     "this is one": "hier ist es einer",
+    "this is one, and tells no repeatability": "hier ist es einer, der keine Wiederholpräzision ergibt",
     "these are {}": "hier sind es {}",
+    "the heads are of deviations, and the values follow the targets: they are read as positions": "die Köpfe nennen Abweichungen, doch die Werte folgen den Zielpositionen: sie sind als Positionen gelesen",
     "R as the larger of R↑ and R↓ would be {} {}": "R als das größere von R↑ und R↓ wäre {} {}",
     "the standard's has the reversal in it": "das der Norm enthält die Umkehrspanne",
     "E from the higher of both minima would be {} {}": "E vom höheren der beiden Minima wäre {} {}",
@@ -61,6 +63,14 @@ CLAUSES: Mapping[str, str] = {
     "the runs disagree by drift, not by noise: {} {} RMS wander from run to run, {} {} RMS from one reading to the next": "die Läufe unterscheiden sich durch Drift, nicht durch Rauschen: {} {} (Effektivwert) von Lauf zu Lauf, {} {} von Ablesung zu Ablesung",
     "R counts it as scatter, and more runs do not average it away": "R zählt das als Streuung, und mehr Läufe mitteln es nicht heraus",
     "Ordinary air, heat and mounting of the instrument: let both settle, shield the beam": "Luft, Wärme und Halterung des Messgeräts, wie üblich: beide ruhen lassen, den Strahl schirmen",
+    "A coupling or an encoder that slips irregularly, lost steps, or heat: mark the coupling, compare the axis's own encoder with the reference, log temperatures": "Eine Kupplung oder ein Geber rutscht unregelmäßig, Schritte gehen verloren, oder Wärme: Kupplung markieren, den Geber der Achse mit dem Messgerät vergleichen, Temperaturen aufzeichnen",
+    "cycle {}": "Zyklus {}",
+    "Up to {} {} of B and E may be this, too, if it goes on between the directions of a cycle": "Bis zu {} {} von B und E können auch daher kommen, wenn es zwischen den Richtungen eines Zyklus weitergeht",
+    "from {} all readings move by {}, alike at all targets, neither steadily nor settling: the zero of the instrument or of the axis wanders (air, mounting), or a coupling slips or steps are lost now and then": "von {} wandern alle Ablesungen um {}, an allen Zielpositionen gleich, weder stetig noch abklingend: der Nullpunkt von Messgerät oder Achse wandert (Luft, Halterung), oder eine Kupplung rutscht oder Schritte gehen hin und wieder verloren",
+    "readings settle with a time constant of about {} cycles, by {} {} in the middle and {} {} more from one end to the other: warming, or cooling": "die Ablesungen klingen mit einer Zeitkonstante von etwa {} Zyklen ab, um {} {} in der Mitte und {} {} mehr von einem Ende zum anderen: Erwärmung oder Abkühlung",
+    "measure that sweep again, or leave that cycle out": "diese Fahrt neu messen, oder den Zyklus weglassen",
+    "{} reading{} {} not belong to the others ({}): R is {} {} with {} and {} {} without": "{0} Ablesung(en) gehören nicht zu den anderen ({3}): R ist damit {4} {5}, ohne {7} {8}",
+    "cycle {} {} at {} {}: {} {} from the other {}, which agree within {} {}": "Zyklus {} {} bei {} {}: {} {} von den anderen {} entfernt, die auf {} {} übereinstimmen",
     "cycles differ: {}": "die Zyklen unterscheiden sich: {}",
     "the zero moves by {} {} each cycle, alike at all targets: a coupling or an encoder that slips, or lost steps in every cycle": "der Nullpunkt wandert je Zyklus um {} {}, an allen Zielpositionen gleich: Kupplung oder Geber rutschen, oder Schritte gehen in jedem Zyklus verloren",
     "not warming, which would settle and stretch": "keine Erwärmung, denn die käme zur Ruhe und dehnte",
@@ -74,6 +84,7 @@ CLAUSES: Mapping[str, str] = {
     "U takes what readings that follow each other scatter by": "U nimmt die Streuung aufeinander folgender Ablesungen",
     "no hour holds two readings, so the range in one hour is not known": "keine Stunde hat zwei Ablesungen, die Spanne in einer Stunde ist daher unbekannt",
     "no temperature was logged: how far it drifted is told, and not what it follows": "keine Temperatur ist aufgezeichnet: bekannt ist, wie weit es driftete, nicht wovon",
+    "{}: tilts are left out, figures and twins are of displacements": "{}: Neigungen sind weggelassen, Kenngrößen und Zwillinge gelten für Verlagerungen",
     "the displacement never changes: is the probe stuck, or out of its range?": "die Verlagerung ändert sich nie: klemmt der Taster, oder ist er außerhalb seines Bereichs?",
     "{} jump{} between neighbouring readings, the largest {} µm after {} min: lost reference, or a probing that went wrong": "{0} Sprung/Sprünge zwischen benachbarten Ablesungen, der größte {2} µm nach {3} min: Bezug verloren oder falsch angetastet",
     "nothing is to be fitted to this run": "an diesen Lauf ist nichts anzupassen",
@@ -95,10 +106,15 @@ CLAUSES: Mapping[str, str] = {
     "the speed changed by {} % during the run: figures are those of no one speed": "die Drehzahl änderte sich im Lauf um {} %: die Kenngrößen gelten für keine bestimmte",
     "measure each speed in a run of its own": "jede Drehzahl in einem eigenen Lauf messen",
 }
-_WORDS = {"mean": "mittlere", "median": "mediane", "frame": "Lage", "frame and tool": "Lage und Werkzeug"}
+_WORDS = {
+    "mean": "mittlere",
+    "median": "mediane",
+    "frame": "Koordinatensystem",
+    "frame and tool": "Koordinatensystem und Werkzeug",
+}
 _PATTERNS = {re.compile(re.escape(clause).replace(r"\{\}", "(.*?)")): german for clause, german in CLAUSES.items()}
-_MOST_SPACES = 2
-"""In what stands for ``{}`` and is no clause: names and numbers have no more."""
+_MOST_SPACES, _WORD = 2, re.compile("[A-Za-z]{3}")
+"""In what stands for ``{}`` and is no clause: names have no more."""
 
 
 def german_of(text: str, tell: Callable[[object], str]) -> str | None:
@@ -120,4 +136,4 @@ def _clause(text: str, tell: Callable[[object], str]) -> str | None:
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:
-    return tell(text) if text.count(" ") <= _MOST_SPACES else None
+    return tell(text) if text.count(" ") <= _MOST_SPACES or not _WORD.search(text) else None

@@ -29,7 +29,7 @@ from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.positioning.matrix import linear_test
-from dtwin.positioning.position_runs import PositionTable, runs_of
+from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
 from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
 from dtwin.positioning.ways import way_of
 from dtwin.report.checking import check_source
@@ -1131,6 +1131,16 @@ def test_a_scale_that_counts_the_other_way_is_told_as_that(tmp_path: Path) -> No
     assert read_position_table(path).forward_um[2].tolist() == pytest.approx([0.0, 1.0, 2.0])
     path.write_text("\n".join(["Dir,Actual [mm],Target [mm]", *rows]), encoding="utf-8")
     assert refusal(path).code == "position_table.exchanged"
+
+
+def test_positions_under_heads_of_deviations_are_read_as_such_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    for values, told in (("0,1", []), ("100001,100002", ["linear.positions"])):
+        rows = ["0,0,1", f"100,{values}", f"200,{values.replace('1000', '2000')}"]
+        path.write_text("\n".join(["Target [mm],Error fwd 1 [µm],Error rev 1 [µm]", *rows]), encoding="utf-8")
+        table = read_position_table(path)
+        assert [finding.code for finding in said_of(table)] == told
+        assert np.abs(table.forward_um).max() < 2.0
 
 
 @pytest.mark.parametrize("heads", ["trial,session,reading [mm]", "Home switch\nTrial,Session,Position [mm]"])
