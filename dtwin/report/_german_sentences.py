@@ -107,6 +107,7 @@ CLAUSES: Mapping[str, str] = {
     "measure each speed in a run of its own": "jede Drehzahl in einem eigenen Lauf messen",
 }
 _WORDS = {
+    "cycle to cycle": "Zyklus zu Zyklus",
     "mean": "mittlere",
     "median": "mediane",
     "frame": "Koordinatensystem",
