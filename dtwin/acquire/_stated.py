@@ -122,6 +122,9 @@ def instrument(value: object, kind: Kind, where: str) -> dict[str, Any]:
     columns = told.get("columns", {})
     if not isinstance(columns, Mapping) or not all(isinstance(name, str) for name in columns.values()):
         raise _refused("campaign.instrument.columns", where, columns, "a table of names by head")
+    if "calibrated_on" in told:
+        # It stands on a document that somebody signs.
+        told["calibrated_on"] = iso_time(told["calibrated_on"], "campaign.instrument.calibrated_on", where)[:10]
     return told
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from datetime import date
+
 import pytest
 
-from dtwin.acquire._stated import iso_time
+from dtwin.acquire._stated import instrument, iso_time
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 
 
 @pytest.mark.parametrize(
@@ -28,3 +31,7 @@ def test_a_time_is_kept_as_stated_where_its_day_can_be_read(stated: str, kept: s
 def test_what_is_no_time_of_a_test_is_refused(stated: object) -> None:
     with pytest.raises(InputError, match="started"):
         iso_time(stated, "started", "file")
+    with pytest.raises(InputError, match="calibrated_on"):
+        instrument({"calibrated_on": stated}, kind_named("circular"), "file")
+    told = instrument({"calibrated_on": date(2026, 3, 2)}, kind_named("circular"), "file")
+    assert told == {"calibrated_on": "2026-03-02"}
