@@ -142,7 +142,7 @@ def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str,
         tuple(series.names[i] for i in moving if i not in counts),
         series.thermocouples if len(series.bodies) == 1 < len(series.thermocouples) else (),
         tuple(where),
-        _experiment(verdict, group),
+        _experiment(verdict, group, small=not counts),
     )
 
 
@@ -169,7 +169,8 @@ def _grade(mover: Mover) -> str | None:
     return "law-confirmed" if mover.channel or len(mover.bodies) == 1 else "shape-consistent"
 
 
-def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | None:
+def _experiment(verdict: Verdict, group: Sequence[Mover], *, small: bool) -> dict[str, Any] | None:
+    """Return what to measure next. ``small``: whether no motion counts by itself."""
     if verdict == "ambiguous":
         best, bodies = group[0], group[0].bodies
         if best.is_as_time:
@@ -183,7 +184,8 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
     unknown = [m.motion for m in group if not m.addition or m.is_as_time] if verdict == "unknown_effect" else []
     if not unknown:
         return None
-    text = (
+    text = "measure on, for more cycles tell smaller motions; or " if small else ""
+    text += (
         f"put a thermocouple on what has none (foundation, tanks, spindle, scales): what moves "
         f"{_listed(unknown)} is not measured, or lags far behind what is"
     )
