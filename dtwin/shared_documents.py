@@ -143,8 +143,9 @@ class _Copy:
 
     def follow(self) -> None:
         """Bring units of the store and of this home together."""
-        theirs = {s.name: s.tag for s in self.objects.list(f"{LISTS}/")}
-        tags = {name.removeprefix(f"{LISTS}/").removesuffix(".json"): tag for name, tag in theirs.items()}
+        tags = {
+            unit: stored.tag for stored in self.objects.list(f"{LISTS}/") if _is_unit(unit := _unit_of(stored.name))
+        }
         for unit in sorted({*tags, *self._units()}):
             known = self.known.setdefault(unit, _Known())
             mine = self._seen(unit, known)
@@ -271,10 +272,14 @@ class _Copy:
 
 
 def shared_units(bucket: Bucket) -> dict[str, Files]:
-    """Return the files of each unit that a store has, by the hash of their content."""
+    """Return the files of each unit that a store has, by the hash of their content; those of other versions of dtwin, too."""
     objects = Objects(bucket)
-    units = [s.name.removeprefix(f"{LISTS}/").removesuffix(".json") for s in objects.list(f"{LISTS}/")]
+    units = [_unit_of(stored.name) for stored in objects.list(f"{LISTS}/")]
     return {unit: _listed(objects, unit)[0] for unit in units}
+
+
+def _unit_of(name: str) -> str:
+    return name.removeprefix(f"{LISTS}/").removesuffix(".json")
 
 
 def drop_unnamed_content(bucket: Bucket) -> int:
@@ -309,7 +314,7 @@ def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
         good = all(_is_name(n) and _is_hash(h) for n, h in files.items()) and ("" not in files or len(files) == 1)
     except (ValueError, TypeError, KeyError, RecursionError):
         files, good = {}, False
-    if not good or not _is_unit(unit):
+    if not good:
         raise StoreError("a list of shared files is damaged", code="shared.list", where=f"{objects.bucket}/{name}")
     return files, tag
 
