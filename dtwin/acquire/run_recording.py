@@ -26,6 +26,7 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.instrument import Instrument, record
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
+from dtwin.local_time import was_set
 from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, Finding, require_name
 
@@ -239,6 +240,9 @@ def _last_written(folder: Path, run_id: str) -> datetime:
 
 def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str], correction: str) -> None:
     path = folder / "campaign.toml"
+    # What a clock says that was never set is no day of a test.
+    told = intent["started"]
+    started = {"started": told} if was_set(datetime.fromisoformat(told)) else {}
     head = (
         path.read_text(encoding="utf-8").rstrip()
         if path.exists()
@@ -248,7 +252,7 @@ def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str], corr
                     "name": intent["campaign"],
                     "machine": intent["machine"],
                     "kind": DEFAULT_KIND,
-                    "started": intent["started"],
+                    **started,
                     **intent["head"],
                 }
             }
@@ -257,7 +261,7 @@ def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str], corr
     run = {
         "id": intent["run"],
         "file": intent["reference"],
-        "started": intent["started"],
+        **started,
         **({"signals": list(signals)} if signals else {}),
         **({"correction": correction} if correction else {}),
         **intent["stated"],

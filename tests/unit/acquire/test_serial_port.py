@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from serial_peer import SerialPeer, serial_peer
 
+from dtwin.acquire import run_recording
 from dtwin.acquire._serial_port import SerialInstrument
 from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.errors import DeviceError, InputError
@@ -73,7 +74,10 @@ def test_what_is_no_finite_number_is_nothing_that_was_read(peer: SerialPeer, dev
     assert (finding.code, finding.numbers["values_1"]) == ("serial.not_finite", 3)
 
 
-def test_what_came_during_a_recording_is_told_with_it(peer: SerialPeer, tmp_path: Path) -> None:
+def test_what_came_during_a_recording_is_told_with_it(
+    peer: SerialPeer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_recording, "was_set", lambda told: False)
     peer.stream(2, 400.0)
     taken = iter(range(10**6))
 
@@ -84,6 +88,8 @@ def test_what_came_during_a_recording_is_told_with_it(peer: SerialPeer, tmp_path
     request = RunRequest(tmp_path, "c", "m", "r1", None, "r1.csv")
     done = record_run([SerialInstrument(peer.port, COLUMNS, 200.0)], request, stop)
     assert [finding.code for finding in done.findings] == ["serial.garbage"]
+    # Of a clock that was never set it is not known when that was.
+    assert "started" not in (tmp_path / "campaign.toml").read_text("utf-8")
 
 
 def test_only_garbage_is_silence(peer: SerialPeer, device: SerialInstrument) -> None:
