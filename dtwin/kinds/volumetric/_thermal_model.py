@@ -8,7 +8,7 @@ autocorrelation of the residual leaves.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -83,20 +83,31 @@ def fit_thermal(
             got=str(len(motion)),
             allowed=f"at least {_FEWEST_CYCLES}",
         )
-    fits: list[tuple[ThermalModel, Floats]] = []
+    tried: list[tuple[list[int], float, Floats, Floats | None]] = []
     for remembers in (False,) if static else (False, True):
-        order = _order(motion, rise_c, min(most, rise_c.shape[1], len(motion) // 4), remembers=remembers)
+        order, left = _order(motion, rise_c, min(most, rise_c.shape[1], len(motion) // 4), remembers=remembers)
         for count in range(1, len(order) + 1):
-            fits.append(_fitted(name, motion, rise_c, order[:count], sensors, remembers=remembers))
+            chosen = order[:count]
+            fitted = _remembering(motion, rise_c[:, chosen]) if remembers else (0.0, left[count - 1], None)
+            tried.append((chosen, *fitted))
     # One number for all, or the criteria could not be compared.
-    n = float(np.median([independent(left) for _, left in fits]))
-    models = [replace(model, criterion=_criterion(left, model.free, n)) for model, left in fits]
-    liked = min(range(len(models)), key=lambda i: models[i].criterion)
-    enough = _AS_GOOD * float(np.linalg.norm(fits[liked][1]))
+    n = float(np.median([independent(left) for _, _, left, _ in tried]))
+    free = [len(chosen) + (memory > 0.0) for chosen, memory, _, _ in tried]
+    criteria = [_criterion(left, count, n) for (_, _, left, _), count in zip(tried, free, strict=True)]
+    liked = min(range(len(tried)), key=lambda i: criteria[i])
+    enough = _AS_GOOD * float(np.linalg.norm(tried[liked][2]))
     # A sensor more must be worth its wire: the smallest model that leaves hardly more.
-    good = [m for m, (_, left) in zip(models, fits, strict=True) if np.linalg.norm(left) <= enough]
-    best = min(good, key=lambda m: (m.free, m.criterion))
-    return replace(best, tried=tuple((len(m.sensors), m.memory > 0.0, m.criterion) for m in models))
+    good = [i for i, (_, _, left, _) in enumerate(tried) if np.linalg.norm(left) <= enough]
+    best = min(good, key=lambda i: (free[i], criteria[i]))
+    chosen, memory, _, per_k = tried[best]
+    return ThermalModel(
+        name,
+        tuple(sensors[i] for i in chosen),
+        _least_squares(rise_c[:, chosen], motion) if per_k is None else per_k,
+        memory,
+        criteria[best],
+        tuple((len(one), kept > 0.0, said) for (one, kept, _, _), said in zip(tried, criteria, strict=True)),
+    )
 
 
 def independent(values: Floats) -> float:
@@ -120,13 +131,14 @@ def inflation(rise_c: Floats) -> Floats:
     return np.asarray(np.diag(np.linalg.pinv(correlation)))
 
 
-def _order(motion: Floats, rise_c: Floats, most: int, *, remembers: bool) -> list[int]:
-    """Return sensors in the order in which each leaves least together with those before it."""
+def _order(motion: Floats, rise_c: Floats, most: int, *, remembers: bool) -> tuple[list[int], list[Floats]]:
+    """Return sensors in the order in which each leaves least together with those before it, and what each leaves."""
     left, rest = (motion[1:], rise_c[1:].copy()) if remembers else (motion, rise_c.copy())
     if remembers:
         past = motion[:-1] / max(float(np.linalg.norm(motion[:-1])), 1e-9)
         left, rest = left - past * (past @ left), rest - np.outer(past, past @ rest)
     chosen: list[int] = []
+    leaves: list[Floats] = []
     for _ in range(most):
         size = (rest**2).sum(axis=0)
         gain = np.where(size > 1e-9, (left @ rest) ** 2 / np.maximum(size, 1e-9), -1.0)
@@ -134,22 +146,21 @@ def _order(motion: Floats, rise_c: Floats, most: int, *, remembers: bool) -> lis
         chosen.append(int(np.argmax(gain)))
         unit = rest[:, chosen[-1]] / max(float(np.sqrt(size[chosen[-1]])), 1e-9)
         left, rest = left - unit * (unit @ left), rest - np.outer(unit, unit @ rest)
-    return chosen
+        leaves.append(left)
+    return chosen, leaves
 
 
-def _fitted(
-    name: str, motion: Floats, rise_c: Floats, chosen: Sequence[int], sensors: Sequence[str], *, remembers: bool
-) -> tuple[ThermalModel, Floats]:
-    used = rise_c[:, list(chosen)]
-    memory = 0.0
-    per_k: Floats = np.asarray(np.linalg.lstsq(used, motion, rcond=None)[0], dtype=np.float64)
-    if remembers:
-        design = np.column_stack([motion[:-1], used[1:]])
-        coefficients = np.linalg.lstsq(design, motion[1:], rcond=None)[0]
-        if _LEAST_MEMORY < coefficients[0] < _MOST_MEMORY:
-            memory, per_k = float(coefficients[0]), np.asarray(coefficients[1:], dtype=np.float64)
-    model = ThermalModel(name, tuple(sensors[i] for i in chosen), per_k, memory, float("nan"))
-    return model, motion - model.run(used)
+def _remembering(motion: Floats, used: Floats) -> tuple[float, Floats, Floats]:
+    """Return memory, what is left in free run, and what a kelvin does; without memory where none is found."""
+    memory, per_k = 0.0, _least_squares(used, motion)
+    coefficients = _least_squares(np.column_stack([motion[:-1], used[1:]]), motion[1:])
+    if _LEAST_MEMORY < coefficients[0] < _MOST_MEMORY:
+        memory, per_k = float(coefficients[0]), coefficients[1:]
+    return memory, motion - ThermalModel("", (), per_k, memory, float("nan")).run(used), per_k
+
+
+def _least_squares(columns: Floats, values: Floats) -> Floats:
+    return np.asarray(np.linalg.lstsq(columns, values, rcond=None)[0], dtype=np.float64)
 
 
 def _criterion(left: Floats, free: int, n: float) -> float:
