@@ -56,6 +56,7 @@ _STEPS = "displacement_step"
 _SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
 """A time without a unit: of stamps, for numbers might be of minutes."""
+_WARM = re.compile(r"temp|°|grad", re.I)
 _SLOPES = ("um/m", "µm/m", "mm/m")
 _SLOPE = re.compile(r"[uµm]m_?(/|per_)m\b", re.I)
 _TEMPERATURE = re.compile(r"temperature_\w+_c$")
@@ -284,9 +285,9 @@ def _unknown(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[st
 def _tilts(row: Sequence[str], units: Sequence[str] | None) -> list[str]:
     """Return the heads of angles, of lengths over a length, too."""
     columns = columns_of([cell.strip() for cell in row], units, {})
-    return [
-        c.head for c in columns if ANGLE.search(c.head) or _SLOPE.search(c.head) or c.unit in (*ANGLES_DEG, *_SLOPES)
-    ]
+    # Grad and ° are of temperatures, too.
+    cold = [c for c in columns if not _WARM.search(f"{c.head} {c.unit}")]
+    return [c.head for c in cold if ANGLE.search(c.head) or _SLOPE.search(c.head) or c.unit in (*ANGLES_DEG, *_SLOPES)]
 
 
 def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Mapping[str, Any], path: Path) -> None:
