@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +17,7 @@ from dtwin.errors import DeviceError, StoreError
 from dtwin.locks import take
 from dtwin.serve._machine_file import machine_folder
 
-_MAX_NOTE_BYTES = 2000
+_MAX_NOTE_BYTES, _MOMENT_S = 2000, 0.05
 
 
 @contextlib.contextmanager
@@ -49,7 +50,7 @@ def lease(host: str, machine: str, home: Home) -> Iterator[None]:
 def is_leased(machine: str, home: Home) -> bool:
     """Tell whether a process holds a machine, or may hold it: where that cannot be asked, nothing says that none does.
 
-    It is asked by holding the machine for a moment: ask only where nobody is thought to begin.
+    It is asked by holding the machine for a moment; who begins meanwhile tries again.
     """
     path = home.root / "locks" / f"machine-{machine_folder(machine, home).name}.lock"
     try:
@@ -86,7 +87,7 @@ def _locked(path: Path, what: str) -> Iterator[None]:
 
 
 def _take(descriptor: int, path: Path, what: str) -> None:
-    if not take(descriptor):
+    if not (take(descriptor) or _later(descriptor)):
         raise DeviceError(
             f"{what} is served already",
             code="serve.lease",
@@ -97,6 +98,12 @@ def _take(descriptor: int, path: Path, what: str) -> None:
     note = {"pid": os.getpid(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, json.dumps(note).encode(), 0)
+
+
+def _later(descriptor: int) -> bool:
+    """Try again: who asks whether a machine is held holds it for a moment."""
+    time.sleep(_MOMENT_S)
+    return take(descriptor)
 
 
 def _holder(descriptor: int) -> str:

@@ -12,6 +12,8 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import EXIT_DEVICE, DeviceError, InputError, StoreError
+from dtwin.locks import take
+from dtwin.serve import _lease
 from dtwin.serve._lease import lease
 
 ROBOT = "127.0.0.1"
@@ -51,6 +53,18 @@ def test_second_server_is_refused_and_told_who_holds_it(home: Home) -> None:
             raise AssertionError("two servers of one robot")
         assert refused.value.exit_code == EXIT_DEVICE
         assert str(other.pid) in (refused.value.got or "")
+    with lease(ROBOT, "cobot-a", home):
+        pass
+
+
+def test_who_only_asks_whether_a_machine_is_held_refuses_nobody(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lease(ROBOT, "cobot-a", home):
+        pass
+    path = home.root / "locks" / "machine-cobot-a.lock"
+    asking = path.open("r+b")
+    assert take(asking.fileno())
+    # The moment passes while the server waits.
+    monkeypatch.setattr(_lease.time, "sleep", lambda _: asking.close())
     with lease(ROBOT, "cobot-a", home):
         pass
 
