@@ -44,8 +44,7 @@ from dtwin.schema import Finding, Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
-_MOST_TITLES = 20
-_MOST_PROBES = 64
+_MOST_TITLES, _MOST_PROBES = 20, 64
 _MOST_ON_ITS_SIDE = 200
 _UNIX_S = 1e9
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
