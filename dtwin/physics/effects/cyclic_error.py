@@ -9,7 +9,8 @@ from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 
-def _columns(state: State, axis: str, shape: Shape) -> Floats:
+def columns(state: State, axis: str, shape: Shape) -> Floats:
+    """Return cosine and sine of the position in a pitch, shape (n, 2)."""
     if not moves(state, axis):
         return np.zeros((state.n, 2))
     phase = 2.0 * np.pi * state.position_mm[axis] / shape["pitch_mm"]
@@ -22,7 +23,7 @@ EFFECT = Effect(
     title="Cyclic error",
     group="drive",
     parameters=(Parameter("cosine", "um", 2.0), Parameter("sine", "um", 2.0)),
-    regressors=_columns,
+    regressors=columns,
     law=Law(0.0, None, "even"),
     meaning=("Eccentric screw or encoder, or interpolation error of the scale: repeats with each pitch of the axis."),
     formula="C cos(t) cos(2 pi x / p + f) for the X axis",

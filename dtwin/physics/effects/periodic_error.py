@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked
-from dtwin.physics.state import State
-from dtwin.schema import Floats
-
-
-def _columns(state: State, axis: str, shape: Shape) -> Floats:
-    if not moves(state, axis):
-        return np.zeros((state.n, 2))
-    phase = 2.0 * np.pi * state.position_mm[axis] / shape["pitch_mm"]
-    along = state.sensitivity[axis]
-    return stacked(along * np.cos(phase), along * np.sin(phase))
-
+from dtwin.physics.effect import Effect, Law, Parameter, ShapeParameter
+from dtwin.physics.effects.cyclic_error import columns
 
 EFFECT = Effect(
     name="periodic_error",
     title="Periodic error of a length that is not stated",
     group="drive",
     parameters=(Parameter("cosine", "um", 2.0), Parameter("sine", "um", 2.0)),
-    regressors=_columns,
+    regressors=columns,
     law=Law(0.0, None, "even"),
     meaning=(
         "Screw or bearing run out, or the graduation of the scale is read unevenly: a short wave along the axis. Its "
