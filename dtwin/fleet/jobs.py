@@ -154,6 +154,13 @@ def _register(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
     from dtwin.lifecycle.train import registered
 
     _require((result.report.campaign, result.report.machine), (unit.name, unit.machine), unit, "answers")
+    if unit not in _trainable(home, (unit.machine,))[0]:
+        raise GateRefusal(
+            "another computer, or somebody, trained on these runs meanwhile, or they changed",
+            code="fleet.late",
+            where=unit.name,
+            hint="nothing is registered twice; give the command again for what is new",
+        )
     made = registered(home, result)
     comparison = compared(home, made)
     return {

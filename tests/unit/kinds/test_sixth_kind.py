@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from command_here import said
 from starlette.testclient import TestClient
 
 from dtwin.config import Home
+from dtwin.errors import GateRefusal
+from dtwin.fleet.jobs import TRAIN
 from dtwin.kinds import registry
 from dtwin.kinds.kind import NotOffered
 from dtwin.physics import library
@@ -62,9 +65,14 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     assert said("twin", "compare", "c-axis")["headline"].startswith("72 waves a turn")
     said("twin", "show", "c-axis", "--html", "page.html")
     assert "worm_error" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    ((unit,), _) = TRAIN.units(Home(tmp_path / "home"), ())
     trained = said("fleet", "train", "--workers", "1")["done"]["table"]
     assert (trained["gates_passed"], trained["against_champion"]) == (True, None)
     assert said("fleet", "train", "--workers", "1")["passed"] == {"table": "every run was trained on already"}
+    # What another computer trained on the same, and comes late with.
+    late = SimpleNamespace(report=SimpleNamespace(campaign=unit.name, machine=unit.machine))
+    with pytest.raises(GateRefusal, match="meanwhile"):
+        TRAIN.keep(Home(tmp_path / "home"), unit, late)
     promoted = said("promote", trained["version"], "--machine", "table-1")
     assert promoted["champion"], promoted["reason"]
     assert all(condition["better"] for condition in promoted["evidence"]["conditions"])
