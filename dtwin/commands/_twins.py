@@ -339,7 +339,6 @@ def show_twin(
 
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
-    report = report_of(twin.as_dict())
     if html is not None:
         write_report(html, home(), twins, library_with(effects_path), twin)
     mended = interventions(twins, name)
@@ -348,12 +347,12 @@ def show_twin(
         f"{m['grade'] or 'did not certainly go away'}"
         for m in mended
     ]
-    _, diagnosis = diagnosed(twins, twin)
-    lines += undecided_lines(diagnosis or {})
-    document = {**twin.as_dict(), "interventions": mended, "undecided": (diagnosis or {}).get("undecided", [])}
+    diagnosis = diagnosed(twins, twin)[1] or {}
+    lines += undecided_lines(diagnosis)
+    document = {**twin.as_dict(), "interventions": mended, "undecided": diagnosis.get("undecided", [])}
     if isinstance(twin, Twin):
         document["effects"] = sized_effects(twin)
-    emit(document, lambda: "\n".join([report.twin_text(twin), *lines]), as_json=as_json)
+    emit(document, lambda: "\n".join([report_of(twin.as_dict()).twin_text(twin), *lines]), as_json=as_json)
 
 
 def _show_rung(before: Any, twin: Any, *, as_json: bool, **more: Any) -> None:
