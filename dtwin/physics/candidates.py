@@ -243,8 +243,9 @@ def _peaks(rate: Floats, power: Floats, n: int) -> list[float]:
 def _pitches_along(obs: Observations, um: Floats, n: int) -> list[float]:
     """Return the same of targets along an axis, none where they stand at equal distances: there a wave is another as well.
 
-    Nor of runs one way only, nor longer than targets resolve: that is a pitch error. Of many lengths one fits any targets: it must explain more than the best would by chance
-    once in a hundred. What turns with a screw of a stated pitch is an effect of its own.
+    Nor of runs one way only, nor longer than targets resolve: that is a pitch error. Of many lengths one fits any
+    targets: it must explain more than the best would by chance once in a hundred. What turns with a screw of a stated
+    pitch is an effect of its own.
     """
     at_mm, travel_mm = obs.grid.points, float(np.ptp(obs.grid.points))
     steps_mm = np.diff(np.sort(at_mm))

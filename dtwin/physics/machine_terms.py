@@ -15,7 +15,14 @@ from dtwin.physics.twin import acts
 
 # Waves along an axis: campaigns have no common zero, so that each has its own phase and all have one amplitude.
 _WAVES = frozenset(
-    ("cyclic_error", "cyclic_error_by_direction", "screw_error", "screw_error_by_direction", "pitch_error")
+    (
+        "cyclic_error",
+        "cyclic_error_by_direction",
+        "periodic_error",
+        "pitch_error",
+        "screw_error",
+        "screw_error_by_direction",
+    )
 )
 _LEAD, _CURVE = "scale", "pitch_error"
 # What belongs to the instrument, the day, or the stretch of the axis that was measured.

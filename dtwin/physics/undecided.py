@@ -40,7 +40,7 @@ def undecided(obs: Observations, known: Sequence[Term], library: Mapping[str, Ef
         return () if copied is None else undecided(copied[0], known, library)
     whole = part = Candidates(obs, tried)
     told = problem
-    if obs.grid.kind == "circular" and _laws_are_off(problem, known, whole):
+    if obs.grid.in_plane and _laws_are_off(problem, known, whole):
         part = Candidates(away_from_reversals(obs), tried)
         told = weighted_like(part.obs, [], problem.noise)
     found = described(known, {}, told, part, problem, unweighted(obs, []), whole)

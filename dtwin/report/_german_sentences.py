@@ -6,7 +6,8 @@ Clauses end at ``;`` and at a full stop. A text of which one clause is not here 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 CLAUSES: Mapping[str, str] = {
     "{} is evaluated, though not sound: {}": "{} ist ausgewertet, obwohl nicht einwandfrei: {}",
@@ -113,27 +114,50 @@ _WORDS = {
     "frame": "Koordinatensystem",
     "frame and tool": "Koordinatensystem und Werkzeug",
 }
-_PATTERNS = {re.compile(re.escape(clause).replace(r"\{\}", "(.*?)")): german for clause, german in CLAUSES.items()}
-_MOST_SPACES, _WORD = 2, re.compile("[A-Za-z]{3}")
-"""In what stands for ``{}`` and is no clause: names have no more."""
+_PIECES = [(clause.split("{}"), german) for clause, german in CLAUSES.items()]
+# A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
+_LONGEST, _MOST_SPACES = 1500, 2
+_WORD = re.compile("[A-Za-z]{3}")
 
 
 def german_of(text: str, tell: Callable[[object], str]) -> str | None:
     """Return a finding or note in German; None when a clause of it is not known. ``tell``: writes names and numbers."""
+
+    # Names of files and machines stand in a finding: each part is looked at once, however they are written.
+    @cache
+    def clause(part: str) -> str | None:
+        for pieces, german in _PIECES:
+            if (between := _between(pieces, part)) is not None:
+                words = [_WORDS.get(word) or clause(word) or _name(word, tell) for word in between]
+                if None not in words:
+                    return german.format(*words)
+        named, colon, rest = part.partition(": ")
+        said = clause(rest) if colon and named.count(" ") <= _MOST_SPACES else None
+        return None if said is None else f"{tell(named)}: {said}"
+
+    if len(text) > _LONGEST:
+        return None
     parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))
-    told = [_clause(part, tell) if n % 2 == 0 else part for n, part in enumerate(parts)]
+    told = [clause(part) if n % 2 == 0 else part for n, part in enumerate(parts)]
     return None if None in told else "".join(map(str, told)) + "." * text.endswith(".")
 
 
-def _clause(text: str, tell: Callable[[object], str]) -> str | None:
-    for pattern, german in _PATTERNS.items():
-        if (found := pattern.fullmatch(text)) is not None:
-            groups = [_WORDS.get(part) or _clause(part, tell) or _name(part, tell) for part in found.groups()]
-            if None not in groups:
-                return german.format(*groups)
-    named, colon, rest = text.partition(": ")
-    said = _clause(rest, tell) if colon and named.count(" ") <= _MOST_SPACES else None
-    return None if said is None else f"{tell(named)}: {said}"
+def _between(pieces: Sequence[str], text: str) -> list[str] | None:
+    """Return what stands between the pieces of a clause, each piece at its first place; None for another text."""
+    first, *middle = pieces
+    if not middle:
+        return [] if text == first else None
+    *middle, last = middle
+    at, end, found = len(first), len(text) - len(last), []
+    if at > end or not text.startswith(first) or not text.endswith(last):
+        return None
+    for piece in middle:
+        after = text.find(piece, at, end)
+        if after < 0:
+            return None
+        found.append(text[at:after])
+        at = after + len(piece)
+    return [*found, text[at:end]]
 
 
 def _name(text: str, tell: Callable[[object], str]) -> str | None:

@@ -136,6 +136,14 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
         assert told in page
 
 
+@pytest.mark.parametrize(
+    "text", ["a is not evaluated: " * 60 + "and none of these words", "2 readings " * 90 + "x", "a: " * 3000]
+)
+def test_a_text_made_to_be_looked_at_for_ever_stays_english(text: str) -> None:
+    # Each part of it may be what stands between the words of several clauses.
+    assert german_of(text, str) is None
+
+
 def test_findings_are_german_as_a_whole_or_not_at_all() -> None:
     def told(text: str) -> str | None:
         return german_of(text, lambda name: str(name).replace(".", ","))
