@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from dtwin.acquire.ingest import ingest as ingest_path
 from dtwin.config import Home, home, quiet_environment
@@ -61,6 +62,10 @@ _RUN_COLUMNS = (
     "correction",
     "left_out",
 )
+
+# A notebook has loaded numpy before it opens a home, when the environment is too late; many threads in the small
+# matrices of a fit make it several times slower.
+_in_one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 class OpenHome:
@@ -215,6 +220,7 @@ class OpenHome:
         columns = dict(groups[group].columns)
         return pd.DataFrame({"t_s": groups[group].t_s} | columns)
 
+    @_in_one_thread
     def fit(
         self, campaign: str | Sequence[str], effects: str | Sequence[str], name: str, *, robust: bool = False
     ) -> TwinResult:
@@ -245,17 +251,20 @@ class OpenHome:
         twins = self._twins(name)
         return of_twin(twins, twins.newest(name, version_of(version)))
 
+    @_in_one_thread
     def compare(self, name: str, campaign: str | None = None) -> ComparisonResult:
         """Compare a twin with measurements, those of its fit or of another campaign."""
         if campaign is not None:
             require_text(campaign, "a campaign")
         return of_comparison(self._twins(name).compare(name, campaign))
 
+    @_in_one_thread
     def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Name the effect that a twin lacks, or say why it cannot be named."""
         require_seed(seed)
         return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
 
+    @_in_one_thread
     def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
         """Add an effect, refit, and return the new version."""
         require_text(effect, "an effect")
@@ -263,6 +272,7 @@ class OpenHome:
         twins = self._twins(name)
         return of_twin(twins, twins.add(name, effect, axis))
 
+    @_in_one_thread
     def remove(self, name: str, effect: str, axis: str = "") -> TwinResult:
         """Take an effect out, refit, and return the new version."""
         require_text(effect, "an effect")
@@ -270,6 +280,7 @@ class OpenHome:
         twins = self._twins(name)
         return of_twin(twins, twins.remove(name, effect, axis))
 
+    @_in_one_thread
     def discover(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Add all that these runs can tell, one version each; return the last diagnosis."""
         require_seed(seed)

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import dtwin
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
+from dtwin.notebook import open_home
 from dtwin.notebook.open_home import OpenHome
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
 
@@ -50,6 +52,34 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> OpenHome:
     placed = Run(RunMeta("p1", kind="placement", condition={"part": "lid"}), put)
     lake.commit(Campaign("parts", "cell-3", kind="placement"), [placed])
     return opened
+
+
+def test_verbs_compute_in_one_thread(home: OpenHome, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A notebook has loaded numpy before it opens a home: the environment is read too late to hold its threads."""
+    threads: list[int] = []
+
+    class Asked(Exception):
+        pass
+
+    def twins(*_: object, **__: object) -> None:
+        threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        raise Asked
+
+    monkeypatch.setattr(open_home, "twins_with", twins)
+    monkeypatch.setattr(open_home, "fit_twin", twins)
+    with threadpool_limits(2):
+        for verb in (
+            lambda: home.fit("rounds", "backlash", "t"),
+            lambda: home.compare("t"),
+            lambda: home.diagnose("t"),
+            lambda: home.add("t", "backlash"),
+            lambda: home.remove("t", "backlash"),
+            lambda: home.discover("t"),
+        ):
+            with pytest.raises(Asked):
+                verb()
+        assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
+    assert set(threads) == {1}
 
 
 def test_opening_makes_nothing_and_shows_what_is_there(tmp_path: Path, home: OpenHome) -> None:
