@@ -12,7 +12,15 @@ from scipy.special import polygamma
 from dtwin.physics._few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
-from dtwin.physics.whitening import condition_sums, from_harmonics, harmonic_numbers, smoothed, within_condition
+from dtwin.physics.whitening import (
+    SEPARATE,
+    condition_sums,
+    from_harmonics,
+    harmonic_numbers,
+    inverse_root,
+    smoothed,
+    within_condition,
+)
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 
@@ -21,6 +29,7 @@ HIGHEST_HARMONIC = 60
 _BANDS = ((0, HIGHEST_HARMONIC), (0, 4), (5, 12), (13, 30), (31, HIGHEST_HARMONIC), *((h, h) for h in range(13)))
 _CIRCLE = 360
 _FLIPS = 1999
+_DRAWS, _AT_A_TIME = 499, 50
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
 # Less than this share of the noise is no misfit.
@@ -86,23 +95,42 @@ def score_test(
     np.add.at(summed, unit, scores)
     variance = summed.T @ summed
     power = (summed**2).sum(axis=1, keepdims=True)
-    dof = float(_satterthwaite(power, unit, group, count, lost=k if within else 0)[0])
-    foretold = _foretold(problem, z)
-    variance, dof = _moderated(variance, dof, foretold, level)
+    # Columns in different harmonics do not take their degrees of freedom from each other.
+    lost = int(np.ceil((z**2).sum(axis=(0, 2)).max() - 1e-6)) if within else 0
+    dof = float(_satterthwaite(power, unit, group, count, lost=lost)[0])
+    told = replace(level, prior_dof=_prior_dof(problem, z, level.prior_dof))
+    variance, dof = _moderated(variance, dof, _foretold(problem, z), told)
     if level.misfit is not None and not within:
         shared = condition_sums(z, obs.condition_of)
         variance = variance + np.einsum("cqk,cql,q->kl", shared, shared, level.misfit)
     expected = float(np.trace(variance))
     if dof < 1.0 or expected <= 0.0:
         return Score(1.0, 0.0, expected, dof)
-    f = float(total @ np.linalg.pinv(variance) @ total) / k
-    left = max(dof - k + 1.0, 1.0)
-    return Score(
-        p_value=f_tail(f * left / dof, (k, left)),
-        gain=max(0.0, float(total @ total) - expected),
-        expected=expected,
-        dof=dof,
-    )
+    explained = float(total @ total)
+    if dof < k:
+        # More columns than runs tell of: they count as so many as their noise varies in (Greenhouse and Geisser 1959).
+        many = expected**2 / float((variance**2).sum())
+        p_value = f_tail(explained / expected, (many, many * dof))
+    else:
+        f = float(total @ np.linalg.pinv(variance) @ total) / k
+        left = max(dof - k + 1.0, 1.0)
+        p_value = f_tail(f * left / dof, (k, left))
+    return Score(p_value=p_value, gain=max(0.0, explained - expected), expected=expected, dof=dof)
+
+
+def _prior_dof(problem: Problem, z: Floats, most: float) -> float:
+    """Return the degrees of freedom that the noise level adds to those of the runs, for columns of shape (rows, n, k).
+
+    Where repeats are few, the level of a low harmonic, which is its own, is known by its cosine and its sine alone, and that
+    of harmonic 0 by no more than the scores of the runs tell.
+    """
+    if problem.noise is None or problem.noise.dof >= _FEW_DOF:
+        return most
+    power = np.bincount(harmonic_numbers(problem.obs.n_bins), (z**2).sum(axis=(0, 2)))
+    weights = np.full(len(power), most)
+    weights[:SEPARATE] = min(most, float(problem.noise.dof))
+    weights[0] = 0.0
+    return float(weights @ power / max(float(power.sum()), 1e-300))
 
 
 def _of_few(problem: Problem, visible: Floats, residual: Floats, level: NoiseLevel, within: bool) -> Score:
@@ -206,15 +234,16 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     obs = problem.obs
     pairs = _pairs(obs.condition_of, obs.run_of)
     bands = _bands(obs.n_bins)
-    grams = np.array([(residual[:, band] @ residual[:, band].T) * pairs for band in bands])
-    found = grams.sum(axis=(1, 2))
     rng = np.random.default_rng(seed)
     runs = int(obs.run_of.max()) + 1
     n_conditions = len(set(obs.condition_of.tolist()))
     if runs - n_conditions >= _FEW_DOF:
+        grams = np.array([(residual[:, band] @ residual[:, band].T) * pairs for band in bands])
+        found = grams.sum(axis=(1, 2))
         signs = rng.choice([-1.0, 1.0], size=(_FLIPS, runs))[:, obs.run_of]
         drawn = np.array([((signs @ gram) * signs).sum(axis=1) for gram in grams]).T
     else:
+        found = _agreed(residual[:, None], obs.condition_of, pairs, bands)[0]
         drawn = _gaussian_draws(problem, pairs, bands, rng)
     # The largest of the standardised bands, against the same of the draws.
     centre, scale = drawn.mean(axis=0), np.maximum(drawn.std(axis=0), 1e-300)
@@ -235,17 +264,27 @@ def _gaussian_draws(
 ) -> Floats:
     """Draw the statistic under noise that is equal round the circle: few runs allow no signs."""
     obs = problem.obs
-    noise = problem.noise
-    level = np.nanmean(noise.variance) if noise is not None else 1.0
-    out = np.empty((499, len(bands)))
-    for i in range(len(out)):
-        # The level itself is known from few repeats only.
-        scale = np.sqrt(level * _FEW_DOF / rng.chisquare(_FEW_DOF))
-        drawn = scale * rng.standard_normal(problem.y.size)
-        drawn -= problem.basis @ (problem.basis.T @ drawn)
-        rows = drawn.reshape(obs.n_rows, obs.n_bins)
-        out[i] = [((rows[:, band] @ rows[:, band].T) * pairs).sum() for band in bands]
-    return out
+    out = []
+    for count in np.diff([*range(0, _DRAWS, _AT_A_TIME), _DRAWS]):
+        drawn = rng.standard_normal((count, problem.y.size))
+        drawn -= (drawn @ problem.basis) @ problem.basis.T
+        rows = drawn.reshape(count, obs.n_rows, obs.n_bins).swapaxes(0, 1)
+        out.append(_agreed(rows, obs.condition_of, pairs, bands))
+    return np.concatenate(out)
+
+
+def _agreed(rows: Floats, condition_of: Indices, pairs: Floats, bands: Sequence[NDArray[np.bool_]]) -> Floats:
+    """Return what repeats agree on in each band, in units of the noise that they show themselves, shape (draws, bands).
+
+    ``rows``, (rows, draws, n): whitened. Few repeats tell the noise of a harmonic badly, in each draw otherwise: it is
+    whitened by its own.
+    """
+    deviation, count = within_condition(rows, condition_of)
+    deviation = deviation[count > 1]
+    weights = inverse_root(smoothed((deviation**2).mean(axis=0)))
+    level = ((deviation * weights) ** 2).mean(axis=(0, 2))
+    products = (rows * np.tensordot(pairs, rows, 1)).sum(axis=0) * weights**2
+    return np.asarray(products @ np.array(bands, dtype=float).T / np.maximum(level, 1e-300)[:, None])
 
 
 def _pairs(condition_of: Indices, run_of: Indices) -> Floats:

@@ -10,7 +10,8 @@ from dtwin.physics.gridding import Indices
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 
-_SEPARATE = 5
+# Harmonics below have a level of their own.
+SEPARATE = 5
 _FLOOR = 1e-4
 # Of the largest: less differs by rounding only.
 _ROUNDING = 1e-20
@@ -203,19 +204,21 @@ def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
 
 
 def inverse_root(power: Floats) -> Floats:
-    """Return the weights, of RMS one, that make coefficients of this power white, shape (n,)."""
-    least = max(_FLOOR * float(np.median(power)), _ROUNDING * float(power.max()))
+    """Return the weights, of RMS one, that make coefficients of this power white, shape (..., n)."""
+    median, largest = np.median(power, axis=-1, keepdims=True), power.max(axis=-1, keepdims=True)
+    least = np.maximum(_FLOOR * median, _ROUNDING * largest)
     # Where there is no noise at all, none is larger than another.
-    weights = 1.0 / np.sqrt(np.maximum(power, least)) if least > 0.0 else np.ones(len(power))
-    return np.asarray(weights / np.sqrt(np.mean(weights**2)))
+    weights = 1.0 / np.sqrt(np.where(least > 0.0, np.maximum(power, least), 1.0))
+    return np.asarray(weights / np.sqrt(np.mean(weights**2, axis=-1, keepdims=True)))
 
 
 def smoothed(power: Floats) -> Floats:
-    """Average over neighbouring harmonics; the lowest keep their own level."""
-    harmonic = harmonic_numbers(len(power))
-    level = np.bincount(harmonic, power) / np.bincount(harmonic)
+    """Average over neighbouring harmonics, shape (..., n); the lowest keep their own level."""
+    harmonic = harmonic_numbers(power.shape[-1])
+    first = np.searchsorted(harmonic, np.arange(harmonic[-1] + 1))
+    level = np.add.reduceat(power, first, axis=-1) / np.bincount(harmonic)
     out = level.copy()
-    for h in range(_SEPARATE, len(level)):
+    for h in range(SEPARATE, level.shape[-1]):
         half = 2 if h < 12 else 6
-        out[h] = level[max(_SEPARATE, h - half) : h + half + 1].mean()
-    return out[harmonic]
+        out[..., h] = level[..., max(SEPARATE, h - half) : h + half + 1].mean(axis=-1)
+    return np.asarray(out[..., harmonic])
