@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -22,19 +23,32 @@ from dtwin.positioning.table_heads import (
     is_deviation,
     is_opposite,
     is_unit,
+    names_target,
     plain_unit,
     told_unit,
 )
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
+_DIAMETER = re.compile(r"[Ø\u2300\u2205]|\bdia\b|diam|di[aá]metro|durchm|直径|直徑", re.I)
 
 
 def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
     """Refuse a table whose title or heads say that it is of another test along an axis."""
     titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
-    other = next((text.strip() for text in (*titles, *(table_of(rows) or [()])[0]) if OTHER_TEST.search(text)), None)
+    heads = [*(table_of(rows) or [()])[0]]
+    other = next((text.strip() for text in (*titles, *heads) if OTHER_TEST.search(text)), None)
     require_sign([text for text in titles if REVERSED.search(text)], path)
+    diameter = next((head.strip() for head in heads if names_target(head) and _DIAMETER.search(head)), None)
+    if diameter is not None:
+        raise InputError(
+            "targets are diameters: the axis moves by half of them",
+            code="position_table.diameter",
+            where=str(path),
+            got=diameter[:60],
+            allowed="targets, and readings, of the slide (radius)",
+            hint="halve the targets, and readings that are of diameters, too (those of a laser on the slide are not); then leave the word out of the heads",
+        )
     if other is not None:
         raise InputError(
             "title or heads say that this is no test of positioning",

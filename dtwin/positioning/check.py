@@ -105,23 +105,24 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
         [finding for test in tests if (finding := judge(test)) is not None]
         for judge in (shifted_zero, zero_of_each_cycle, _clipped)
     )
-    return [*single, *clipped, *(told or _drift(runs, scale)), *datum, *zeroed]
+    drift = [finding for _, alike in by_axis(runs) for finding in _drift(alike, scale)]
+    return [*single, *clipped, *(told or drift), *datum, *zeroed]
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
     """Return the test of each axis: of both directions, or of each one of an axis that has none of both."""
-    return [linear_test(alike, ways, scale) for ways, alike in _by_axis(runs)]
+    return [linear_test(alike, ways, scale) for ways, alike in by_axis(runs)]
 
 
-def _by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
+def by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
     """Return the runs axis by axis with their directions: those of both, or those of one where an axis has no others."""
-    by_axis: dict[str, dict[Ways, list[Run]]] = {}
+    axes: dict[str, dict[Ways, list[Run]]] = {}
     for run in runs:
-        of_axis = by_axis.setdefault(str(run.meta.condition.get("axis", "")), {})
+        of_axis = axes.setdefault(str(run.meta.condition.get("axis", "")), {})
         of_axis.setdefault(ways_of(run), []).append(run)
     return [
         (ways, alike)
-        for of_axis in by_axis.values()
+        for of_axis in axes.values()
         for ways, alike in of_axis.items()
         if ways == BOTH or BOTH not in of_axis
     ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics.linear import linear_figures, stacked_figures
+from dtwin.positioning.check import by_axis
 from dtwin.positioning.cycles import spoilt_finding
 from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.positioning.scale import LENGTHS, Scale
@@ -73,6 +74,11 @@ def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: Uncertain, s
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes), unit=scale.figure)
 
 
+def evaluated_tests(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[LinearTest]:
+    """Return the test of each axis that was approached from both sides, of the runs that the sheet evaluates."""
+    return [linear_test(sound_runs(alike)[0], ways, scale) for ways, alike in by_axis(runs) if ways == BOTH]
+
+
 def _evaluated(
     title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: Uncertain, scale: Scale
 ) -> tuple[Part | None, list[str]]:
@@ -90,6 +96,12 @@ def _evaluated(
         many = "1 target is" if test.left_out == 1 else f"{test.left_out} targets are"
         sides = " from both sides" if ways == BOTH else ""
         notes.append(f"{title}: {many} not evaluated, for not every run read them{sides}.")
+    setups = list(dict.fromkeys(run.meta.setup for run in members))
+    if len(setups) > 1:
+        notes.append(
+            f"{title}: these are runs of {len(setups)} set-ups ({', '.join(setups)[:60]}), evaluated as one test: R and A hold what the mountings differ by. "
+            "A test is made in one set-up: make a campaign of each."
+        )
     if ways == BOTH and len(members) > 1:
         notes += _other_formulas(test, title)
     notes += [f"{title}: {said}." for said in asked(test)]

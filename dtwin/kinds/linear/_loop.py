@@ -61,6 +61,16 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
             got=", ".join(bad)[:80] or "no run in both directions",
             hint=f"dtwin check {folder}",
         )
+    axes = sorted({str(run.meta.condition.get("axis", "Z")) for run in usable})
+    if len(axes) > 1:
+        raise InputError(
+            "the campaign holds several axes",
+            code="lathe.campaign",
+            where=str(folder),
+            got=", ".join(axes),
+            allowed="one",
+            hint="a folder for each axis",
+        )
     return campaign.machine, linear_test(usable)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import phases_of
-from dtwin.positioning.matrix import LinearTest, linear_test
+from dtwin.positioning.matrix import LinearTest
+from dtwin.positioning.sheet import evaluated_tests
 from dtwin.report.text import counted, table
 from dtwin.schema import Floats, Run
 
@@ -59,27 +60,29 @@ def _cyclic_um(test: LinearTest) -> float | None:
 
 
 def positioning_result(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return all figures of the positioning runs of a campaign as a JSON-ready mapping.
+    """Return the figures of a campaign's axis as a JSON-ready mapping; of several axes a list of such mappings under ``axes``.
 
-    ``runs``: with their samples; those with errors in one direction only are left out.
+    ``runs``: with their samples; those that the sheet leaves out, and those in one direction, are left out.
     """
-    usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
-    if not usable:
-        return {}
-    test = linear_test(usable)
-    if not len(test.position_mm):
-        return {"targets": 0, "left_out_targets": test.left_out}
-    result: dict[str, Any] = {
-        "runs": len(usable),
-        "targets": len(test.position_mm),
-        "left_out_targets": test.left_out,
+    told = [_figures_of(test) for test in evaluated_tests(runs)]
+    return {"axes": told} if len(told) > 1 else next(iter(told), {})
+
+
+def _figures_of(test: LinearTest) -> dict[str, Any]:
+    """Return all figures of one axis."""
+    runs = test.forward_um.shape[1]
+    result: dict[str, Any] = {"axis": test.axis, "targets": len(test.position_mm), "left_out_targets": test.left_out}
+    if not result["targets"]:
+        return result
+    result |= {
+        "runs": runs,
         "from_mm": float(test.position_mm[0]),
         "to_mm": float(test.position_mm[-1]),
         "screw_pitch_mm": test.pitch_mm,
         "screw_phases": None if test.pitch_mm is None else phases_of(test.position_mm, test.pitch_mm),
         "before_after": before_after_figures(test),
     }
-    if len(usable) > 1:
+    if runs > 1:
         result["iso_230_2"] = asdict(linear_figures(test.forward_um, test.reverse_um))
     return result
 
@@ -94,6 +97,10 @@ _BEFORE_AFTER = (
 
 def positioning_lines(result: Mapping[str, Any]) -> list[str]:
     """Return the lines that a terminal shows of :func:`positioning_result`."""
+    if "axes" in result:
+        return [line for axis in result["axes"] for line in [f"axis {axis['axis']}:", *positioning_lines(axis), ""]][
+            :-1
+        ]
     if not result:
         return ["no run approached its targets from both sides: no figures of both directions"]
     if not result["targets"]:

@@ -13,7 +13,7 @@ from dtwin.kinds.rotary._waves import waves
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
 from dtwin.positioning.matrix import TARGET_MM, LinearTest
-from dtwin.positioning.ways import BOTH
+from dtwin.positioning.sheet import evaluated_tests
 from dtwin.report.text import counted
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Finding, Run
@@ -85,8 +85,8 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
 def positioning_result(runs: Sequence[Run]) -> list[dict[str, Any]]:
     """Return the figures of each axis that was approached from both sides, JSON-ready, in seconds of arc."""
     out = []
-    for test in tests_by_axis(runs, ANGLES):
-        if test.ways != BOTH or not test.position_mm.size:
+    for test in evaluated_tests(runs, ANGLES):
+        if not test.position_mm.size:
             continue
         ends = {"from_deg": float(test.position_mm[0]), "to_deg": float(test.position_mm[-1])}
         told = {"axis": test.axis, "runs": test.forward_um.shape[1], "targets": len(test.position_mm), **ends}

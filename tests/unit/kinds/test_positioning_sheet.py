@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from dtwin.kinds.linear._report import positioning_lines, positioning_result
 from dtwin.kinds.registry import kind_named
 from dtwin.positioning.sheet import positioning_figure
 from dtwin.report.sheet import Sheet, judged
 from dtwin.report.uncertainty import Circumstances
-from dtwin.schema import Run, RunMeta
+from dtwin.schema import Finding, Run, RunMeta
+
+TARGETS = np.arange(0.0, 301.0, 50.0)
 
 
 def sweeps(
@@ -156,3 +161,34 @@ def test_two_targets_and_one_have_an_uncertainty() -> None:
             arrow = part.characteristics[1] if len(ways) == 1 else part.characteristics[3]
             assert arrow.symbol in ("R", "R↑")
             assert arrow.expanded_um > 0.0
+
+
+def test_the_axes_of_one_campaign_are_not_taken_together() -> None:
+    """A lathe's X and Z in one folder: each has its own figures, and what they differ by is no drift."""
+    short = sweeps(5, TARGETS)
+    steep = [replace(run, samples={**run.samples, "error_um": 30.0 + 3.0 * run.samples["error_um"]}) for run in short]
+    z = [replace(run, meta=replace(run.meta, run_id=f"z{n}", condition={"axis": "Z"})) for n, run in enumerate(steep)]
+    both = positioning_result([*short, *z])
+    assert both == {"axes": [positioning_result(short), positioning_result(z)]}
+    assert "axis Z:" in positioning_lines(both)
+    codes = [f.code for f in kind_named("linear").judge_campaign([*short, *z])]
+    assert codes == [f.code for runs in (short, z) for f in kind_named("linear").judge_campaign(runs)]
+
+
+def test_what_is_computed_beside_the_sheet_is_of_the_same_runs() -> None:
+    runs = sweeps(6, TARGETS)
+    missed = Finding("linear.missed_targets", "error", "a reading is missing")
+    short = {name: values[1:] for name, values in runs[2].samples.items()}
+    runs[2] = replace(runs[2], samples=short, findings=(missed,))
+    figures = positioning_result(runs)
+    (part,) = sheet_of(runs).parts
+    told = {c.symbol: c.value_um for c in part.characteristics}
+    assert (figures["runs"], figures["targets"]) == (5, len(TARGETS))
+    assert (figures["iso_230_2"]["accuracy_um"], figures["iso_230_2"]["systematic_um"]) == (told["A"], told["E"])
+
+
+def test_runs_of_two_mountings_are_not_one_test_in_silence() -> None:
+    runs = sweeps(5, TARGETS)
+    runs[4] = replace(runs[4], meta=replace(runs[4].meta, setup="rear"))
+    assert any("2 set-ups" in note for note in sheet_of(runs).notes)
+    assert not any("set-ups" in note for note in sheet_of(runs[:4]).notes)
