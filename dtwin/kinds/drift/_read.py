@@ -99,6 +99,15 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
             else 'other headers: [campaign.instrument.columns] with lines such as "frame_t" = "temperature_frame_c"',
         )
     cells = column[clock]
+    if twice := [head for head, name in zip(said, heads, strict=True) if name in moved and heads.count(name) > 1]:
+        raise InputError(
+            "several columns are one displacement",
+            code="drift.twice",
+            where=str(path),
+            got=", ".join(twice)[:80],
+            allowed="one column of each displacement; a position of the machine is none",
+            hint="leave one out, or rename it",
+        )
     if clock == _STAMPED:
         # Day and time may stand apart.
         stamped = [i for i, name in enumerate(heads) if name == clock]

@@ -128,7 +128,7 @@ def _scatter_um(moved: Floats, of_mean: float) -> float:
     # About readings as they are, the highest would stand out twice: by its own scatter, and by what is drawn.
     calm = _smooth(moved, of_mean)
     far = _NO_EXTREME * of_mean
-    near = calm[(calm > calm.max() - far) | (calm < calm.min() + far)]
+    near = calm[(calm >= calm.max() - far) | (calm <= calm.min() + far)]
     drawn = np.random.default_rng(0).standard_normal((times_simulated(near.size), near.size))
     return float(np.std(np.ptp(near + of_mean * drawn, axis=1), ddof=1))
 

@@ -14,7 +14,7 @@ _ROS = re.compile(r"(?:.*[./ ])?(position|translation|orientation|rotation)[./](
 _WORDS = {
     **dict.fromkeys(("soll", "target", "nominal", "command", "commanded", "cmd"), "target"),
     **dict.fromkeys(("error", "deviation", "fehler", "abweichung"), "error"),
-    **dict.fromkeys(("ist", "measured", "meas", "actual", "act"), "measured"),
+    **dict.fromkeys(("ist", "measured", "meas", "actual", "act", "attained"), "measured"),
 }
 _WORD = "|".join(sorted(_WORDS, key=len, reverse=True))
 NO_UNIT = "without_unit"

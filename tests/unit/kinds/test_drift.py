@@ -23,6 +23,7 @@ from dtwin.kinds.drift._search import additions, idle, missing
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.report.uncertainty import Circumstances
 from dtwin.schema import Campaign, Run, RunMeta
 
 HEAD = """[campaign]
@@ -454,6 +455,10 @@ def test_a_second_displacement_below_the_first_is_refused(tmp_path: Path) -> Non
     path.write_text("\n".join(lines), encoding="utf-8")
     with pytest.raises(InputError, match="second table"):
         read(path)
+    # One displacement in two units would be two runs of one name, both read from the last column.
+    path.write_text("\n".join(["Zeit [s];Z [µm];Z [mm];T [°C]", *(f"{60 * n};{n};0,250;20" for n in range(60))]))
+    with pytest.raises(InputError, match="one displacement"):
+        read(path)
 
 
 def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None:
@@ -679,6 +684,7 @@ def test_a_probe_that_is_stuck_is_said() -> None:
     stuck = replace(run, samples={**run.samples, "displacement_um": np.zeros(run.n_samples)})
     assert [(f.code, f.severity) for f in judge_drift(stuck)] == [("drift.stuck", "error")]
     assert drift_figures([stuck]) == {"log": None}
+    assert kind_named("drift").sheet([stuck], Circumstances()).parts[0].characteristics[0].value_um == 0.0
 
 
 def test_a_twin_is_not_of_a_log_that_the_others_contradict() -> None:

@@ -554,6 +554,7 @@ XYZ = "{0} X,{0} Y,{0} Z,{1} X,{1} Y,{1} Z"
     [
         (XYZ.format("指令", "測定"), 1.0),
         (XYZ.format("Commanded", "Actual"), 1.0),
+        (XYZ.format("Command", "Attained"), 1.0),
         ("X consigne [mm],Y consigne [mm],Z consigne [mm],X mesuré [mm],Y mesuré [mm],Z mesuré [mm]", 1.0),
         ("Cell 3\n\n" + XYZ.format("Target", "Measured"), 1.0),
         (XYZ.format("Soll", "Ist") + "\nm,m,m,m,m,m", 1000.0),
