@@ -23,6 +23,10 @@ class Log:
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
 
+    def begun(self) -> bool:
+        """Tell whether there is an entry: a first commit that a kill or a full disk ended leaves the folder alone."""
+        return self.folder.has(entry_of(0)) or (isinstance(self.folder.place, Path) and bool(self.entries()))
+
     def entries(self) -> list[str]:
         """Return the names of all entries, the oldest first."""
         return self.folder.names(".json")

@@ -74,7 +74,7 @@ class DeltaFiles:
 
     def exists(self) -> bool:
         """Tell whether the table was ever written."""
-        return self.log.folder.exists()
+        return self.log.begun()
 
     def version(self) -> int:
         """Return the current table version; -1 when the table does not exist."""

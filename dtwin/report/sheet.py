@@ -162,7 +162,7 @@ def repeated(symbol: str, name: str, values_um: Sequence[float]) -> Characterist
     """Return the mean of repeated evaluations, with the deviation of one of them."""
     n = len(values_um)
     mean = sum(values_um) / n
-    scatter = math.sqrt(sum((v - mean) ** 2 for v in values_um) / (n - 1)) if n > 1 else math.nan
+    scatter = math.hypot(*(v - mean for v in values_um)) / math.sqrt(n - 1) if n > 1 else math.nan
     return Characteristic(symbol, name, mean, n, scatter, float(n - 1))
 
 

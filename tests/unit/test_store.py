@@ -495,6 +495,23 @@ def test_no_campaign_fixes_the_width_of_a_column_for_the_others(tmp_path: Path) 
     assert pa.types.is_float64(seen.schema.field("wrist_x_g").type)
 
 
+def test_a_first_commit_that_a_full_disk_ended_locks_nothing(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r0", 0)])
+    table = DeltaFiles(lake.root / "rejects")
+    table.write("mill", pa.table({"a": ["x"]}))
+    (lake.root / "rejects" / "_delta_log").mkdir()
+    assert (table.version(), table.files()) == (-1, [])
+    assert [row["run_id"] for row in lake.runs()] == ["r0"]
+    assert lake.repair()["rejects"] == 1
+    written = table.write("mill", rows := pa.table({"a": ["y"]}))
+    assert table.commit([written], rows.schema) == 1
+    # Entries without the first one are a log that is damaged, not one that has not begun.
+    (lake.root / "rejects" / "_delta_log" / f"{0:020d}.json").unlink()
+    with pytest.raises(StoreError, match="log of a table is damaged"):
+        table.files()
+
+
 def test_a_cut_log_entry_is_an_error_that_repair_mends(tmp_path: Path) -> None:
     lake = Lake(tmp_path / "lake")
     for i in range(3):
