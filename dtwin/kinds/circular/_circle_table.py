@@ -75,7 +75,8 @@ _RADIUS = re.compile(r"^(actual |measured )?(radius|r|istradius)( (actual|measur
 _BESIDE = re.compile(
     r"angle|winkel|phi|theta|time|zeit|temp|luft|\bair|feed|vorschub|speed|mean|avg|average|mittel|fit|std|sigma|min|max|median"
     r"|tangential|command|cmd|nominal|\bsoll"
-    r"|^(?!.*(dev|err|abw|fehler)).*(correction|compensation|korrektur|kompensation)\b",
+    r"|diam|durchm|[ø⌀]"
+    r"|^(?!.*(dev|err|abw|fehler)).*(correction|compensation|korrektur|kompensation|radius)\b",
     re.I,
 )
 """What a head says whose column is no deviation of a run, though it names a direction."""
