@@ -8,6 +8,8 @@ from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction
 
 _FEED_IN_MM = 1.5
+NO_DIAMETERS = "(X is the travel of the slide: on a lathe switch diameter programming off)"
+"""Comment of a program that may run on a lathe, where X may be a diameter."""
 _WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"), "ZX": ("G18", "Z", "X", "K", "I")}
 
 
@@ -22,6 +24,7 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
     lines = [
         "%",
         f"({test.test_id} {test.plane} R{r:g} F{test.feed_mm_min:g} {test.setup})",
+        *([NO_DIAMETERS] if test.plane == "ZX" else []),
         f"G21 G90 G94 {plane_code}",
         f"G1 F{test.feed_mm_min:g}",
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dtwin.acquire.programs import NO_DIAMETERS
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plan import LinearPlan
 
@@ -42,9 +43,10 @@ class _Words:
 
     def head(self) -> list[str]:
         inch = self.plan.unit == "in"
+        remark = [NO_DIAMETERS] if self.plan.axis == "X" else []
         if self.iso:
-            return ["%", "G20" if inch else "G21", "G90 G94"]
-        return ["G70" if inch else "G71", "G01G59G90G94 (modes)"]
+            return ["%", *remark, "G20" if inch else "G21", "G90 G94"]
+        return [*remark, "G70" if inch else "G71", "G01G59G90G94 (modes)"]
 
     def tail(self) -> list[str]:
         return ["M30", "%"] if self.iso else []
