@@ -32,7 +32,7 @@ body { font: 14px/1.4 system-ui, "DejaVu Sans", sans-serif; color: #14212b; marg
 h1 { font-size: 22px; margin: 0; } h2 { font-size: 16px; margin: 18px 0 6px; }
 table { border-collapse: collapse; width: 100%; } td, th { padding: 3px 6px; border-bottom: 1px solid #d9e0e5; text-align: right; }
 td:first-child, th:first-child { text-align: left; } td + td { white-space: nowrap; } td.from, th.from { white-space: normal; text-align: left; } .figures td:first-child { width: 100%; } th { color: #44525d; font-weight: 600; }
-.overview { font-size: 9px; } .overview td, .overview th { padding: 3px 2px; white-space: nowrap; }
+.overview { font-size: 9px; } .overview td, .overview th { padding: 3px 2px; white-space: normal; }
 .beside { display: grid; grid-template-columns: 250px 1fr; align-items: start; } .beside h2 { grid-column: span 2; margin-bottom: 0; }
 .beside table { font-size: 9.5px; } .beside td, .beside th { padding: 2.5px 3px; }
 dl { display: grid; grid-template-columns: repeat(2, max-content 1fr); gap: 2px 12px; margin: 10px 0; } dt { color: #44525d; } dd { margin: 0; }
@@ -47,7 +47,7 @@ section { break-inside: avoid; } .sign { display: grid; grid-template-columns: 1
 <small>{{ tell(sheet.standard) }}</small></p>
 <dl>{% for name, value in head %}<dt>{{ say(name) }}</dt><dd>{{ value or say("not stated") }}{% if name == "test" and runs %}, {{ runs }} {{ say("run" if runs == "1" else "runs") }}{% endif %}</dd>{% endfor %}</dl>
 {% if parts|length > 1 %}<table class="overview"><thead><tr>{% for name in overview[0] %}<th>{{ say(name) }}</th>{% endfor %}</tr></thead>
-<tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
+<tbody>{% for row in overview[1] %}<tr>{% for cell in row %}<td>{{ tell(cell) | replace("± ", "±&nbsp;"|safe) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endif %}
 {% for part in parts %}<section{% if beside %} class="beside"{% endif %}><h2>{{ tell(part.title) }}</h2>{{ part.figure|safe }}
 <table class="figures"><thead><tr><th>{{ say("figure") }}</th><th>{{ say("value") }}, {{ unit }}</th><th>U&nbsp;(95&nbsp;%), {{ unit }}</th><th>{{ say("limit") }}, {{ unit }}</th><th>{{ say("decision") }}</th>{% if before %}<th>{{ say("before") }}, {{ unit }}</th><th>{{ say("change") }}, {{ unit }}</th>{% endif %}</tr></thead>
 <tbody>{% for c in part.rows %}<tr><td>{{ c.symbol }} {{ say(c.name) }}</td><td>{{ tell(c.shown.value) }}</td><td>{{ tell(c.shown.expanded) }}</td><td>{{ tell(c.shown.limit) }}</td><td>{{ say(c.decision) or "-" }}</td>{% if before %}<td>{{ tell(c.before) }}</td><td>{{ tell(c.change) }}</td>{% endif %}</tr>{% endfor %}</tbody></table></section>

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import plotly.graph_objects as go
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from chromium import chromium
@@ -23,6 +24,9 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import with_event
 from dtwin.pipeline.machine_joint import machine_joint
 from dtwin.pipeline.planned_tests import draft_of, keep_plan
+from dtwin.report.certificate import certificate_page
+from dtwin.report.sheet import Characteristic, Part, Sheet, judged
+from dtwin.report.uncertainty import Contribution
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench
@@ -103,6 +107,18 @@ def page(browser: Browser, bench: Workbench) -> Iterator[Page]:
     opened.goto(bench.address)
     opened.wait_for_url("**/machines")
     yield opened
+    opened.close()
+
+
+def test_a_certificate_of_two_axes_is_no_wider_than_its_paper(browser: Browser) -> None:
+    symbols = ["A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M"]
+    off = (Contribution("instrument", 1.2, "stated", assumed=False),)
+    figures = [Characteristic(s, s, 25.4, 1, 1.2, 4.0, contributions=off) for s in symbols]
+    parts = tuple(Part(f"axis {axis}, 0 to 250 mm, 7 targets", (axis,), tuple(figures), True) for axis in "XZ")
+    sheet = judged(Sheet("ISO 230-2, positioning", "A", parts, "", ()), {}).as_dict()
+    opened = browser.new_page(viewport={"width": 718, "height": 900})
+    opened.set_content(certificate_page({"campaign": "c", "machine": "m"}, sheet, [go.Figure()] * 2, []))
+    assert opened.evaluate("document.documentElement.scrollWidth") <= 718
     opened.close()
 
 
