@@ -214,6 +214,14 @@ def filtered(curve_um: Floats) -> Floats:
     return np.asarray(np.fft.irfft(waves, curve_um.shape[-1], axis=-1))
 
 
+def _open_filtered(curve_um: Floats) -> Floats:
+    """Return what :func:`filtered` does of curves whose end need not meet their begin: there it would ring by a tenth of the step."""
+    bins = curve_um.shape[-1]
+    waves = np.fft.rfft(np.concatenate([curve_um, curve_um[..., ::-1]], axis=-1), axis=-1)
+    waves[..., 2 * _HIGHEST_ORDER + 1 :] = 0.0
+    return np.asarray(np.fft.irfft(waves, 2 * bins, axis=-1)[..., :bins])
+
+
 def _range(curve_um: Floats) -> Floats:
     """Return the ranges of curves over one turn, shape (..., bins), also between the places of a coarse grid."""
     bins = curve_um.shape[-1]
@@ -264,8 +272,8 @@ def figures_of(turns: Turns) -> Figures:
     if blocks > 1:
         covariance = np.cov(own.real, own.imag) / blocks
     smooth = filtered(moved)
-    apart = smooth - smooth.mean(axis=0)
     off = moved - moved.mean(axis=0)
+    apart = _open_filtered(off)
     left = means_of @ np.mean(off**2, axis=1) - np.mean((means_of @ off) ** 2, axis=1)
     unbiased = np.array([_unbiased(round(n)) for n in used])
     rms = figure(np.sqrt(np.maximum(left, 0.0) * unbiased))

@@ -112,6 +112,15 @@ def test_asynchronous_motion_is_what_differs_from_turn_to_turn() -> None:
     assert figures_of(steady).asynchronous_rms.um < 0.03
 
 
+@pytest.mark.parametrize("order", [0.43, 2.37, 7.6])
+def test_asynchronous_motion_of_an_order_between_whole_ones_does_not_ring_where_turns_meet(order: float) -> None:
+    angle = np.arange(0.0, 30.1 * 360.0)
+    turns = turns_of(run_of(angle, 5.0 * np.cos(np.radians(angle)) + 0.4 * np.cos(np.radians(order * angle))))
+    assert turns is not None
+    widest = np.ptp(turns.moved_um - turns.moved_um.mean(axis=0), axis=0).max()
+    assert figures_of(turns).asynchronous.um == pytest.approx(widest, rel=0.01)
+
+
 def test_a_drift_is_told_beside_and_changes_no_figure() -> None:
     angle = turned(20.0)
     target = Target(drift_um_turn=2.0)
