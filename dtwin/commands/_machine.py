@@ -191,11 +191,11 @@ def _next_text(advice: Mapping[str, Any]) -> str:
         ]
         for t in advice["tests"]
     ]
-    lines = [f"measured: {', '.join(advice['measured']) or 'nothing yet'}", ""]
+    lines = [f"measured: {', '.join(advice['measured']) or 'nothing yet'}", *_passed_over(advice)]
     if advice["measured"]:
-        lines.insert(1, f"found, and not told apart: {_listed([' or '.join(group) for group in advice['unclear']])}")
-        lines.insert(2, f"not told by that: {_listed(advice['untold'])}")
-    lines.append(table(head, rows))
+        lines.append(f"found, and not told apart: {_listed([' or '.join(group) for group in advice['unclear']])}")
+        lines.append(f"not told by that: {_listed(advice['untold'])}")
+    lines += ["", table(head, rows)]
     if "plan_file" in advice:
         lines.append(f"\nplan of the first: {advice['plan_file']} (dtwin plan {advice['plan_file']})")
     return "\n".join(lines)
@@ -224,7 +224,11 @@ def _joint_text(diagnosis: Mapping[str, Any]) -> str:
         for t in diagnosis["tests"]
     ]
     lines = diagnosis["lines"] or ["no test sees what another one found"]
-    return "\n".join([table(("day", "test", "kind", "found by itself"), rows), "", *lines])
+    return "\n".join([table(("day", "test", "kind", "found by itself"), rows), *_passed_over(diagnosis), "", *lines])
+
+
+def _passed_over(found: Mapping[str, Any]) -> list[str]:
+    return [f"passed over: {name}: {why}" for name, why in found["passed_over"].items()]
 
 
 def _axis(text: str) -> tuple[str, dict[str, float]]:

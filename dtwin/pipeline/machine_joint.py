@@ -43,16 +43,25 @@ def machine_joint(
     chosen = (
         _stated(rows, machine, names) if names else newest_tests(lake.runs(left_out=True, machine=machine), machine)
     )
-    if len(chosen) < 2:
+    _require_two(machine, list(chosen))
+    made = compared(home, machine, chosen, Library() if library is None else library, progress)
+    for name in made["passed_over"] if names else ():
+        # It says why.
+        load(home, name)
+    _require_two(machine, [test["campaign"] for test in made["tests"]])
+    return made
+
+
+def _require_two(machine: str, campaigns: Sequence[str]) -> None:
+    if len(campaigns) < 2:
         raise InputError(
             "there are not two tests to compare",
             code="machine.tests",
             where=machine,
-            got=", ".join(chosen) or "none",
+            got=", ".join(campaigns) or "none",
             allowed="campaigns of circles, positions or tones; of the same kind, of other planes, axes or days",
             hint=f"dtwin machine show {machine}",
         )
-    return compared(home, machine, chosen, Library() if library is None else library, progress)
 
 
 def compared(
@@ -62,7 +71,9 @@ def compared(
     library: Mapping[str, Effect],
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Return what campaigns of a machine find, as :func:`machine_joint`; one is enough.
+    """Return what campaigns of a machine find, as :func:`machine_joint`; one is enough, and none is needed.
+
+    Those that cannot have a twin are under ``passed_over``, with the reason.
 
     ``chosen``: their rows of the lake's table of runs, by name.
     """
@@ -74,7 +85,7 @@ def compared(
         lambda: _compared(home, machine, list(chosen), library, progress),
     )
     # What happened may be recorded after the tests were compared.
-    return {**made, "lines": joint_lines(made, library, events_of(home, machine))}
+    return {"passed_over": {}, **made, "lines": joint_lines(made, library, events_of(home, machine))}
 
 
 def is_compared(home: Home, machine: str, library: Mapping[str, Effect]) -> bool:
@@ -92,8 +103,13 @@ def _compared(
     home: Home, machine: str, campaigns: Sequence[str], library: Mapping[str, Effect], progress: Progress | None
 ) -> dict[str, Any]:
     tests = []
+    passed_over: dict[str, str] = {}
     for done, name in enumerate(campaigns, start=1):
-        obs = load(home, name).obs
+        try:
+            obs = load(home, name).obs
+        except InputError as error:
+            passed_over[name] = f"{error.message} ({error.got})" if error.got else error.message
+            continue
         started = min((meta.started or "" for meta in obs.runs), default="")
         tests.append(MachineTest(name, started, obs, diagnose(obs, [], library)))
         if progress is not None:
@@ -109,7 +125,7 @@ def _compared(
         }
         for test in tests
     ]
-    return {"machine": machine, "tests": told, **together.as_dict()}
+    return {"machine": machine, "tests": told, "passed_over": passed_over, **together.as_dict()}
 
 
 def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:
@@ -117,13 +133,14 @@ def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:
 
 
 def newest_tests(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]]:
-    """Return the newest campaign of each kind with the same planes or axes that can have a twin."""
+    """Return the newest campaign of each kind with the same planes or axes that can have a twin and has a sound run."""
     newest: dict[tuple[Any, ...], str] = {}
     mine = _by_campaign([row for row in rows if row["machine"] == machine])
     for name in sorted(mine, key=lambda n: str(mine[n][0]["started"] or "")):
         kind = str(mine[name][0]["kind"])
-        if kind_named(kind).offers("rows"):
-            moved = {str(row["plane"] or row["condition_json"]) for row in mine[name] if not row["left_out"]}
+        kept_in = [row for row in mine[name] if not row["left_out"]]
+        if kind_named(kind).offers("rows") and any(not row["n_errors"] for row in kept_in):
+            moved = {str(row["plane"] or row["condition_json"]) for row in kept_in}
             newest[kind, tuple(sorted(moved))] = name
     return {name: mine[name] for name in newest.values()}
 

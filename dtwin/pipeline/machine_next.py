@@ -39,6 +39,7 @@ def machine_next(
     ``allowed``: kinds of test for which there is an instrument; all without.
     ``minutes``: longest time, mounting the instrument included.
     Returns ``machine``; ``measured``: campaigns that count, the newest of each kind with the same planes or axes;
+    ``passed_over``: those of them that cannot have a twin, with the reason;
     ``unclear``: groups of effects that they find and do not tell apart; ``untold``: causes whose size they do not tell;
     ``tests``: ``name``, ``kind``, ``minutes``, ``bits``, ``bits_per_minute``, ``told`` and ``document``, the plan file.
     Raises ``InputError`` when the machine is not known, a kind proposes no tests, or none is short enough.
@@ -47,8 +48,11 @@ def machine_next(
     rows = lake.runs(left_out=True, machine=machine)
     record = record_of(home, machine, rows)
     chosen = newest_tests(rows, machine)
-    groups = _groups(compared(home, machine, chosen, known, progress)) if chosen else []
-    measured = [Made(load(home, name).obs, left) for name, left in zip(chosen, unclear(groups), strict=True)]
+    together: Mapping[str, Any] = (
+        compared(home, machine, chosen, known, progress) if chosen else {"tests": [], "settled": [], "passed_over": {}}
+    )
+    counted, groups = [test["campaign"] for test in together["tests"]], _groups(together)
+    measured = [Made(load(home, name).obs, left) for name, left in zip(counted, unclear(groups), strict=True)]
     plans = _proposed(record, allowed, [test.obs for test in measured])
     within = [(p, document) for p, document in plans if minutes is None or _minutes(p) <= minutes]
     if not plans:
@@ -89,7 +93,8 @@ def machine_next(
         )
     return {
         "machine": machine,
-        "measured": list(chosen),
+        "measured": counted,
+        "passed_over": together["passed_over"],
         "unclear": [list(group) for test in measured for group in test.unclear],
         "untold": _by_cause(knowledge.untold),
         "tests": sorted(tests, key=lambda test: -test["bits_per_minute"]),

@@ -51,6 +51,31 @@ def test_what_was_measured_is_not_proposed_first_and_the_plan_can_be_used(home: 
     assert "scale X" not in " ".join(found["untold"])
 
 
+def test_what_cannot_have_a_twin_is_passed_over_and_a_spoilt_test_gives_way_to_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a lathe's X and Z in one folder, or of a newest test without a sound run, nothing was said of the machine at all."""
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    lake = Lake(Home(tmp_path / "home").lake)
+    for name, lead_ppm, year in (("sound", 10.0, "2024"), ("both", 10.0, "2025"), ("spoilt", 1e7, "2026")):
+        made = write_laser(tmp_path / name, "mill-7", "X", lead_ppm, 4.0)
+        file = made / "campaign.toml"
+        stated = file.read_text(encoding="utf-8").replace("2025", year)
+        if name == "both":
+            # Axis Z below axis X, with readings of its own.
+            other = write_laser(made / "z", "mill-7", "Z", 20.0, 3.0, seed=1) / "campaign.toml"
+            runs = other.read_text(encoding="utf-8").partition("[[run]]")[2]
+            stated += "[[run]]" + runs.replace('file = "r', 'file = "z/r').replace('id = "r', 'id = "z')
+            other.unlink()
+        file.write_text(stated, encoding="utf-8")
+        ingest(made, lake)
+    found = said("machine", "next", "mill-7")
+    assert found["measured"] == ["sound"]
+    assert list(found["passed_over"]) == ["both"]
+    asked = refused("machine", "diagnose", "mill-7", "--campaign", "both", "--campaign", "sound")
+    assert asked.code == "twin.axis"
+
+
 def test_kinds_and_minutes_choose(home: Path) -> None:
     assert {t["kind"] for t in said("machine", "next", "mill-7", "--kind", "linear")["tests"]} == {"linear"}
     every = said("machine", "next", "mill-7")["tests"]
