@@ -45,6 +45,8 @@ _MOST_BYTES = 256 * 1024**2
 SUFFIXES = (".csv", ".txt", ".tsv", *SPREADSHEETS)
 _MOVED = re.compile(rf"(displacement|deviation|verlagerung|drift|{PROBES}|[d\u03b4]?[xyz]\d?)(_?\d+)?(_\w+)?_um", re.I)
 _AXIS = re.compile(r"(?:^|_)[d\u03b4]?([xyz])\d?(?=_)", re.I)
+_MOST_AT_ONCE = 50
+"""Readings of one sample."""
 _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
@@ -315,6 +317,16 @@ def _require_degrees(row: Sequence[str], units: Sequence[str] | None, recipe: Ma
 
 
 def _require_rising(t_s: Floats, path: Path) -> None:
+    times = np.unique(t_s).size
+    if t_s.size > 1 and times < max(2.0, t_s.size / _MOST_AT_ONCE):
+        raise InputError(
+            "the time hardly changes: how long the log took is not known",
+            code="drift.clock",
+            where=str(path),
+            got=f"{t_s.size} readings at {times} time{'s' if times > 1 else ''}",
+            allowed=f"up to {_MOST_AT_ONCE} readings at one time",
+            hint="dates alone are no times: the time of day may stand in a column whose head does not say so, such as Time or Uhrzeit",
+        )
     falls = np.flatnonzero(np.diff(t_s) < 0.0)
     if falls.size:
         at = int(falls[0])

@@ -319,6 +319,15 @@ def test_stamps_of_spreadsheets_and_of_the_clock_alone_are_read(tmp_path: Path, 
     assert run.samples["t_s"] == pytest.approx(60.0 * np.arange(60), abs=1e-3)
 
 
+def test_dates_without_times_of_day_are_no_clock(tmp_path: Path) -> None:
+    """Nobody knows how long such a log took; its worst hour was the whole of it."""
+    path = tmp_path / "a.csv"
+    rows = [f"02.03.2026;{0.1 * n:.1f};{20 + 0.01 * n:.2f}" for n in range(120)]
+    path.write_text("\n".join(["Datum;Z [µm];T [°C]", *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="hardly changes"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     ("head", "stamps", "code"),
     [
