@@ -24,6 +24,8 @@ _EQUAL = 0.1
 _GOLDEN = (0.382, 0.618)
 _STUCK_READINGS = 12
 _FEWEST_FOR_DRIFT = 8
+_FEWEST_TURNED, _TURNED = 5, 4.0
+"""Targets, and how many times as well the other order must fit, that readings stand upside down."""
 _CLIPPED, _CLIPPED_TIMES = 10, 5
 """Readings of one value at the end of all, and how many times as often as any other value, that are clipped; and fewest values of a fine display."""
 
@@ -101,12 +103,12 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
     single = [Finding("campaign.no_repeat", "warning", said, {"conditions_1": 1.0})] if len(runs) == 1 else []
     tests = tests_by_axis(runs, scale)
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum, zeroed, clipped = (
+    datum, zeroed, clipped, turned = (
         [finding for test in tests if (finding := judge(test)) is not None]
-        for judge in (shifted_zero, zero_of_each_cycle, _clipped)
+        for judge in (shifted_zero, zero_of_each_cycle, _clipped, _turned)
     )
     drift = [finding for _, alike in by_axis(runs) for finding in _drift(alike, scale)]
-    return [*single, *clipped, *(told or drift), *datum, *zeroed]
+    return [*single, *clipped, *turned, *(told or drift), *datum, *zeroed]
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
@@ -148,6 +150,24 @@ def _clipped(test: LinearTest) -> Finding | None:
             )
             return Finding(f"{test.scale.kind}.clipped", "error", said, {"readings_1": float(counts[end])})
     return None
+
+
+def _turned(test: LinearTest) -> Finding | None:
+    """Return that the reverse readings fit the forward ones far better in the other order of the targets: they were written as they came."""
+    if test.ways != BOTH or len(test.position_mm) < _FEWEST_TURNED:
+        return None
+    forward, reverse = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
+    as_told, as_read = (float(np.std(forward - means)) for means in (reverse, reverse[::-1]))
+    runs = test.forward_um.shape[1]
+    scatter = np.concatenate([test.forward_um, test.reverse_um])
+    noise = float(np.sqrt(2.0 * scatter.var(axis=1, ddof=1).mean() / runs)) if runs > 1 else 0.0
+    if as_told < _TURNED * max(as_read, noise):
+        return None
+    said = (
+        f"axis {test.axis}: forward and reverse means differ by {as_told:z.3g} {test.scale.fine} RMS about the mean reversal, and by {as_read:z.3g} {test.scale.fine} when the reverse "
+        "readings are taken from the last target to the first: were they written in the order in which they were read? B, E and A would be wrong"
+    )
+    return Finding(f"{test.scale.kind}.turned", "warning", said, {"ratio_1": as_told / max(as_read, 1e-9)})
 
 
 def _missed(run: Run, scale: Scale) -> Iterator[Finding]:

@@ -192,3 +192,16 @@ def test_runs_of_two_mountings_are_not_one_test_in_silence() -> None:
     runs[4] = replace(runs[4], meta=replace(runs[4].meta, setup="rear"))
     assert any("2 set-ups" in note for note in sheet_of(runs).notes)
     assert not any("set-ups" in note for note in sheet_of(runs[:4]).notes)
+
+
+def test_reverse_readings_that_stand_upside_down_are_told() -> None:
+    """Reverse columns written as they were read, from the last target to the first, beside targets that rise."""
+    runs = sweeps(5, TARGETS, noise_um=0.1)
+    judge = kind_named("linear").judge_campaign
+    assert "linear.turned" not in {f.code for f in judge(runs)}
+    n = len(TARGETS)
+    turned = [
+        replace(run, samples={**run.samples, "error_um": np.append(e[:n], e[n:][::-1])})
+        for run, e in ((run, run.samples["error_um"]) for run in runs)
+    ]
+    assert {f.code: f.severity for f in judge(turned)}["linear.turned"] == "warning"
