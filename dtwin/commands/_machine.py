@@ -288,7 +288,7 @@ def _history_text(history: Mapping[str, Any]) -> str:
             t["kind"],
             ", ".join(filter(None, (t["figure"], t["condition"]))) or "-",
             f"{t['shown']} {shown_unit(t['unit'])}" if t["shown"] else "-",
-            t["decision"] or "-",
+            f"a copy of {t['copy_of']}" if t.get("copy_of") else t["decision"] or "-",
         ]
         for t in history["tests"]
     ]

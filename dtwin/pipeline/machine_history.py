@@ -128,6 +128,7 @@ def _history(
     variation = variation_of(home, machine, rows)
     tests = []
     series: dict[tuple[str, ...], Series] = {}
+    first: dict[str, str] = {}
     for done, (name, mine) in enumerate(ordered, start=1):
         kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
         offered = kind_named(kind).offers("sheet")
@@ -136,8 +137,9 @@ def _history(
         except InputError:
             # One test that states what cannot be used must not hide the others; its own page tells why.
             sheet = None
-        tests.append({"campaign": name, "kind": kind, "started": started, **_headline(sheet)})
-        if started:
+        copied = _copied(mine, name, first) if started else ""
+        tests.append({"campaign": name, "kind": kind, "started": started, "copy_of": copied, **_headline(sheet)})
+        if started and not copied:
             point = Point(name, started, 0.0, 0.0, instrument_of(mine))
             _with_figures(series, sheet, kind, record, point)
             _with_sizes(series, _sizes(home, name, stamp, twins), point)
@@ -157,6 +159,18 @@ def _history(
         "series": judged,
         "next_test": next_test(judged, record, overview["last_test"]),
     }
+
+
+def _copied(rows: Sequence[Mapping[str, Any]], name: str, first: dict[str, str]) -> str:
+    """Return the earlier campaign whose readings all runs of this one have to the last digit: the same test, ingested twice.
+
+    ``first``: campaigns by the hash of their samples; those of this one are added.
+    """
+    own = [str(row["samples_sha256"]) for row in rows if not row["left_out"]]
+    copied = first[own[0]] if own and all(digest in first for digest in own) else ""
+    for digest in own:
+        first.setdefault(digest, name)
+    return copied
 
 
 def with_sheets(home: Home, history: Mapping[str, Any]) -> dict[str, Any]:

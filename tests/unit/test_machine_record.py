@@ -232,6 +232,14 @@ def test_a_kept_history_follows_runs_record_twins_and_amendments(home: Home) -> 
 
     first = told()
     assert {one["figure"] for one in first["series"]} == {"G(b)"}
+    # The same files under another name are no test more, in no chart.
+    stated = home.root / "made" / "t00" / "campaign.toml"
+    text = stated.read_text(encoding="utf-8")
+    stated.write_text(text.replace('"t00"', '"t00-again"', 1), encoding="utf-8")
+    ingest(stated.parent, Lake(home.lake))
+    assert [test["copy_of"] for test in told()["tests"]] == ["", "t00", "", ""]
+    assert [len(one["points"]) for one in told()["series"]] == [len(one["points"]) for one in first["series"]]
+    leave_out(Lake(home.lake), "t00-again", [r["run_id"] for r in Lake(home.lake).runs("t00-again")], "twice", out=True)
     said("machine", "add", "mill-7", "--tolerance", "G(b)=4")
     assert {one["high"] for one in told()["series"]} == {4.0}
     Twins(home).fit("t00", ["squareness"], "mill-7")
