@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,10 +12,6 @@ from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, Report, emit
 from dtwin.commands._twins import app as twin_app
 from dtwin.errors import InputError
-
-if TYPE_CHECKING:
-    from dtwin.kinds.circular import Study
-    from dtwin.schema import Floats
 
 File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
 Centre = Annotated[
@@ -34,8 +30,9 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Tell from one file what can be told: fitted on one pass, judged on the other."""
-    from dtwin.kinds.circular import recording_sections, recording_text, study_recording, ur10e_geometry
     from dtwin.physics.library import Library
+    from studies.recording import study_recording, ur10e_geometry
+    from studies.report.recording import recording_sections, recording_text
 
     told = [*(robot_centre_mm or ()), *([] if bar_zero_deg is None else [bar_zero_deg])]
     if not all(map(isfinite, told)) or (told and robot_centre_mm is None):
@@ -51,22 +48,5 @@ def study(
         from dtwin.atomic import write_text
         from dtwin.report.html import page
 
-        sections = recording_sections(study.result, _curves(study))
-        write_text(html, page(f"Recording {file.name}", "dtwin", sections), "the report")
+        write_text(html, page(f"Recording {file.name}", "dtwin", recording_sections(study)), "the report")
     emit(study.result, lambda: recording_text(study.result), as_json=as_json)
-
-
-def _curves(study: Study) -> dict[str, tuple[Floats, Floats]]:
-    import numpy as np
-
-    curves: dict[str, tuple[Floats, Floats]] = {}
-    at = 0
-    for aligned in study.passes.aligned:
-        angle = np.degrees(aligned.state.angle_rad)
-        for stretch in aligned.stretches:
-            rows = slice(at, at + stretch.end - stretch.first)
-            at = rows.stop
-            name = f"{stretch.run_id} from {stretch.first}"
-            curves[f"{name}, measured"] = (angle[stretch.second], study.passes.y_um[1][rows])
-            curves[f"{name}, left"] = (angle[stretch.second], study.residual_um[1][rows])
-    return curves

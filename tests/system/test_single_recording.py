@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 from dtwin.acquire.b5r import read_b5r
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.circular._recording import ur10e_geometry
-from dtwin.kinds.circular._recording_models import (
+from dtwin.physics.library import Library
+from studies.recording import ur10e_geometry
+from studies.recording_models import (
     candidate_terms,
     grow,
     harmonic_columns,
@@ -26,9 +27,8 @@ from dtwin.kinds.circular._recording_models import (
     passes_of,
     setup_terms,
 )
-from dtwin.kinds.circular._recording_passes import align
-from dtwin.kinds.circular._recording_report import recording_text
-from dtwin.physics.library import Library
+from studies.recording_passes import align
+from studies.report.recording import recording_text
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "data" / "samples" / "ur10e_xy_r100_f5000.b5r"

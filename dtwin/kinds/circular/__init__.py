@@ -1,4 +1,4 @@
-"""Circles by ball bar: the record of the kind, its dynamics and the study of one recording."""
+"""Circles by ball bar: the record of the kind and its dynamics."""
 
 from __future__ import annotations
 
@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from dtwin.kinds.circular._dynamics_ways import DynamicsRequest as DynamicsRequest
     from dtwin.kinds.circular._particle_swarm import SwarmSettings as SwarmSettings
     from dtwin.kinds.circular._physics_fit import PhysicsFit as PhysicsFit
-    from dtwin.kinds.circular._recording import Study as Study
-    from dtwin.kinds.circular._recording import study_recording as study_recording
-    from dtwin.kinds.circular._recording import ur10e_geometry as ur10e_geometry
-    from dtwin.kinds.circular._recording_report import recording_sections as recording_sections
-    from dtwin.kinds.circular._recording_report import recording_text as recording_text
 
 _PLACES = {
     "_dynamics": "split_campaign",
@@ -26,8 +21,6 @@ _PLACES = {
     "_dynamics_ways": "DynamicsRequest TWIN_EFFECTS",
     "_particle_swarm": "SwarmSettings",
     "_physics_fit": "PhysicsFit",
-    "_recording": "Study study_recording ur10e_geometry",
-    "_recording_report": "recording_sections recording_text",
 }
 __all__ = " ".join(_PLACES.values()).split()
 __getattr__ = offered(__name__, _PLACES)

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.b5r import BallbarTest, read_b5r
-from dtwin.kinds.circular import _recording_models as models
-from dtwin.kinds.circular._recording_passes import Aligned, align, within_run_floor_um
-from dtwin.kinds.circular._recording_search import Search
-from dtwin.kinds.circular._recording_vendor import vendor_figures
 from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Term
 from dtwin.physics.state import has_joints
-from dtwin.physics.within_run import ARC_DIP, STOP_RINGING
 from dtwin.schema import Floats
+from studies import recording_models as models
+from studies.recording_effects import ARC_DIP, STOP_RINGING
+from studies.recording_passes import Aligned, align, within_run_floor_um
+from studies.recording_search import Search
+from studies.recording_vendor import vendor_figures
 
 _ELBOW_UP_DEG = (-18.5, -86.3, 137.0, -140.7, -90.0, -108.5)
 _ASKED_HZ = (9.0, 9.8)

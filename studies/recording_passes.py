@@ -12,8 +12,8 @@ import numpy as np
 from dtwin.acquire.motion_quality import Motion, aligned_angle_deg, motion_of
 from dtwin.errors import InputError
 from dtwin.physics.state import State, circular_state
-from dtwin.physics.within_run import ARC_SHARE, ARC_SIGN, SINCE_STOP
 from dtwin.schema import Floats, Run
+from studies.recording_effects import ARC_SHARE, ARC_SIGN, SINCE_STOP
 
 _STOP_S = 0.15
 _SHORTEST = 0.15

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.circular import _recording_models as models
-from dtwin.kinds.circular._recording_passes import Aligned
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import instances
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 from dtwin.statistics import rms
+from studies import recording_models as models
+from studies.recording_passes import Aligned
 
 _KINDS = (
     "scale_mismatch",

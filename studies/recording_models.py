@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.kinds.circular._recording_passes import Aligned
-from dtwin.kinds.circular._recording_search import Search
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.library import instances
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State, has_joints
-from dtwin.physics.within_run import ARC_DIP, STOP_RINGING
 from dtwin.schema import Floats
 from dtwin.statistics import rms
+from studies.recording_effects import ARC_DIP, STOP_RINGING
+from studies.recording_passes import Aligned
+from studies.recording_search import Search
 
 _PITCHES_MM = tuple(float(p) for p in np.geomspace(4.0, 60.0, 40))
 _ORDERS = tuple(float(o) for o in np.arange(10.0, 421.0, 5.0))

@@ -12,6 +12,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.plots import error_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
+from studies.recording import Study
 
 _RUNG_HEAD = ("added", "at", "linear parameters", "fit µm", "other pass µm", "grade")
 _MODEL_HEAD = ("model", "parameters with shapes", "other pass µm", "path not fitted µm")
@@ -31,8 +32,9 @@ def recording_text(result: Mapping[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Floats, Floats]]) -> list[Section]:
-    """Return the sections of a page about ``Study.result``."""
+def recording_sections(study: Study) -> list[Section]:
+    """Return the sections of a page."""
+    result = study.result
     steps = [_step(step) for step in result["plan"]]
     return [
         Section("Alignment", [*_alignment(result), *_stretches(result)]),
@@ -46,7 +48,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
             "Models side by side",
             [_alone(one) for one in result["alone"]],
             tables=[Table(_MODEL_HEAD, _models(result))],
-            figures=[error_figure(curves, title="Second pass, and what the model leaves of it")],
+            figures=[error_figure(_curves(study), title="Second pass, and what the model leaves of it")],
         ),
         Section("What it means", [*_conclusion(result)]),
         Section("What to measure next", steps),
@@ -67,6 +69,20 @@ def _waterfall(result: Mapping[str, Any]) -> go.Figure:
         figure.add_hline(y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} µm")
     figure.update_layout(title="Error on the pass that was not fitted", yaxis_title="RMS, µm")
     return styled(figure)
+
+
+def _curves(study: Study) -> dict[str, tuple[Floats, Floats]]:
+    curves: dict[str, tuple[Floats, Floats]] = {}
+    at = 0
+    for aligned in study.passes.aligned:
+        angle = np.degrees(aligned.state.angle_rad)
+        for stretch in aligned.stretches:
+            rows = slice(at, at + stretch.end - stretch.first)
+            at = rows.stop
+            name = f"{stretch.run_id} from {stretch.first}"
+            curves[f"{name}, measured"] = (angle[stretch.second], study.passes.y_um[1][rows])
+            curves[f"{name}, left"] = (angle[stretch.second], study.residual_um[1][rows])
+    return curves
 
 
 def _alignment(result: Mapping[str, Any]) -> list[str]:
