@@ -28,11 +28,11 @@ from dtwin.kinds.circular._evidence import WAYS
 from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters
-from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
 from dtwin.report.text import table
 from dtwin.serve.bundle import Bundle
 from dtwin.train.registry import Registry
+from studies.cobot_demo import quick_size
 
 # By what the amplitudes of the orders grew when the machine with another law was calibrated.
 _ORDERS_BY = (2.635, 0.338, 0.327, 0.531, 0.966, 0.855)

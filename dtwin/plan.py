@@ -112,6 +112,14 @@ def training_plan(
     return expand(document, "training plan")
 
 
+def quick_training_plan() -> Plan:
+    """Return a small training campaign: one plane, three radii, two feeds, 12 tests.
+
+    Three radii: without one of them two must remain, or orders cannot be told from each other.
+    """
+    return training_plan(feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=2, name="training-quick")
+
+
 def read_plan(path: Path) -> Plan:
     """Read a plan file.
 

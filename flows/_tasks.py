@@ -29,9 +29,7 @@ from dtwin.lifecycle import train as training
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, measuring
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
-from dtwin.pipeline.demo_steps import ProgressOf
 from dtwin.pipeline.desk import Desk
-from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source
@@ -39,6 +37,8 @@ from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.on_campaign import TwinView, look_at
 from studies import papers
+from studies.cobot_steps import ProgressOf
+from studies.wall_clock import Circle, serve_wall_clock
 
 _LOGGED_SHARE = 0.2
 _watching: ContextVar[ProgressOf | None] = ContextVar("watching", default=None)

@@ -13,9 +13,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
 from dtwin.errors import DtwinError
 from dtwin.lifecycle.train import Registered
-from dtwin.pipeline.demo_steps import PlainSteps, ProgressOf, Result, Work
 from dtwin.pipeline.measuring import FeatureReport
-from dtwin.pipeline.wall_clock import Circle, serving_numbers
 from dtwin.plan import EvidencePlan, Plan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
@@ -25,6 +23,8 @@ from flows.ingest import publish_ingest
 from flows.promote import publish_champion, publish_circles, publish_refusal
 from flows.reach import answers
 from flows.train import publish_training
+from studies.cobot_steps import PlainSteps, ProgressOf, Result, Work
+from studies.wall_clock import Circle, serving_numbers
 
 
 class FlowSteps:

@@ -17,7 +17,7 @@ from flows.reach import running_server
 from flows.servers import await_healthy, prefect_alone
 
 if TYPE_CHECKING:
-    from dtwin.pipeline.demo_steps import ProgressOf, Steps
+    from studies.cobot_steps import ProgressOf, Steps
 
 Say = Callable[[str], None]
 
@@ -73,7 +73,7 @@ def _flow_steps(home: Home, progress: ProgressOf, say: Say) -> Iterator[Steps]:
 
 
 def _plain(home: Home, progress: ProgressOf) -> Steps:
-    from dtwin.pipeline.demo_steps import PlainSteps
+    from studies.cobot_steps import PlainSteps
 
     return PlainSteps(home, progress)
 

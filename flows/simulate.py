@@ -13,9 +13,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.kind import Planned
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
-from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.sheet_changes import sheet_changes
-from dtwin.plan import advice, duration_s
+from dtwin.plan import advice, duration_s, quick_training_plan
 from dtwin.plan_file import planned_campaign
 from dtwin.report.changes import change_table, changes_title
 from flows import _artifacts, _tasks
@@ -80,6 +79,6 @@ def _planned(kind: str, quick: bool) -> Planned:
     usual = kind_named(kind).usual_plan()
     if not quick:
         return usual
-    plan = quick_size().plan
+    plan = quick_training_plan()
     told = f"{plan.name}: {len(plan.tests)} tests, {plan.n_runs} runs"
     return Planned(kind, plan, {"name": plan.name}, duration_s(plan)[1], list(advice(plan)), (told,))

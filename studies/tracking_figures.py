@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.features.integration import displacement_mm, swarm_minimum
 from dtwin.machines.cobot import TOOL_DOWN
 from dtwin.schema import Floats
 from dtwin.statistics import rms, t_quantile
 from dtwin.units import UM_PER_MM
+from studies.integration import displacement_mm, swarm_minimum
 
 BLOCK_SAMPLES, BLOCK_RATE_HZ = 800, 10240.0
 TUNED_AT_MM_MIN = 5000.0

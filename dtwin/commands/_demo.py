@@ -52,7 +52,7 @@ def demo(
 
     screen = _Terminal(quiet=as_json)
     with shown_steps(home(), screen.progress, screen.say) as steps:
-        from dtwin.pipeline.demo import full_size, quick_size, run_demo
+        from studies.cobot_demo import full_size, quick_size, run_demo
 
         size = quick_size() if quick else full_size()
         result = run_demo(home(), screen, size, seed=seed, steps=steps)

@@ -24,8 +24,8 @@ from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
+from dtwin.plan import quick_training_plan
 from dtwin.train.symbolic import OperonEngine
 
 MACHINE = "virtual-cobot"
@@ -152,7 +152,7 @@ def measured(home: Home, name: str, *, repeats_from: int = 0, worn: float = 1.0,
 
     Of two of its three radii it takes half the time to train.
     """
-    plan = quick_size().plan
+    plan = quick_training_plan()
     smallest = sorted({test.radius_mm for test in plan.tests})[:radii]
     tests = tuple(replace(test, repeat=test.repeat + repeats_from) for test in plan.tests if test.radius_mm in smallest)
     bench = VirtualCobotBench(0)

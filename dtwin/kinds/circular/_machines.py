@@ -26,10 +26,9 @@ class _Cobot(VirtualMachine):
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
         from dtwin.acquire.virtual import VirtualCobotBench
-        from dtwin.pipeline.demo import quick_size
-        from dtwin.plan import training_plan
+        from dtwin.plan import quick_training_plan, training_plan
 
-        usual = quick_size().plan if request.quick else training_plan()
+        usual = quick_training_plan() if request.quick else training_plan()
         return _on_bench(VirtualCobotBench(request.seed), request.plan or usual, request, progress)
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:

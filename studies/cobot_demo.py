@@ -13,10 +13,7 @@ from typing import Any, Protocol
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
 from dtwin.lifecycle.train import Registered
-from dtwin.pipeline._integration_check import sample_check
-from dtwin.pipeline.demo_steps import PlainSteps, Result, Steps, Work
-from dtwin.pipeline.wall_clock import serving_numbers
-from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, Plan, training_plan
+from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, Plan, quick_training_plan, training_plan
 from dtwin.progress import Progress
 from dtwin.report.campaign import (
     comparison_table,
@@ -30,6 +27,9 @@ from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
+from studies.cobot_steps import PlainSteps, Result, Steps, Work
+from studies.integration_check import sample_check
+from studies.wall_clock import serving_numbers
 
 # 7500 ticks: the slowest in a thousand are seven of them.
 _SERVE_S = 15.0
@@ -60,15 +60,9 @@ def full_size() -> _DemoSize:
 
 
 def quick_size() -> _DemoSize:
-    """Return a demo for tests: one plane, three radii, two feeds.
-
-    Three radii: without one of them two must remain, or orders cannot be told from each other.
-    """
-    plan = training_plan(
-        radii_mm=(100.0, 150.0, 300.0), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=2, name="training-quick"
-    )
+    """Return a demo for tests: twelve tests."""
     evidence = EvidencePlan((("YZ", 150.0, 5000.0), ("YZ", 100.0, 6000.0)), 2, (4000.0, 6000.0))
-    return _DemoSize(plan, evidence, 3.0)
+    return _DemoSize(quick_training_plan(), evidence, 3.0)
 
 
 def run_demo(

@@ -8,7 +8,7 @@ import scipy.integrate
 import scipy.signal
 
 from dtwin.errors import InputError
-from dtwin.features.integration import (
+from studies.integration import (
     coupled,
     displacement_mm,
     displacement_visibility,

@@ -15,12 +15,12 @@ from dtwin.config import Home
 from dtwin.lifecycle import evidence
 from dtwin.lifecycle import train as training
 from dtwin.pipeline import measuring
-from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress
 from dtwin.report.checking import check_source
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
+from studies.wall_clock import Circle, serve_wall_clock
 
 ProgressOf = Callable[[str], Progress]
 Result = TypeVar("Result")

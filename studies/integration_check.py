@@ -8,9 +8,9 @@ import numpy as np
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.config import sample_recording
-from dtwin.features.integration import Visibility, displacement_visibility, swarm_minimum
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Floats, Run
+from studies.integration import Visibility, displacement_visibility, swarm_minimum
 
 # The sensor's coupling, and the usual window: 800 samples at 1651.6 Hz.
 _COUPLING_HZ = 0.5
