@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands._effects import Paths, library_with
-from dtwin.commands._exporting import numbers
 from dtwin.commands._output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
 from dtwin.config import home
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.physics.twin import Twin
     from dtwin.twins.of_kind import AnyTwins
-    from dtwin.twins.verbs import Twins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
 Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
@@ -94,7 +91,7 @@ def compare_twin(
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
-    comparison = _twins_with(name, effects_path).compare(name, campaign)
+    comparison = twins_named(name, effects_path).compare(name, campaign)
     result = comparison.as_dict(cutoff)
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
@@ -111,7 +108,7 @@ def diagnose_twin(
     from dtwin.pipeline.findings import moving_findings
     from dtwin.report.twin_of_kind import report_of, said_by_runs
 
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     twin, diagnosis = twins.diagnose(name, seed=seed)
     if not twins.can_keep(name):
         print("note: nothing is kept of this diagnosis, for the home can only be read", file=sys.stderr)
@@ -137,7 +134,7 @@ def add_effect(
     as_json: Json = False,
 ) -> None:
     """Add an effect and refit: a new version."""
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     _show_rung(twins.newest(name), twins.add(name, effect, axis), as_json=as_json)
 
 
@@ -150,7 +147,7 @@ def remove_effect(
     as_json: Json = False,
 ) -> None:
     """Take an effect out and refit: a new version."""
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     _show_rung(twins.newest(name), twins.remove(name, effect, axis), as_json=as_json)
 
 
@@ -162,7 +159,7 @@ def restore_version(
     as_json: Json = False,
 ) -> None:
     """Refit with the effects of an older version: a new version, nothing is deleted."""
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     _show_rung(twins.newest(name), twins.restore(name, version), as_json=as_json)
 
 
@@ -176,7 +173,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
     from dtwin.report.twin_of_kind import discovery_text, said_by_runs
     from dtwin.twins.verbs import Twins
 
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     made, groups, said = twins.discover(name, seed=seed)
     twin = twins.newest(name)
     effects: list[dict[str, Any]] = []
@@ -212,7 +209,7 @@ def learn_effect(
     from dtwin.train.symbolic import OperonEngine
     from dtwin.twins.learn import learn_formula, learn_law, learn_map
 
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     before = twins.newest(name)
     if symbolic:
         learned = learn_formula(twins, name, OperonEngine(), seed=seed)
@@ -221,47 +218,6 @@ def learn_effect(
     if not as_json:
         print(f"gain where it was left out ({learned.left_out}): {100 * learned.gain:z.1f} %{learned.said}")
     _show_rung(before, learned.twin, as_json=as_json, gain=learned.gain, left_out=learned.left_out)
-
-
-@app.command("budget")
-def error_budget(
-    name: Name,
-    campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
-    program: Annotated[Path | None, typer.Option(help="G-code: of this program instead of the measured paths.")] = None,
-    origin: Annotated[
-        str | None,
-        typer.Option(help="With --program: X,Y,Z in mm, centre of the measured circles on this machine; 0,0,0."),
-    ] = None,
-    effects_path: Paths = None,
-    as_json: Json = False,
-) -> None:
-    """How much of the error each cause makes, and what would be left after its remedy."""
-    from dtwin.report.budget import budget_text
-    from dtwin.twins.of_kind import paths_of
-
-    twin = paths_of(home(), library_with(effects_path), name)
-    if program is not None:
-        _budget_of_program(twin, program, origin, campaign, as_json=as_json)
-        return
-    if origin is not None:
-        raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
-    found = _twins(effects_path).budget(twin, campaign)
-    payload = {"twin": name, "version": twin.version, "campaign": campaign or twin.campaign, **found.as_dict()}
-    emit(payload, lambda: budget_text(found), as_json=as_json)
-
-
-def _budget_of_program(twin: Twin, program: Path, origin: str | None, campaign: str | None, *, as_json: bool) -> None:
-    import numpy as np
-
-    from dtwin.lifecycle.gcode_program import program_of
-    from dtwin.lifecycle.program_budget import program_budget, program_text
-
-    if campaign is not None:
-        raise InputError("either a program or other measurements", code="budget.on", got=f"--program, --on {campaign}")
-    origin_mm = np.array(numbers(origin or "0,0,0", 3, "--origin"))
-    budget = program_budget(twin, program_of(program), origin_mm=origin_mm, where=program.name)
-    payload = {"twin": twin.name, "version": twin.version, "program": str(program), **budget.as_dict()}
-    emit(payload, lambda: program_text(budget), as_json=as_json)
 
 
 @app.command("correct")
@@ -279,7 +235,7 @@ def correct_machine(
     from dtwin.report.correction import correction_text
     from dtwin.twins.correct import correct
 
-    found = correct(_twins_with(name, effects_path), name, campaign=campaign, trial=trial, seed=seed).as_dict()
+    found = correct(twins_named(name, effects_path), name, campaign=campaign, trial=trial, seed=seed).as_dict()
     emit(found, lambda: correction_text(found), as_json=as_json)
 
 
@@ -297,7 +253,7 @@ def confirm_effect(
     """Compare an effect before and after its cause was mended: intervention-confirmed or not."""
     from dtwin.twins.confirm import confirm
 
-    confirmation = confirm(_twins_with(name, effects_path), name, effect, after, what)
+    confirmation = confirm(twins_named(name, effects_path), name, effect, after, what)
     said = "went away: intervention-confirmed" if confirmation.confirmed else "did not certainly go away"
     emit(
         {"twin": name, **confirmation.as_dict()},
@@ -312,7 +268,7 @@ def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) 
     from dtwin.report.twins import history_text
     from dtwin.twins.registration import waiting, waiting_text
 
-    rungs = _twins_with(name, effects_path).history(name)
+    rungs = twins_named(name, effects_path).history(name)
     left = waiting(home(), name)
     emit(
         {"twin": name, "rungs": rungs, "not_in_mlflow": [item.as_dict() for item in left]},
@@ -332,12 +288,11 @@ def show_twin(
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.physics.twin import Twin
     from dtwin.pipeline.twin_report import diagnosed, write_report
-    from dtwin.report.faults import sized_effects
+    from dtwin.report.faults import sized_effects, undecided_lines, undecided_of
     from dtwin.report.twin_of_kind import report_of
-    from dtwin.report.twins import undecided_lines
     from dtwin.twins.confirm import interventions
 
-    twins = _twins_with(name, effects_path)
+    twins = twins_named(name, effects_path)
     twin = twins.newest(name, version)
     if html is not None:
         write_report(html, home(), twins, library_with(effects_path), twin)
@@ -347,9 +302,9 @@ def show_twin(
         f"{m['grade'] or 'did not certainly go away'}"
         for m in mended
     ]
-    diagnosis = diagnosed(twins, twin)[1] or {}
+    diagnosis = diagnosed(twins, twin)[1]
     lines += undecided_lines(diagnosis)
-    document = {**twin.as_dict(), "interventions": mended, "undecided": diagnosis.get("undecided", [])}
+    document = {**twin.as_dict(), "interventions": mended, "undecided": undecided_of(diagnosis)}
     if isinstance(twin, Twin):
         document["effects"] = sized_effects(twin)
     emit(document, lambda: "\n".join([report_of(twin.as_dict()).twin_text(twin), *lines]), as_json=as_json)
@@ -381,13 +336,7 @@ def _tell_failed(name: str) -> None:
         print(waiting_text(waiting_items), file=sys.stderr)
 
 
-def _twins(paths: list[Path] | None) -> Twins:
-    from dtwin.twins.verbs import Twins
-
-    return Twins(home(), library_with(paths))
-
-
-def _twins_with(name: str, paths: list[Path] | None) -> AnyTwins:
+def twins_named(name: str, paths: list[Path] | None) -> AnyTwins:
     from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)

@@ -62,7 +62,7 @@ def faults(
 
     ``diagnosis``: of the twin, as ``as_dict`` gives it, for what its runs cannot tell apart; ``library``: to name that.
     """
-    instead = {group[0]: group[1:] for group in (diagnosis or {}).get("undecided", ())}
+    instead = {own: others for own, *others in undecided_of(diagnosis)}
     faults = []
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
@@ -79,6 +79,23 @@ def not_tried(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None
     for label, why in diagnosis.get("untestable", {}).items():
         of_reason.setdefault(why, []).append(label if library is None else title_of(label, library))
     return [f"{', '.join(labels)}: {why}" for why, labels in of_reason.items()]
+
+
+def undecided_of(diagnosis: Mapping[str, Any] | None) -> list[list[str]]:
+    """Return the effects of a twin, each with those that its runs cannot tell from it; of several kinds those of each fit."""
+    told = diagnosis or {}
+    return [list(group) for one in (told, *told.get("members", ())) for group in one.get("undecided", ())]
+
+
+def undecided_lines(diagnosis: Mapping[str, Any] | None, library: Mapping[str, Effect] | None = None) -> list[str]:
+    """Return the same in words: by labels, with a library by titles."""
+    groups = undecided_of(diagnosis)
+    if library is not None:
+        groups = [[title_of(label, library) for label in group] for group in groups]
+    return [
+        f"these runs do not tell {own} from {', '.join(others)}: its size is that of it alone"
+        for own, *others in groups
+    ]
 
 
 def _labels(twin: Twin, term: Term) -> list[str]:

@@ -15,7 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
-from dtwin.report.faults import faults, not_tried, with_k2
+from dtwin.report.faults import faults, not_tried, undecided_lines, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -190,14 +190,6 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))
     return "\n".join(lines)
-
-
-def undecided_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return what the runs of a twin cannot tell apart of its effects."""
-    return [
-        f"these runs do not tell {own} from {', '.join(others)}: its size is that of it alone"
-        for own, *others in result.get("undecided", ())
-    ]
 
 
 def _size_words(estimate: Mapping[str, Any]) -> str:

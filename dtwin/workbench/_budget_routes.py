@@ -14,7 +14,7 @@ from dtwin.lifecycle.program_budget import of_circles, program_budget, program_l
 from dtwin.physics.budget import Budget, budget
 from dtwin.pipeline.kept import keep, kept_already
 from dtwin.report.budget import budget_table, unexplained_line
-from dtwin.report.faults import faults
+from dtwin.report.faults import undecided_lines
 from dtwin.report.html import Table
 from dtwin.twins.of_kind import paths_of
 from dtwin.workbench import _reading as reading
@@ -54,7 +54,7 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
         campaigns=bench.campaigns_of(whole.machine, view.obs.campaign.kind),
         measured=budget_table(found),
         remedies=[(share.title, share.remedy) for share in found.shares],
-        doubts=[f"{f.title}: {line}" for f in faults(whole, diagnosis, bench.library) for line in f.doubt],
+        doubts=undecided_lines(diagnosis, bench.library),
         unexplained=unexplained_line(found),
         program=program and {**program, "table": Table(program["head"], program["rows"])},
     )

@@ -187,9 +187,12 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
         application(bench), base_url="http://127.0.0.1:8765", headers={"Origin": "http://127.0.0.1:8765"}
     )
     opened.get("/", params={"token": bench.access.token})
+    (own, *others), *_ = said("twin", "diagnose", "parts")["undecided"]
     page = opened.get("/twins/parts/budget").text
     assert "left without it" in page
     assert "Preload or renew" in page
+    assert "these runs do not tell" in page
+    assert f"these runs do not tell {own} from {', '.join(others)}" in printed("twin", "budget", "parts")
     part = home.root / "part.nc"
     program = "G21 G90 G17\nG0 X80 Y60\nG1 X160 F2000\nG1 Y100\nG1 X80\nG1 Y60\nM30\n"
     told = {"program": program, "file": "part.nc", "x_mm": 120.0, "y_mm": 80.0, "z_mm": 0.0}
