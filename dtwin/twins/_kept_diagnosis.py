@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +18,7 @@ from dtwin.errors import StoreError
 from dtwin.physics._law_search import ScalingLaw
 from dtwin.physics._laws import LawTest
 from dtwin.physics._screen import Channel
+from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.diagnosis import Diagnosis, Spread, Suspect, Unresolved
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
@@ -48,6 +50,11 @@ def made_from(path: Path, loaded: Loaded, library: Mapping[str, Effect], seed: i
     return digest.hexdigest()
 
 
+def made_from_several(check_sums: Sequence[str], contradictions: Sequence[Contradiction]) -> str:
+    """Return the same of what several campaigns say together; ``contradictions``: of the twin, with what is recorded of them."""
+    return hashlib.sha256(repr((check_sums, contradictions)).encode()).hexdigest() if all(check_sums) else ""
+
+
 def made_from_rows(path: Path, rows: Sequence[Mapping[str, Any]], seed: int) -> str:
     """Return the same of a campaign that has no grid; ``rows``: its runs in the lake, with all that is said of them."""
     digest = hashlib.sha256(path.read_bytes())
@@ -68,6 +75,16 @@ def kept_diagnosis(path: Path, check_sum: str) -> Diagnosis | None:
     """
     document = _stored(path) if check_sum else {}
     return _diagnosis(document) if document.get(MADE_FROM) == check_sum else None
+
+
+def kept_several(path: Path, check_sum: str) -> Diagnosis | None:
+    """Return the same of a twin of several campaigns: what they say together."""
+    document = _stored(path) if check_sum else {}
+    if document.get(MADE_FROM) != check_sum or not check_sum:
+        return None
+    found = _diagnosis({**document, "candidates": [_of_none(entry) for entry in document["candidates"]]})
+    own = {*found.as_dict(), MADE_FROM, ALONE, "twin", "version", "campaign"} - {"candidates"}
+    return _Several(**vars(found), more={name: value for name, value in document.items() if name not in own})
 
 
 def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
@@ -143,6 +160,21 @@ def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:
         next_experiment=document["next_experiment"],
         undecided=tuple(tuple(group) for group in document["undecided"]),
     )
+
+
+@dataclass(frozen=True)
+class _Several(Diagnosis):
+    """What several campaigns say together, read again; ``more``: what was stored beside what every diagnosis says."""
+
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**super().as_dict(), **self.more}
+
+
+def _of_none(candidate: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a candidate without the campaign where it was found."""
+    return {name: value for name, value in candidate.items() if name != "campaign"}
 
 
 def _suspect(entry: Mapping[str, Any]) -> Suspect:

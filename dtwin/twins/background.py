@@ -13,7 +13,7 @@ from pathlib import Path
 from dtwin.config import Home, quiet_environment
 from dtwin.errors import DtwinError
 from dtwin.locks import locked
-from dtwin.shared_documents import follow_shared, following
+from dtwin.shared_documents import following
 from dtwin.twins.registration import log_next
 
 # Nobody waits for MLflow.
@@ -34,16 +34,14 @@ def _diagnose(home: Home, name: str) -> None:
 
     One process of a home does so at a time: where many twins are fitted one after the other, most are diagnosed when asked.
     """
-    from dtwin.twins.verbs import Twins
-
-    class Ahead(Twins):
-        def _tell(self, name: str, *, at_once: bool, ahead: bool = False) -> None:
-            # MLflow is told by this process, when the diagnosis can be read.
-            follow_shared(self.home)
+    from dtwin.twins.of_kind import twins_with
 
     with locked(home.root / "locks" / "diagnosis-ahead.lock") as mine, contextlib.suppress(DtwinError):
         if mine:
-            Ahead(home).diagnose(name)
+            twins = twins_with(home, None, name)
+            # This process does it, when the diagnosis can be read.
+            twins.logs = False
+            twins.diagnose(name)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ class MachineTwins(TwinShelf):
         """Fit a twin to campaigns of a machine; an effect goes to all campaigns that show its cause."""
         require_name(name, "the twin")
         twin = self.fitted([campaign] if isinstance(campaign, str) else campaign, effects, name, robust=robust)
-        self.store(twin.as_dict())
+        self.store(twin.as_dict(), ahead=True)
         return twin
 
     def fitted(
@@ -104,7 +104,7 @@ class MachineTwins(TwinShelf):
         terms = self._widened(members, _terms(twin), [effect], axis)
         if not _fresh(members, _terms(twin), terms):
             raise effect_there(twin, effect)
-        return self._store(name, members, terms, _added(members, _terms(twin), terms))
+        return self._store(name, members, terms, _added(members, _terms(twin), terms), ahead=True)
 
     def remove(self, name: str, effect: str, axis: str = "") -> MachineTwin:
         """Take a cause out of all campaigns, refit, and store the new version."""
@@ -113,12 +113,12 @@ class MachineTwins(TwinShelf):
         kept = self._without(members, _terms(twin), effect, axis)
         if sum(map(len, kept)) == sum(map(len, _terms(twin))):
             raise effect_absent(twin, effect)
-        return self._store(name, members, kept, f"remove {effect}{f':{axis}' if axis else ''}")
+        return self._store(name, members, kept, f"remove {effect}{f':{axis}' if axis else ''}", ahead=True)
 
     def restore(self, name: str, version: int) -> MachineTwin:
         """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
-        return self._store(name, self.members_of(old.campaigns), _terms(old), f"restore v{version}")
+        return self._store(name, self.members_of(old.campaigns), _terms(old), f"restore v{version}", ahead=True)
 
     def discover(
         self, name: str, *, seed: int = 0
@@ -308,9 +308,11 @@ class MachineTwins(TwinShelf):
         lake = Lake(self.home.lake)
         return made_from_rows(path, [row for name in member.campaigns for row in lake.runs(name)], seed)
 
-    def _store(self, name: str, members: Sequence[Member], terms: _Terms, action: str) -> MachineTwin:
+    def _store(
+        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, ahead: bool = False
+    ) -> MachineTwin:
         twin = self._made(name, members, terms, action)
-        self.store(twin.as_dict())
+        self.store(twin.as_dict(), ahead=ahead)
         return twin
 
     def _made(

@@ -68,7 +68,10 @@ class TwinShelf:
     """Where the twins of a home are kept: one folder each, one file for a version.
 
     ``kind``: twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
+    ``logs``: whether what is stored is logged in MLflow by a process that follows.
     """
+
+    logs = True
 
     def __init__(self, home: Home, kind: str) -> None:
         self.home, self.kind = home, kind
@@ -225,7 +228,8 @@ class TwinShelf:
     def _tell(self, name: str, *, at_once: bool, ahead: bool = False) -> None:
         # Before MLflow is told: another computer may have made the same version.
         follow_shared(self.home)
-        log_soon(self.home, name, at_once=at_once, ahead=ahead)
+        if self.logs:
+            log_soon(self.home, name, at_once=at_once, ahead=ahead)
 
 
 def kind_of(home: Home, name: str) -> str:

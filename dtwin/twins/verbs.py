@@ -28,7 +28,16 @@ from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.physics.undecided import like_repeats, undecided
 from dtwin.schema import require_name
-from dtwin.twins._kept_diagnosis import ALONE, MADE_FROM, is_built_in, kept_alone, kept_diagnosis, made_from
+from dtwin.twins._kept_diagnosis import (
+    ALONE,
+    MADE_FROM,
+    is_built_in,
+    kept_alone,
+    kept_diagnosis,
+    kept_several,
+    made_from,
+    made_from_several,
+)
 from dtwin.twins._learned import WithLearned
 from dtwin.twins._path_member import PathMember
 from dtwin.twins._recorded import with_record
@@ -153,11 +162,15 @@ class Twins(TwinShelf):
             while not take(version) and time.monotonic() < until:
                 time.sleep(_LOOK_EVERY_S)
             if isinstance(twin, SeveralTwin):
+                together = made_from_several(check_sums, twin.contradictions)
+                said = kept_several(path, together)
+                if said is not None:
+                    return twin, said
                 alone = kept_alone(path, check_sums)
                 campaigns = [one.obs for one in loaded]
                 several = diagnose_several(twin, campaigns, self.library, seed=seed, alone=alone)
                 each = zip(several.tests, check_sums, strict=True)
-                about = {ALONE: [{MADE_FROM: one, **test.found.as_dict()} for test, one in each]}
+                about = {MADE_FROM: together, ALONE: [{MADE_FROM: one, **test.found.as_dict()} for test, one in each]}
                 return twin, self._keep(twin, several, loaded, about)
             obs, check_sum = loaded[0].obs, check_sums[0]
             kept = kept_diagnosis(path, check_sum)

@@ -61,10 +61,14 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home, monkeypatch:
     assert [[s["effect"] for s in group] for group in told["found"]] == [["lead_error"], ["backlash"]]
     assert {s["campaign"] for s in told["settled"]} == {"bar"}
     assert {c["campaign"]: c["verdict"] for c in told["campaigns"]}["bar"] == "ambiguous"
-    # What each says by itself is kept.
+    # What they say together is kept, and what each says by itself.
+    with monkeypatch.context() as kept:
+        kept.setattr("dtwin.twins.verbs.diagnose_several", None)
+        assert said("twin", "diagnose", "all") == told
+        assert "settled: bar could not tell" in printed("twin", "diagnose", "all")
+    monkeypatch.setattr("dtwin.twins.verbs.kept_several", lambda *_: None)
     monkeypatch.setattr("dtwin.physics.several_diagnosis.diagnose", None)
     assert said("twin", "diagnose", "all") == told
-    assert "settled: bar could not tell" in printed("twin", "diagnose", "all")
 
 
 def test_discover_adds_it_and_nothing_is_missing_then(home: Home) -> None:

@@ -16,6 +16,7 @@ from dtwin.kinds.drift._twins import DriftTwins
 from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.several_twin import SeenTwin
+from dtwin.twins.background import _diagnose
 from dtwin.twins.of_kind import twins_with
 from dtwin.twins.seen import seen_on
 from dtwin.twins.term_twins import TermTwins
@@ -92,8 +93,13 @@ def test_a_cause_that_several_kinds_show_has_one_name_and_the_true_size(home: Ho
     assert "left out, ambient_growth" in rows
 
 
-def test_each_kind_finds_what_it_can_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    printed("twin", "fit", "tracker", "room", "--name", "each")
+def test_each_kind_finds_what_it_can_show(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as later:
+        later.setattr(
+            "dtwin.twins.shelf.log_soon", lambda home, name, *, at_once, ahead=False: ahead and _diagnose(home, name)
+        )
+        printed("twin", "fit", "tracker", "room", "--name", "each")
+    assert twins_with(home, None, "each").kept_diagnosis("each", 1), "found out ahead"
     found = said("twin", "discover", "each")
     assert found["final"]["verdict"] == "nothing_missing"
     added = " ".join(found["added"])
