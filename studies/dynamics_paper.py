@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.features.dynamics.figures import dynamic_components, eq15
-from dtwin.features.dynamics.filters import LowPass, RandomWalkFilter, UnscentedFilter, response
-from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
-from dtwin.kinds.circular._dynamics_ways import alpha_sensitivity, radial_error_um
-from dtwin.kinds.circular._filter_tuning import Tuning, tune
-from dtwin.kinds.circular._particle_swarm import SwarmSettings
 from dtwin.kinds.circular._simulate_hexapod import FEEDS_MM_MIN, QUICK_FEEDS_MM_MIN, RADIUS_MM
 from dtwin.machines.hexapod import VirtualHexapod
 from dtwin.machines.motion import CircleCondition
 from dtwin.progress import Progress
+from studies.dynamics.figures import dynamic_components, eq15
+from studies.dynamics.filters import LowPass, RandomWalkFilter, UnscentedFilter, response
+from studies.dynamics.swarm import SwarmSettings
+from studies.dynamics.tuning import Tuning, tune
+from studies.dynamics.turns import MOST_READINGS, Turn, one_turn
+from studies.dynamics.ways import alpha_sensitivity, radial_error_um
 from studies.paper_line import FACTOR, Answer, Line, calibrated, yes_or_no
 from studies.simulated_dynamics import (
     DIRECTIONS,

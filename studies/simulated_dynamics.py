@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import published_table
-from dtwin.features.dynamics.figures import dynamic_components
-from dtwin.features.dynamics.filters import Filter, LowPass, Smoother, UnscentedFilter
-from dtwin.features.dynamics.turns import Turn
-from dtwin.kinds.circular._dynamics_ways import on_turn, twin_static_um
-from dtwin.kinds.circular._dynamics_ways import radial_error_um as about_circle_um
 from dtwin.physics.observations import observe
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+from studies.dynamics.figures import dynamic_components
+from studies.dynamics.filters import Filter, LowPass, Smoother, UnscentedFilter
+from studies.dynamics.turns import Turn
+from studies.dynamics.ways import on_turn, twin_static_um
+from studies.dynamics.ways import radial_error_um as about_circle_um
 from studies.machines.ballbar_simulator import Convention, radial_error_um, vibration_um
 
 VIBRATIONS_UM = (0.0, 5.0, 10.0, 15.0)

@@ -44,14 +44,10 @@ def split(
 ) -> None:
     """Part static from dynamic error in every run, against the slow reference."""
     from dtwin.atomic import write_text
-    from dtwin.kinds.circular import (
-        TWIN_EFFECTS,
-        DynamicsRequest,
-        SwarmSettings,
-        dynamics_page,
-        dynamics_text,
-        split_campaign,
-    )
+    from studies.dynamics.split import split_campaign
+    from studies.dynamics.swarm import SwarmSettings
+    from studies.dynamics.ways import TWIN_EFFECTS, DynamicsRequest
+    from studies.report.dynamics import dynamics_page, dynamics_text
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))
     split = split_campaign(

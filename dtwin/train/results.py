@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dtwin.statistics import deviation_interval
 
 if TYPE_CHECKING:
-    from dtwin.kinds.circular import PhysicsFit
+    from dtwin.kinds.circular.physics_fit import PhysicsFit
 
 CONDITIONS_FILE = "conditions.json"
 """Artifact of a version: the conditions that it was trained on."""

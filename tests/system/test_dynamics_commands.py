@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.circular._dynamics import split_runs
-from dtwin.kinds.circular._dynamics_ways import DynamicsRequest
 from dtwin.kinds.circular._simulate_hexapod import VirtualHexapodBench, feed_sweep
 from dtwin.schema import Campaign, Direction, Run
 from dtwin.train.registry import Registry
+from studies.dynamics.split import split_runs
+from studies.dynamics.ways import DynamicsRequest
 
 pytestmark = pytest.mark.system
 CAMPAIGN = Campaign("cell", "virtual-hexapod")

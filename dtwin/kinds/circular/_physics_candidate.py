@@ -9,7 +9,7 @@ import numpy as np
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.kinds.circular._library import Library, equation_text, weighted_sum
-from dtwin.kinds.circular._physics_fit import DEAD_SHARE, PhysicsFit
+from dtwin.kinds.circular.physics_fit import DEAD_SHARE, PhysicsFit
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle

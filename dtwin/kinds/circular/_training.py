@@ -10,9 +10,9 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular._physics_candidate import physics_candidate
-from dtwin.kinds.circular._physics_fit import fit_physics, leave_out, predicted_fresh, predicted_left_out
 from dtwin.kinds.circular._symbolic_candidate import symbolic_candidate
 from dtwin.kinds.circular._term_columns import TermColumns
+from dtwin.kinds.circular.physics_fit import fit_physics, leave_out, predicted_fresh, predicted_left_out
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.train.candidates import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe

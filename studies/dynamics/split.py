@@ -11,15 +11,15 @@ import numpy as np
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.features.dynamics.figures import (
-    ACCEPTED_DIFFERENCE,
-    DynamicComponents,
-    dynamic_components,
-    relative_difference,
-)
-from dtwin.features.dynamics.filters import Filter, UnscentedFilter, response
-from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
-from dtwin.kinds.circular._dynamics_ways import (
+from dtwin.lake.store import Lake
+from dtwin.physics.observations import observe
+from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup, of_one_way
+from dtwin.train.registry import Registry
+from studies.dynamics.figures import ACCEPTED_DIFFERENCE, DynamicComponents, dynamic_components, relative_difference
+from studies.dynamics.filters import Filter, UnscentedFilter, response
+from studies.dynamics.tuning import Tuning, log_tuning, tune
+from studies.dynamics.turns import MOST_READINGS, Turn, one_turn
+from studies.dynamics.ways import (
     DynamicsRequest,
     alpha_sensitivity,
     filter_of,
@@ -27,11 +27,6 @@ from dtwin.kinds.circular._dynamics_ways import (
     radial_error_um,
     twin_static_um,
 )
-from dtwin.kinds.circular._filter_tuning import Tuning, log_tuning, tune
-from dtwin.lake.store import Lake
-from dtwin.physics.observations import observe
-from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup, of_one_way
-from dtwin.train.registry import Registry
 
 _MOST_TAKEN, _MOST_BIAS = 0.01, 0.5
 

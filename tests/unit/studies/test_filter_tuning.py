@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.filters import UnscentedFilter
-from dtwin.kinds.circular._filter_tuning import judge, sensitivity, tune
-from dtwin.kinds.circular._particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
+from studies.dynamics.filters import UnscentedFilter
+from studies.dynamics.swarm import SwarmSettings, minimise
+from studies.dynamics.tuning import judge, sensitivity, tune
 
 SMALL = SwarmSettings(particles=8, iterations=10, seed=3)
 ANGLE = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)

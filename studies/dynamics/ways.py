@@ -8,10 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.filters import MODELS, Filter, LowPass, RandomWalkFilter, Smoother, UnscentedFilter
-from dtwin.features.dynamics.turns import MOST_READINGS, Turn
-from dtwin.kinds.circular._filter_tuning import sensitivity
-from dtwin.kinds.circular._particle_swarm import SwarmSettings
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import bin_angle_rad
@@ -19,6 +15,10 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Floats
+from studies.dynamics.filters import MODELS, Filter, LowPass, RandomWalkFilter, Smoother, UnscentedFilter
+from studies.dynamics.swarm import SwarmSettings
+from studies.dynamics.tuning import sensitivity
+from studies.dynamics.turns import MOST_READINGS, Turn
 
 _FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
 """Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.distances import distances_um
-from dtwin.features.dynamics.figures import dynamic_components, eq15, relative_difference, weighted_sum
-from dtwin.features.dynamics.turns import one_turn
 from dtwin.schema import Floats
+from studies.dynamics.distances import distances_um
+from studies.dynamics.figures import dynamic_components, eq15, relative_difference, weighted_sum
+from studies.dynamics.turns import one_turn
 
 CURVES = st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=7)
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.distances import distances_um
-from dtwin.features.dynamics.figures import FITNESSES, eq15, relative_difference, weighted_sum
-from dtwin.features.dynamics.filters import Filter, UnscentedFilter
-from dtwin.kinds.circular._particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
 from dtwin.train.logged import environment
 from dtwin.train.registry import Registry
+from studies.dynamics.distances import distances_um
+from studies.dynamics.figures import FITNESSES, eq15, relative_difference, weighted_sum
+from studies.dynamics.filters import Filter, UnscentedFilter
+from studies.dynamics.swarm import SwarmSettings, minimise
 
 _TUNED = ("ratio", "alpha")
 _ALPHA = (1e-5, 1.0)

@@ -7,7 +7,8 @@ import pytest
 from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.filters import (
+from dtwin.schema import Floats
+from studies.dynamics.filters import (
     LowPass,
     RandomWalkFilter,
     Smoother,
@@ -17,7 +18,6 @@ from dtwin.features.dynamics.filters import (
     smooth_kernel,
     unscented_kernel,
 )
-from dtwin.schema import Floats
 
 ANGLE = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.compiled import compiled
-from dtwin.features.dynamics.turns import MOST_READINGS
 from dtwin.schema import Floats
+from studies.dynamics.turns import MOST_READINGS
 
 
 @compiled
