@@ -5,7 +5,8 @@ positions by formulas of their own (``tests/laser_axis.py``: five runs, noise 0.
 circles at one feed cannot tell: a scale of X, or an X that gives way in a mode; X and Y scaled alike, or a longer bar; lost
 motion of X, friction of its drive, or both; or nothing at all. Further: a long wave of the screw of X, which a laser reads, against three lobes
 of the bar, which a second radius tells; growth of X and Y with temperature against drift of the bar's length, which lasers tell that are
-repeated from 19 to 21 degrees; the same two with circles of three radii as well. Sizes and signs are drawn anew in each case.
+repeated from 19 to 21 degrees; the same two with circles of three radii as well; and no laser, but two tests by the ball bar, each at one
+feed or radius, of a scale, a mode and lobes. Sizes and signs are drawn anew in each case.
 
 Each test is diagnosed by itself, and all of them in one twin, from nothing until nothing more is found. A name is false that
 stands alone and is not what was drawn; the unit is the machine.
@@ -190,6 +191,29 @@ def _drift(rng: np.random.Generator, case: int, k: float, bar: Bar, radii_mm: Se
     return [bar(mill(um_h))], tests, [{"thermal_drift", "thermal_shift"}]
 
 
+def _on_two_days(mill: MillParameters, case: int, bar: Bar, names: list[set[str]], **swept: Sequence[float]) -> Tests:
+    """Return two tests by the ball bar, each at one value of what is swept."""
+    ((what, values),) = swept.items()
+    tests = [bar(mill, seed=2 * case + n, name=f"bar-{n}", **{what: (value,)}) for n, value in enumerate(values)]
+    return tests[:1], tests, names
+
+
+def _scale_by_feeds(rng: np.random.Generator, case: int, k: float, bar: Bar) -> Tests:
+    mill = _of_axes("X", scale_ppm=_scaled(rng, k, "X"))
+    return _on_two_days(mill, case, bar, [SCALES["X"]], feeds_mm_min=(1000.0, 4000.0))
+
+
+def _mode_by_feeds(rng: np.random.Generator, case: int, k: float, bar: Bar) -> Tests:
+    return _on_two_days(_of_axes("X", **_mode(rng, k)[0]), case, bar, [MODES], feeds_mm_min=(2000.0, 4000.0))
+
+
+def _lobes_by_radii(rng: np.random.Generator, case: int, k: float, bar: Bar) -> Tests:
+    um, phase_rad = rng.uniform(0.5, 2.0), rng.uniform(0.0, 6.28)
+    um = _sized(k, um, lambda size: MillParameters(cup_lobe_um=size, cup_phase_rad=phase_rad))
+    mill = MillParameters(cup_lobe_um=um, cup_phase_rad=phase_rad)
+    return _on_two_days(mill, case, bar, [{"instrument_artefact"}], radii_mm=(50.0, 150.0))
+
+
 FURTHER: dict[str, Callable[..., Tests]] = {
     "a long wave of X": _long_wave,
     "three lobes of the bar": _lobes,
@@ -197,6 +221,9 @@ FURTHER: dict[str, Callable[..., Tests]] = {
     "drift of the bar": _drift,
     "three lobes of the bar, three radii": partial(_lobes, radii_mm=ALL_RADII_MM),
     "drift of the bar, three radii": partial(_drift, radii_mm=ALL_RADII_MM),
+    "a scale of X by bars at two feeds": _scale_by_feeds,
+    "a mode of X by bars at two feeds": _mode_by_feeds,
+    "lobes of the bar by bars of two radii": _lobes_by_radii,
 }
 STORIES: dict[str, Callable[[np.random.Generator, float], Drawn]] = {
     "a scale of X": _scale,

@@ -6,19 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from dtwin.physics._merged_groups import Group, graded, key_of_suspect, merged
 from dtwin.physics.contradictions import Contradiction, without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import Estimate
-from dtwin.physics.joint import Joint, MachineTest, Shared, joint
+from dtwin.physics.joint import Joint, MachineTest, joint
 from dtwin.physics.machine_terms import cause_of, key_of, machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
 from dtwin.physics.several_twin import SeveralTwin, pooled_figures, started_of
-from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import predict_um
 from dtwin.physics.undecided import undecided_together
 
@@ -50,6 +50,7 @@ class SeveralDiagnosis(Diagnosis):
     settled: Joint = field(default_factory=lambda: Joint((), ()))
     contradictions: tuple[Contradiction, ...] = ()
     explained: Mapping[str, str] = field(default_factory=dict)
+    ruled_out: tuple[str, ...] = ()
     of_campaign: Mapping[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
@@ -76,6 +77,7 @@ class SeveralDiagnosis(Diagnosis):
         document |= self.settled.as_dict()
         document["contradictions"] = [c.as_dict() for c in self.contradictions]
         document["explained"] = dict(self.explained)
+        document["ruled_out"] = list(self.ruled_out)
         return document
 
 
@@ -105,9 +107,10 @@ def diagnose_several(
         found = told or diagnose(obs, known, library, seed=seed)
         tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, found, known))
     settled = joint(tests, library)
-    groups, denied = _shown_together(twin, _merged(tests, settled, library), campaigns, library)
+    groups, ruled_out = merged(twin.terms, tests, settled, library)
+    groups, denied = _shown_together(twin, groups, campaigns, library)
     explained: dict[str, str] = {}
-    better: list[_Group] = []
+    better: list[Group] = []
     for contradiction in twin.contradictions:
         for group, where in _explaining(twin, contradiction, campaigns, library, seed):
             if group[0].label not in explained:
@@ -116,49 +119,17 @@ def diagnose_several(
     # What a campaign shows beside a size that it gets wrong is asked again when that is right.
     wrong = {where for _, where in better}
     groups = [*better, *(found for found in groups if found[1] not in wrong)]
-    return _concluded(twin, tests, settled, groups, denied, explained, library)
-
-
-_Group = tuple[tuple[Suspect, ...], str]
-
-
-def _merged(tests: Sequence[MachineTest], settled: Joint, library: Mapping[str, Effect]) -> list[_Group]:
-    """Return what is missing, each cause once, the largest first, with the campaign that shows it."""
-    left = {(s.campaign, s.group): s.left for s in settled.settled}
-    refuted = {key for shared in settled.shared if (key := _refuted(shared)) is not None}
-    every: list[_Group] = []
-    for test in tests:
-        if test.found.verdict == "need_repeats":
-            continue
-        for group in test.found.found:
-            names = left.get((test.campaign, tuple(s.label for s in group)))
-            kept = group if names is None else tuple(s for s in group if s.label in names)
-            # What only the difference of other tests rules out is a contradiction, and no name.
-            kept = tuple(s for s in kept if (test.campaign, *_key(s, library)) not in refuted)
-            if kept:
-                every.append((_graded(kept), test.campaign))
-    every.sort(key=lambda found: -(found[0][0].size_um or 0.0))
-    alone = {_key(group[0], library) for group, _ in every if len(group) == 1}
-    out: list[_Group] = []
-    told: set[tuple[str, str]] = set()
-    for group, where in every:
-        cause, axis = _key(group[0], library)
-        if len(group) == 1 and axis in AXES_OF and any((cause, a) in alone for a in AXES_OF[axis]):
-            continue
-        if (cause, axis) not in told:
-            out.append((group, where))
-            told.add((cause, axis))
-    return out
+    return _concluded(twin, tests, settled, groups, denied, explained, ruled_out, library)
 
 
 def _shown_together(
-    twin: SeveralTwin, groups: list[_Group], campaigns: Sequence[Observations], library: Mapping[str, Effect]
-) -> tuple[list[_Group], list[str]]:
+    twin: SeveralTwin, groups: list[Group], campaigns: Sequence[Observations], library: Mapping[str, Effect]
+) -> tuple[list[Group], list[str]]:
     """Leave out the names that one campaign finds and all that can see them do not; return what is left, and those names.
 
     Each is sized in one fit of all campaigns beside everything else that was found.
     """
-    alone = {_key(group[0], library) for group, _ in groups if len(group) == 1}
+    alone = {key_of_suspect(group[0], library) for group, _ in groups if len(group) == 1}
     known = {key_of(term) for term in twin.terms}
     more = [
         term
@@ -180,32 +151,13 @@ def _shown_together(
         own = told.get((terms[key].instance.effect.name, terms[key].instance.axis), [])
         if own and all(abs(e.value) <= _THERE * e.uncertainty for e in own):
             absent.add(key)
-    denied = [group[0].label for group, _ in groups if len(group) == 1 and _key(group[0], library) in absent]
+    denied = [group[0].label for group, _ in groups if len(group) == 1 and key_of_suspect(group[0], library) in absent]
     return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
-
-
-def _key(suspect: Suspect, library: Mapping[str, Effect]) -> tuple[str, str]:
-    return cause_of(library[suspect.effect]), suspect.axis
-
-
-def _refuted(shared: Shared) -> tuple[str, str, str] | None:
-    """Return campaign and cause where one test finds what the others say is not there."""
-    if not shared.apart:
-        return None
-    there = [s for s in shared.sizes if abs(s.value) > 1.5 * s.uncertainty]
-    return (there[0].campaign, shared.cause, shared.axis) if len(there) == 1 else None
-
-
-def _graded(group: tuple[Suspect, ...]) -> tuple[Suspect, ...]:
-    labels = {s.label for s in group}
-    return tuple(
-        replace(s, confounded_with=tuple(label for label in s.confounded_with if label in labels)) for s in group
-    )
 
 
 def _explaining(
     twin: SeveralTwin, apart: Contradiction, campaigns: Sequence[Observations], library: Mapping[str, Effect], seed: int
-) -> list[_Group]:
+) -> list[Group]:
     """Return effects that make a contradiction vanish: found in a campaign where the size is what the others say."""
     term = next(
         (t for t in twin.terms if t.instance.effect.name == apart.effect and t.instance.axis == apart.axis), None
@@ -240,11 +192,11 @@ def _explaining(
             kept
             for group in found.found
             if found.verdict != "need_repeats"
-            and (kept := tuple(s for s in group if _key(s, library) != key_of(term)))
+            and (kept := tuple(s for s in group if key_of_suspect(s, library) != key_of(term)))
             and _reconciles(twin, kept[0], term, campaigns, library)
         ]
         if groups:
-            return [(_graded(group), obs.campaign.name) for group in groups]
+            return [(graded(group), obs.campaign.name) for group in groups]
     return []
 
 
@@ -262,9 +214,10 @@ def _concluded(
     twin: SeveralTwin,
     tests: Sequence[MachineTest],
     settled: Joint,
-    groups: Sequence[_Group],
+    groups: Sequence[Group],
     denied: Sequence[str],
     explained: Mapping[str, str],
+    ruled_out: tuple[str, ...],
     library: Mapping[str, Effect],
 ) -> SeveralDiagnosis:
     found = [test.found for test in tests]
@@ -336,6 +289,7 @@ def _concluded(
         settled=settled,
         contradictions=twin.contradictions,
         explained=explained,
+        ruled_out=ruled_out,
         of_campaign=where,
     )
 
@@ -358,7 +312,7 @@ def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[st
     return out
 
 
-def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group], settled: Joint) -> Verdict:
+def _verdict(found: Sequence[Diagnosis], groups: Sequence[Group], settled: Joint) -> Verdict:
     if groups:
         return "missing_effect" if len(groups[0][0]) == 1 else "ambiguous"
     if any(shared.apart for shared in settled.shared):
@@ -368,7 +322,7 @@ def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group], settled: Join
 
 
 def _headline(
-    tests: Sequence[MachineTest], groups: Sequence[_Group], denied: Sequence[str], apart: Sequence[Contradiction]
+    tests: Sequence[MachineTest], groups: Sequence[Group], denied: Sequence[str], apart: Sequence[Contradiction]
 ) -> str:
     if groups:
         names = "; ".join(" or ".join(s.label for s in group) for group, _ in groups)

@@ -15,6 +15,7 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.machine_terms import key_of
 from dtwin.physics.observations import Observations
+from dtwin.physics.one_size import of_other_sizes
 from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_like
 
 # Of the copies of runs that were measured once.
@@ -58,10 +59,15 @@ def undecided_together(tests: Sequence[MachineTest], library: Mapping[str, Effec
     ]
     settled = joint([replace(test, known=()) for test in tests], library, groups).settled
     left = {(s.campaign, s.group): s.left for s in settled}
+    terms = {key_of(term): term for test in tests for term in test.known}
+    campaigns = [test.obs for test in tests]
     shortest: dict[Hashable, tuple[str, ...]] = {}
     for test, own in zip(tests, groups, strict=True):
         for term, group in zip(test.known, own, strict=True):
             others = [label for label in left.get((test.campaign, group), group) if label != term.label]
+            known = [each for key, each in terms.items() if key != key_of(term)]
+            differ = of_other_sizes(others, known, campaigns, test.obs.grid.kind, library)
+            others = [label for label in others if label not in differ]
             shortest[key_of(term)] = min(shortest.get(key_of(term), group), (term.label, *others), key=len)
     return tuple(group for group in shortest.values() if len(group) > 1)
 

@@ -125,4 +125,7 @@ def settled_lines(result: Mapping[str, Any]) -> list[str]:
         judged = "; ".join(f"{j['label']} {words[j['said']]} {j['there']['campaign']}" for j in one["judged"])
         left = " or ".join(one["left"]) or "none of them"
         out.append(f"settled: {one['campaign']} could not tell {', '.join(one['group'])}; it is {left} ({judged})")
+    # Of a diagnosis that was kept by a version before.
+    if other := result.get("ruled_out"):
+        out.append(f"ruled out, for tests at other conditions would need other sizes: {', '.join(other)}")
     return out
