@@ -34,6 +34,7 @@ from dtwin.acquire.foreign_columns import (
     require_told_apart,
     require_usual_sign,
 )
+from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import DECIMALS, decoded, encoding_of, is_comment, mark_of, rows_of
@@ -169,6 +170,7 @@ def _seen(
     text: str, path: Path, home: Home, decimal: str
 ) -> tuple[list[list[str]], int, tuple[str, ...], Mapping[str, Any], str]:
     """Return rows, the row of heads, the heads, what is remembered for them, and the decimal sign that is told or remembered."""
+    require_heads_for_all(text, path)
     refused: InputError | None = None
     for sign in (decimal,) if decimal else ("", *DECIMALS):
         rows = [list(row) for row in joined_heads(rows_of(text, sign), path)]

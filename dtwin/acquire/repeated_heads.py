@@ -1,13 +1,15 @@
-"""Heads that stand in a text again, and numbers in heads: what is of several machines would be taken for repeats on one."""
+"""Heads that stand in a text again, that are fewer than the numbers below them, and numbers in heads: what would be read as something else."""
 
 from __future__ import annotations
 
+import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
+from dtwin.acquire.table_dialect import is_comment, mark_of
 from dtwin.errors import InputError
 
 _CELLS = re.compile(r"[;,\t|]")
@@ -33,11 +35,12 @@ def require_one_block(
     counted: Callable[[str], object] = lambda title: None,
     needed: Callable[[str], bool] = lambda cell: True,
 ) -> None:
-    """Refuse a text whose heads stand there again below other titles, in comments as well: repeats are called runs, or by a number or a time.
+    """Refuse a text whose heads stand there again below other titles, in comments as well: repeats are called runs, or by a number or a time; and what :func:`require_heads_for_all` refuses.
 
     ``counted``: tells of a title whether it is one of such, too.
     ``needed``: tells of a cell whether it belongs to the heads that are meant: a report has other tables beside.
     """
+    require_heads_for_all(text, path)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     again = {line for line, often in Counter(lines).items() if often > 1}
     heads = next((line for line in lines if line in again and _is_head(line) and any(map(needed, _cells(line)))), None)
@@ -57,6 +60,33 @@ def require_one_block(
             allowed="one table; or titles such as run 1, run 2",
             hint="a file for each; of positions of axes also one table with a column Axis, of which --axis reads one",
         )
+
+
+def require_heads_for_all(text: str, path: Path) -> None:
+    """Refuse rows of more numbers than there are heads, parted by commas: ``37,5`` is two cells, and each one behind it would be its neighbour's."""
+    lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
+    if mark_of(lines) != ",":
+        return
+    try:
+        rows = list(csv.reader(lines))
+    except csv.Error:
+        return
+    begin = next((n for n, row in enumerate(rows) if len(row) > 1 and _is_of_numbers(row)), 0)
+    heads = max(map(len, rows[:begin]), default=0)
+    more = next((row for row in rows[begin:] if len(row) > heads and any(map(is_number, row[heads:]))), None)
+    if heads > 1 and more is not None:
+        raise InputError(
+            "a row has more numbers than there are heads",
+            code="table.more_cells",
+            where=str(path),
+            got=f"{len(more)} cells below {heads} heads: {', '.join(more)[:60]}",
+            allowed="decimal points where commas part the columns; decimal commas where semicolons do, or in quotes",
+            hint="save the table anew with points, or with semicolons",
+        )
+
+
+def _is_of_numbers(row: list[str]) -> bool:
+    return any(map(is_number, row)) and not any(any(map(str.isalpha, cell)) and not is_number(cell) for cell in row)
 
 
 def _cells(line: str) -> list[str]:

@@ -16,6 +16,7 @@ from dtwin.acquire._readings import usable
 from dtwin.acquire.foreign_columns import below_heads, header_row
 from dtwin.acquire.foreign_columns import columns_of as named_columns
 from dtwin.acquire.parquet_file import require_moderate
+from dtwin.acquire.repeated_heads import require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -95,7 +96,9 @@ def read_signals(path: Path) -> list[SignalGroup]:
 
 def _from_text(path: Path) -> dict[str, NDArray[Any]]:
     """Return the columns of a table of text, NaN where a cell holds no number; columns without a unit that is known are refused."""
-    rows = rows_of(decoded(table_bytes(path, _MOST_BYTES)))
+    text = decoded(table_bytes(path, _MOST_BYTES))
+    require_heads_for_all(text, path)
+    rows = rows_of(text)
     at = header_row(rows, path)
     below, body = below_heads(rows, at)
     heads = [head.strip() for head in rows[at]]

@@ -31,3 +31,14 @@ def test_other_tables_of_a_report_may_repeat_their_heads() -> None:
     require_one_block(text, Path("a.md"), needed=lambda cell: cell.startswith("Target"))
     with pytest.raises(InputError):
         require_one_block(text, Path("a.md"))
+
+
+def test_decimal_commas_among_commas_are_refused() -> None:
+    """``37,5`` in a table that commas part is two cells: 37 was the target, and 5 the first reading."""
+    heads = "Test of axis X\nTarget [mm],Forward 1 [µm],Reverse 1 [µm]\n"
+    with pytest.raises(InputError) as refused:
+        require_one_block(heads + "0,1.2,3.1\n37,5,1.4,3.3\n", Path("a.csv"))
+    assert refused.value.code == "table.more_cells"
+    for sound in ("0,1.2,3.1,,\n", '"37,5","1,4","3,3"\n', "0,1.2,3.1,see note 3\n"):
+        require_one_block(heads + sound, Path("a.csv"))
+    require_one_block("Target [mm];Forward 1 [µm]\n37,5;1,4\n", Path("a.csv"))
