@@ -63,30 +63,41 @@ def require_one_block(
 
 
 def require_heads_for_all(text: str, path: Path) -> None:
-    """Refuse rows of more numbers than there are heads, parted by commas: ``37,5`` is two cells, and each one behind it would be its neighbour's."""
+    """Refuse rows of more numbers than there are heads: cells would be read as their neighbours.
+
+    Of ``37,5`` commas make two cells; some programs number their rows, and write no head above the numbers.
+    """
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
-    if mark_of(lines) != ",":
+    mark = mark_of(lines)
+    if mark == " ":
         return
     try:
-        rows = list(csv.reader(lines))
+        rows = list(csv.reader(lines, delimiter=mark))
     except csv.Error:
         return
-    begin = next((n for n, row in enumerate(rows) if len(row) > 1 and _is_of_numbers(row)), 0)
+    begin = next((n for n, row in enumerate(rows) if len(row) > 1 and _is_of_numbers(row, mark)), 0)
     heads = max(map(len, rows[:begin]), default=0)
-    more = next((row for row in rows[begin:] if len(row) > heads and any(map(is_number, row[heads:]))), None)
-    if heads > 1 and more is not None:
+    body = [row for row in rows[begin:] if _is_of_numbers(row, mark)]
+    more = [row for row in body if len(row) > heads and any(_is_number(cell, mark) for cell in row[heads:])]
+    # One row alone may have a remark behind it, which a comma cannot be told from.
+    if heads > 1 and more and (mark == "," or len(more) > len(body) / 2):
         raise InputError(
-            "a row has more numbers than there are heads",
+            "rows have more numbers than there are heads",
             code="table.more_cells",
             where=str(path),
-            got=f"{len(more)} cells below {heads} heads: {', '.join(more)[:60]}",
-            allowed="decimal points where commas part the columns; decimal commas where semicolons do, or in quotes",
-            hint="save the table anew with points, or with semicolons",
+            got=f"{len(more[0])} cells below {heads} heads: {', '.join(more[0])[:60]}",
+            allowed="a head for each column; where commas part the columns, decimal points, or numbers in quotes",
+            hint="save the table anew with points, or with semicolons; write a head above numbers of rows, such as No.",
         )
 
 
-def _is_of_numbers(row: list[str]) -> bool:
-    return any(map(is_number, row)) and not any(any(map(str.isalpha, cell)) and not is_number(cell) for cell in row)
+def _is_of_numbers(row: list[str], mark: str) -> bool:
+    words = (cell for cell in row if any(map(str.isalpha, cell)))
+    return _is_number(row[0], mark) and all(_is_number(cell, mark) for cell in words)
+
+
+def _is_number(cell: str, mark: str) -> bool:
+    return is_number(cell if mark == "," else cell.replace(",", "."))
 
 
 def _cells(line: str) -> list[str]:

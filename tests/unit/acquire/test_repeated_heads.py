@@ -42,3 +42,12 @@ def test_decimal_commas_among_commas_are_refused() -> None:
     for sound in ("0,1.2,3.1,,\n", '"37,5","1,4","3,3"\n', "0,1.2,3.1,see note 3\n"):
         require_one_block(heads + sound, Path("a.csv"))
     require_one_block("Target [mm];Forward 1 [µm]\n37,5;1,4\n", Path("a.csv"))
+
+
+def test_numbers_of_rows_without_a_head_are_refused() -> None:
+    """As R writes them: the head of each column stood above its neighbour."""
+    with pytest.raises(InputError) as refused:
+        require_one_block("Target [mm];Forward 1 [µm]\n1;0,0;1,2\n2;37,5;1,4\n", Path("a.csv"))
+    assert refused.value.code == "table.more_cells"
+    require_one_block("Target [mm];Forward 1 [µm]\n0,0;1,2\n37,5;1,4;3\n", Path("a.csv"))
+    require_one_block("Target;Forward\n;1;2\n0,0;1,2;1,3\n37,5;1,4;1,5\n", Path("a.csv"))
