@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Collection
+from itertools import islice
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
@@ -20,6 +21,7 @@ _COUNTED = re.compile(
     re.I,
 )
 """What a title says of which there are several on one machine."""
+_LOOKED_AT = 5000
 _LEFT_OUT = 5
 """Numbers of repeats that may be left out, beside as many as there are."""
 
@@ -67,7 +69,8 @@ def require_heads_for_all(text: str, path: Path) -> None:
 
     Of ``37,5`` commas make two cells; some programs number their rows, and write no head above the numbers.
     """
-    lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
+    # A log of hours is as wide as its begin.
+    lines = list(islice((line for line in text.splitlines() if line.strip() and not is_comment(line)), _LOOKED_AT))
     mark = mark_of(lines)
     if mark == " ":
         return
