@@ -18,11 +18,11 @@ import time
 import numpy as np
 
 from dtwin.features.windows import StreamingWindow
-from dtwin.kinds.sinusoidal._fit import fitted_tones
 from dtwin.kinds.sinusoidal._groups import groups_of
 from dtwin.kinds.sinusoidal._simulate import QUICK, virtual_runs, virtual_slide
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
+from studies.turning_fit import fitted_tones
 
 TICK_US, BUDGET_US, PREEMPTED_US = 125.0, 12.5, 5.0
 

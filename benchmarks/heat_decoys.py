@@ -27,8 +27,8 @@ import numpy as np
 
 from dtwin.kinds.volumetric._heat_diagnosis import diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries, body_of
-from dtwin.kinds.volumetric._heat_twin import fit_heat
 from dtwin.kinds.volumetric._thermal_model import fit_thermal
+from dtwin.kinds.volumetric.heat_twin import fit_heat
 from dtwin.report.text import table
 from dtwin.schema import Floats
 from dtwin.statistics import rms

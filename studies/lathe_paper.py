@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.linear import LinearPlan
 from dtwin.kinds.linear._bundle import deployed_bundle, flanks_of, printed_pair
 from dtwin.kinds.linear._loop import Figures, measured
 from dtwin.kinds.linear._models import (
@@ -23,6 +22,7 @@ from dtwin.kinds.linear._models import (
     whole_turns,
 )
 from dtwin.kinds.linear._net_training import Trained, train_net
+from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear._small_net import SmallNet, new_net

@@ -11,19 +11,19 @@ from sklearn.metrics import r2_score
 
 from dtwin.features.sine import ToneErrors, tone_errors
 from dtwin.kinds.sinusoidal._candidates import narx_candidate
-from dtwin.kinds.sinusoidal._fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal._gates import features_used
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
 from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, record_group, virtual_runs, virtual_slide
 from dtwin.kinds.sinusoidal._training import what_was_seen
-from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.machines.turning import Instruments, Slide
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.units import UM_PER_MM
+from studies.bicuspid import trial
 from studies.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
+from studies.turning_fit import FittedTones, fitted_tones
 
 MACHINE = "virtual-turning"
 # Amplitude errors that the paper prints at 5 um: frequency in Hz, um.
@@ -266,7 +266,7 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     Parameters
     ----------
     cut : mapping
-        From :func:`dtwin.kinds.sinusoidal.trial.trial`.
+        From :func:`studies.bicuspid.trial`.
     """
     row = next(r for r in cut["rows"] if r["frequency_hz"] == 40.0)
     before, after, less = row["before"], row["after"], row["reduction"]

@@ -37,7 +37,8 @@ def library_with(paths: list[Path] | None) -> Mapping[str, Effect]:
 @app.command("list")
 def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
     """List what dtwin knows."""
-    from dtwin.kinds.volumetric import FAMILIES, family_dict
+    from dtwin.kinds.volumetric.motions import FAMILIES
+    from dtwin.kinds.volumetric.twin_report import family_dict
 
     effects = _sorted(library_with(effects_path))
     rows = [(e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in effects]
@@ -55,7 +56,7 @@ def show_effect(
     name: Annotated[str, typer.Argument(help="Name of the effect.")], effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Show what an effect is, what it is confused with, and what to do about it."""
-    from dtwin.kinds.volumetric import family_dict, family_named, family_text
+    from dtwin.kinds.volumetric.twin_report import family_dict, family_named, family_text
     from dtwin.report.twins import effect_text
     from dtwin.twins.verbs import Twins
 

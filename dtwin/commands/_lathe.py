@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
-
-if TYPE_CHECKING:
-    from dtwin.kinds.linear import LinearPlan
-    from dtwin.serve.bundle import Bundle
 
 MODELS = ("flanks", "pair", "printed")
 
@@ -37,7 +33,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit the positioning error of an axis, judge the equation, write it as a bundle."""
-    from dtwin.kinds.linear import fitted
+    from studies.lathe_fit import fitted
 
     if model not in MODELS or (campaign is None) != (model == "printed"):
         raise InputError(
@@ -74,14 +70,19 @@ def compensate(
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
     from dtwin.commands._models import bundle_on_virtual
-    from dtwin.kinds.linear import before_and_after, compensation_text, read_linear_plan
 
-    chosen = None if plan is None else read_linear_plan(plan)
     path, told = bundle_on_virtual(model, machine)
     if wall_clock > 0.0:
-        _in_real_time(_bundle(path), chosen, wall_clock, told, as_json=as_json)
+        from studies.lathe_clock import paced_by
+        from studies.report.lathe import wall_clock_text
+
+        timed = {"model": told} | paced_by(path, plan, wall_clock)
+        emit(timed, lambda: f"{told}\n{wall_clock_text(timed)}", as_json=as_json)
         return
-    compared = {"model": told} | before_and_after(_bundle(path), truth, seed, chosen)
+    from studies.lathe_fit import before_and_after
+    from studies.report.lathe import compensation_text
+
+    compared = {"model": told} | before_and_after(path, truth, seed, plan)
     emit(compared, lambda: f"{told}\n{compensation_text(compared)}", as_json=as_json)
 
 
@@ -97,27 +98,3 @@ def paper(
 
     figures = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
     emit(figures, lambda: lathe_paper_text(figures), as_json=as_json)
-
-
-def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool) -> None:
-    from dtwin.kinds.linear import paced, verification_plan, wall_clock_text
-
-    timed = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
-    emit(timed, lambda: f"{told}\n{wall_clock_text(timed)}", as_json=as_json)
-
-
-def _bundle(path: Path) -> Bundle:
-    from dtwin.kinds.linear import is_positioning_bundle
-    from dtwin.serve.bundle_file import load_bundle
-
-    bundle = load_bundle(path).bundle
-    if not is_positioning_bundle(bundle):
-        raise InputError(
-            "the bundle does not correct a position",
-            code="lathe.bundle",
-            where=str(path),
-            got=", ".join(bundle.tick_inputs)[:120],
-            allowed="position_mm, perhaps direction_1",
-            hint="dtwin lathe fit",
-        )
-    return bundle

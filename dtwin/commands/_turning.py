@@ -40,7 +40,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
-    from dtwin.kinds.sinusoidal import ACTIONS, MODELS, fitted_tones, folder_groups
+    from studies.turning_fit import ACTIONS, MODELS, fitted_tones, folder_groups
 
     if model not in MODELS or action not in ACTIONS:
         raise InputError(
@@ -81,10 +81,10 @@ def compensate(
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
     from dtwin.commands._models import bundle_on_virtual
-    from dtwin.kinds.sinusoidal import trial_section, trial_text
-    from dtwin.kinds.sinusoidal.trial import TRIAL_HZ, trial
     from dtwin.report.html import page
     from dtwin.serve.bundle_file import load_bundle
+    from studies.bicuspid import TRIAL_HZ, trial
+    from studies.report.turning import trial_section, trial_text
 
     chosen = tuple(frequency or TRIAL_HZ)
     if not all(0.5 <= f <= 200.0 for f in chosen):

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.config import home
 from dtwin.errors import InputError
-
-if TYPE_CHECKING:
-    from dtwin.kinds.volumetric import ThermalModel
-    from dtwin.kinds.volumetric.session import Session
-
 
 app = typer.Typer(
     name="volumetric",
@@ -38,9 +33,10 @@ def fit(
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
-    from dtwin.kinds.volumetric import judged, judged_text, models_of, volumetric_page
     from dtwin.kinds.volumetric.session import session, with_offered
     from dtwin.serve.bundle_file import require_new
+    from studies.heat import judged, models_of, write_bundle
+    from studies.report.heat import judged_text, volumetric_page
 
     if out is not None and against is None:
         raise InputError(
@@ -61,7 +57,7 @@ def fit(
         other = with_offered(session(home(), against, progress), offered)
         payload["validation"] = judged(models, other, whole)
         if out is not None:
-            payload["bundle"] = {"file": str(out), "switched_off": _write(out, whole, other)}
+            payload["bundle"] = {"file": str(out), "switched_off": write_bundle(home(), out, whole, other)}
 
     if html is not None:
         write_text(html, volumetric_page(payload.get("validation", payload["training"])), "the page")
@@ -98,16 +94,3 @@ def paper(
     figures = volumetric_paper(seed, progress, quick=quick, truth=truth)
     lines = [asdict(line) for line in figures]
     emit({"lines": lines}, lambda: paper_table(lines), as_json=as_json)
-
-
-def _write(out: Path, training: Session, other: Session) -> list[str]:
-    """Write models without memory as a bundle; return what is switched off in it."""
-    from dtwin.kinds.volumetric import judged, models_of, serving_bundle
-    from dtwin.lake.store import Lake
-    from dtwin.serve.bundle_file import save_bundle
-
-    models: list[ThermalModel] = models_of(training, static=True)[0]
-    worse: list[str] = judged(models, other)["worse"]
-    machine = Lake(home().lake).campaign(training.campaign).machine
-    save_bundle(serving_bundle(models, training, machine, worse), out)
-    return worse

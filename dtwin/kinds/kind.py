@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.volumetric import HeatTwins
+    from dtwin.kinds.volumetric.heat_twins import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.schema import PLANES
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.serve.direction import Direction
 from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
@@ -36,38 +34,6 @@ class Verdict:
     gate: str
     passed: bool
     reason: str
-
-
-@dataclass(frozen=True)
-class JudgedBundle:
-    """An equation with what its gates say of it, which its provenance holds."""
-
-    bundle: Bundle
-    verdicts: Sequence[Verdict]
-
-    def __post_init__(self) -> None:
-        noted = replace(self.bundle.provenance, gates={v.gate: v.passed for v in self.verdicts})
-        object.__setattr__(self, "bundle", replace(self.bundle, provenance=noted))
-
-    @property
-    def passed(self) -> bool:
-        """Whether every gate passed."""
-        return all(v.passed for v in self.verdicts)
-
-    def write(self, out: Path, *, force: bool) -> tuple[bool, list[str]]:
-        """Write the bundle when it passed, or by ``force``; return whether it was, and what is told of the gates and that.
-
-        Raises ``InputError`` when the file is there, without ``force``.
-        """
-        lines = [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in self.verdicts]
-        if not self.passed and not force:
-            return False, [*lines, "not written: a gate said no (--force writes it for comparison)"]
-        require_new(out, force=force)
-        save_bundle(self.bundle, out)
-        return True, [
-            *lines,
-            f"{out} written" + ("" if self.passed else " though it did not pass: for comparison only"),
-        ]
 
 
 def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:

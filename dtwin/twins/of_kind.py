@@ -17,7 +17,8 @@ from dtwin.twins.several import require_together
 from dtwin.twins.shelf import kind_of
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric import HeatTwin, HeatTwins
+    from dtwin.kinds.volumetric.heat_twin import HeatTwin
+    from dtwin.kinds.volumetric.heat_twins import HeatTwins
     from dtwin.physics.twin import Twin
     from dtwin.twins.verbs import Twins
 

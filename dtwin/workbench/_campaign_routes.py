@@ -13,7 +13,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.kinds.volumetric import FAMILIES
+from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate

@@ -5,7 +5,9 @@ from __future__ import annotations
 from fastapi import Request
 from starlette.responses import Response
 
-from dtwin.kinds.volumetric import FAMILIES, HeatTwins, term_table
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
+from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.kinds.volumetric.twin_report import term_table
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import bench_of
 from dtwin.workbench._pages import rendered

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric import HeatTwins
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin

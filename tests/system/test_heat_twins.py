@@ -17,7 +17,7 @@ from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric._simulate import TRUTHS, simulate_volumetric
-from dtwin.kinds.volumetric._twins import HeatTwins
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.machines.volumetric import SENSITIVITY, VolumetricParameters
 from dtwin.plan_file import planned_campaign
 from dtwin.train.registry import Registry

@@ -19,15 +19,14 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.kinds.linear._fit import fitted
 from dtwin.kinds.linear._gates import registered_positioning_gates
-from dtwin.kinds.linear._loop import campaign_test
 from dtwin.kinds.linear._simulate import mapping_plan, simulate_lathe, verification_plan
 from dtwin.lifecycle.drift import check_drift
 from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle, save_bundle
 from dtwin.train.registry import Registry
+from studies.lathe_fit import campaign_test, fitted
 from studies.lathe_paper import Size, lathe_paper
 from studies.report.papers import lathe_paper_text
 

@@ -17,7 +17,7 @@ from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning
 from dtwin.kinds.volumetric._plan import BallPlan
 from dtwin.kinds.volumetric._simulate import TRUTHS, simulate_volumetric
-from dtwin.kinds.volumetric._twins import HeatTwins
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.twins.verbs import Twins
 
 pytestmark = pytest.mark.system

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import RATE_HZ, axis_number, told
 from dtwin.kinds.linear._gates import along
 from dtwin.kinds.linear._models import PositionModel
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
-from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, reverse_at, verification_plan, virtual_lathe
-from dtwin.machines.lathe import LatheRecording, VirtualLathe, Wander
-from dtwin.positioning.matrix import LinearTest, linear_test
+from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, reverse_at
+from dtwin.machines.lathe import LatheRecording, VirtualLathe
+from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.safety import Guard
@@ -41,37 +38,6 @@ class _LoopRun:
     ticks: int
     guard: dict[str, int]
     largest_step_um: float
-
-
-def campaign_test(folder: Path) -> tuple[str, LinearTest]:
-    """Return the machine and the readings of a positioning campaign."""
-    campaign, sources, _ = open_source(folder)
-    runs = [run for part, _ in sources for run in part]
-    if campaign.kind != "linear":
-        raise InputError(
-            "not a positioning campaign", code="lathe.kind", where=str(folder), got=campaign.kind, allowed="linear"
-        )
-    usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
-    bad = [run.meta.run_id for run in usable if any(f.severity == "error" for f in run.findings)]
-    if not usable or bad:
-        raise InputError(
-            "the campaign cannot be used",
-            code="lathe.campaign",
-            where=str(folder),
-            got=", ".join(bad)[:80] or "no run in both directions",
-            hint=f"dtwin check {folder}",
-        )
-    axes = sorted({str(run.meta.condition.get("axis", "Z")) for run in usable})
-    if len(axes) > 1:
-        raise InputError(
-            "the campaign holds several axes",
-            code="lathe.campaign",
-            where=str(folder),
-            got=", ".join(axes),
-            allowed="one",
-            hint="a folder for each axis",
-        )
-    return campaign.machine, linear_test(usable)
 
 
 def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
@@ -123,29 +89,6 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
         guard=guard.counted(),
         largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),
     )
-
-
-def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None) -> dict[str, Any]:
-    """Return figures of the virtual lathe without a bundle and with it in the loop; of the published plan without one.
-
-    ``truth``: as for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
-    """
-    chosen = plan or verification_plan()
-    lathe = virtual_lathe(truth, seed)
-    before = before_after_figures(measured(lathe, chosen))
-    after = looped(lathe, chosen, bundle)
-    calm = VirtualLathe(lathe.screw, Wander(0.0, 0.0, reading_um=0.0, quantum_um=0.0), seed)
-    floor = before_after_figures(measured(lathe, chosen, ExactCorrection(lathe)))
-    return {
-        "clock": "machine clock, 10 ms cycle, one cycle late",
-        "before": before,
-        "after": after.figures,
-        "after_without_wander": looped(calm, chosen, bundle).figures,
-        "perfect_correction": floor,
-        "ticks": after.ticks,
-        "guard": after.guard,
-        "largest_step_um": after.largest_step_um,
-    }
 
 
 @dataclass(frozen=True)

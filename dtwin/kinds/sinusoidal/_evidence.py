@@ -12,7 +12,6 @@ from dtwin.acquire.virtual import EPOCH
 from dtwin.kinds.sinusoidal._folder import SAMPLE_HZ
 from dtwin.kinds.sinusoidal._loop import CLOCK, LoopRecord, ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._simulate import virtual_slide
-from dtwin.kinds.sinusoidal.trial import AIR_S, RIM_MM, SLOPE_UM_PER_MM, TRIAL_HZ
 from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AnaloguePath, Instruments
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta
@@ -20,6 +19,12 @@ from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 
+# z = 0.006 x sin 2C - 0.006 x, x and z in mm.
+SLOPE_UM_PER_MM = 6.0
+RIM_MM = 0.5
+TRIAL_HZ = (5.0, 10.0, 20.0, 30.0, 40.0)
+# Before the cut the tool swings in the air: five seconds for a window, and some to settle.
+AIR_S = 9.0
 _REPEATS = 3
 _RECORDED_S = 4.0
 _AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM

@@ -14,8 +14,6 @@ from typing import Any, Literal
 
 from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric._heat_twin import KIND, HeatFit, heat_figures
-from dtwin.kinds.volumetric._motions import HeatTerm, family_of, motion_words
 from dtwin.kinds.volumetric._movers import (
     ALPHA,
     MATERIAL,
@@ -27,6 +25,8 @@ from dtwin.kinds.volumetric._movers import (
     seen_um,
     still_p,
 )
+from dtwin.kinds.volumetric.heat_twin import KIND, HeatFit, heat_figures
+from dtwin.kinds.volumetric.motions import HeatTerm, family_of, motion_words
 from dtwin.statistics import holm
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
@@ -36,7 +36,7 @@ Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_miss
 class HeatDiagnosis:
     """What is missing in a twin of heat.
 
-    ``figures``: errors at the balls, as :func:`dtwin.kinds.volumetric._heat_twin.heat_figures` has them.
+    ``figures``: errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
     ``lack_of_fit_p``: of the hypothesis that the twin leaves nothing but noise of the motions.
     ``movers``: motions that count, best first.
     ``group``: those that the verdict is about.

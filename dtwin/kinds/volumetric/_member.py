@@ -11,14 +11,14 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient
 from dtwin.kinds.volumetric._data import HeatLoaded, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import diagnose_heat
-from dtwin.kinds.volumetric._heat_twin import HeatFit, HeatTwin, fit_heat, heat_twin_of
-from dtwin.kinds.volumetric._motions import HeatTerm, heat_terms
+from dtwin.kinds.volumetric.heat_twin import HeatFit, HeatTwin, fit_heat, heat_twin_of
+from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
 from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Sizes
 from dtwin.twins.members import Cause, Member, Told, Version, day_of
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric._twins import HeatComparison, HeatTwins
+    from dtwin.kinds.volumetric.heat_twins import HeatComparison, HeatTwins
 
 _Fitted = tuple[HeatLoaded, Sequence[HeatTerm], HeatFit]
 

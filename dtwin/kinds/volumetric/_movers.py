@@ -10,8 +10,8 @@ import numpy as np
 from dtwin.features.time_alone import left_with_time, needed
 from dtwin.kinds.volumetric._drivers import MUCH
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric._motions import HeatTerm
 from dtwin.kinds.volumetric._thermal_model import fit_thermal, inflation
+from dtwin.kinds.volumetric.motions import HeatTerm
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail, rms, t_tail
 

@@ -9,7 +9,7 @@ from dtwin.kinds.kind import Kind
 
 if TYPE_CHECKING:
     from dtwin.config import Home
-    from dtwin.kinds.volumetric._twins import HeatTwins
+    from dtwin.kinds.volumetric.heat_twins import HeatTwins
     from dtwin.physics.effect import Effect
 
 
@@ -40,7 +40,7 @@ class _Volumetric(Kind):
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
         "drawings": "_page:DRAWINGS",
-        "twin_report": "_twin_report",
+        "twin_report": "dtwin.kinds.volumetric.twin_report",
         "training": "_training:train_volumetric",
         "recognises": "_bundle:is_volumetric_bundle",
         "gates": "_training:volumetric_gates",
@@ -49,7 +49,7 @@ class _Volumetric(Kind):
     }
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
-        from dtwin.kinds.volumetric._twins import HeatTwins
+        from dtwin.kinds.volumetric.heat_twins import HeatTwins
 
         return HeatTwins(home)
 

@@ -15,11 +15,11 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric._heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
 from dtwin.kinds.volumetric._identify import Artefact, Balls
-from dtwin.kinds.volumetric._motions import FAMILIES, family_of, heat_terms
-from dtwin.kinds.volumetric._twin_report import diagnosis_text
-from dtwin.kinds.volumetric._twins import HeatTwins
+from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
+from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
+from dtwin.kinds.volumetric.twin_report import diagnosis_text
 
 NOISE = 0.5
 MOTIONS = ("EX0", "EXX1", "EZX2", "EXZ1")

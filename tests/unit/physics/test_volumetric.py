@@ -9,16 +9,9 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._bundle import volumetric_bundle
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient, design, identifiability
 from dtwin.kinds.volumetric._identify import Artefact, Balls
-from dtwin.kinds.volumetric._judging import (
-    interval_curve,
-    reduction_pct,
-    slot_errors_um,
-    slot_places_mm,
-    slot_ranges_um,
-    worse_steps,
-)
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.serve.runtime import CompiledBundle
+from studies.heat import interval_curve, reduction_pct, slot_errors_um, slot_places_mm, slot_ranges_um, worse_steps
 from studies.volumetric_paper import PRINTED
 
 STROKES = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}

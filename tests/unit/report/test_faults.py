@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from defusedxml.ElementTree import fromstring
 
-from dtwin.kinds.volumetric import FAMILIES
+from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
 from dtwin.report.effect_groups import grouped

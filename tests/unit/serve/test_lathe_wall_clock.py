@@ -8,11 +8,11 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._simulate import verification_plan
-from dtwin.kinds.linear._wall_clock import paced
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
+from studies.lathe_clock import paced
 
 
 def position_bundle(*names: str) -> Bundle:

@@ -12,8 +12,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient
 from dtwin.kinds.volumetric._drivers import Drivers
 from dtwin.kinds.volumetric._heat_series import FEWEST_CYCLES, HeatSeries
-from dtwin.kinds.volumetric._motions import HeatTerm, motion_words
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
+from dtwin.kinds.volumetric.motions import HeatTerm, motion_words
 from dtwin.schema import Floats
 
 FORMAT = "dtwin-heat-twin-1"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.realtime import realtime
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from studies.lathe_fit import plan_or_published, positioning_bundle
 
 _LEAD_S = 0.05
 _QUANTILES = (50.0, 99.0, 99.9, 100.0)
@@ -73,6 +75,12 @@ def paced(
     with realtime(priority) as allowed:
         begun_s = _run(cycles, compiled, guard, position_mm, send)
     return _summary(cycles, begun_s, allowed, guard)
+
+
+def paced_by(path: Path, plan: Path | None, seconds: float) -> dict[str, Any]:
+    """Return the same of the files of a bundle and of a plan; of the published plan without one."""
+    chosen = plan_or_published(plan)
+    return paced(positioning_bundle(path), chosen, seconds)
 
 
 def _run(cycles: _Cycles, compiled: CompiledBundle, guard: Guard, position_mm: Floats, send: Send | None) -> float:

@@ -10,9 +10,9 @@ import plotly.graph_objects as go
 from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.volumetric._chain import COEFFICIENTS
 from dtwin.kinds.volumetric._heat_series import body_of
-from dtwin.kinds.volumetric._heat_twin import HeatTwin
-from dtwin.kinds.volumetric._motions import FAMILIES, Family, family_of, motion_words
 from dtwin.kinds.volumetric._movers import MATERIAL
+from dtwin.kinds.volumetric.heat_twin import HeatTwin
+from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table
 from dtwin.report.plots import COLOURS, draw_line, styled
 from dtwin.report.text import micrometres, table

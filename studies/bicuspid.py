@@ -9,22 +9,18 @@ from typing import Any
 import numpy as np
 
 from dtwin.features.sine import fit_tone
+from dtwin.kinds.sinusoidal._evidence import AIR_S, RIM_MM, SLOPE_UM_PER_MM
+from dtwin.kinds.sinusoidal._evidence import TRIAL_HZ as TRIAL_HZ
 from dtwin.kinds.sinusoidal._loop import CLOCK, LoopRecord, ToneCommand, run_loop
-from dtwin.kinds.sinusoidal._plots import Surface
 from dtwin.kinds.sinusoidal._simulate import virtual_slide
 from dtwin.machines.turning import SERVO_HZ
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
+from studies.report.turning import Surface
 
-# z = 0.006 x sin 2C - 0.006 x, x and z in mm.
-SLOPE_UM_PER_MM = 6.0
-RIM_MM = 0.5
 _FEED_UM_PER_REV = 2.0
-TRIAL_HZ = (5.0, 10.0, 20.0, 30.0, 40.0)
-# Before the cut the tool swings in the air: five seconds for a window, and some to settle.
-AIR_S = 9.0
 _SWELL_S = 1.0
 # The rim: where the form is largest and the published figures were taken.
 _RIM_SHARE = 0.9

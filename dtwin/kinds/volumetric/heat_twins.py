@@ -14,7 +14,8 @@ from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric._data import HeatLoaded, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric._heat_twin import (
+from dtwin.kinds.volumetric._member import HeatMember
+from dtwin.kinds.volumetric.heat_twin import (
     FORMAT,
     KIND,
     HeatTwin,
@@ -24,8 +25,7 @@ from dtwin.kinds.volumetric._heat_twin import (
     heat_twin_from,
     heat_twin_of,
 )
-from dtwin.kinds.volumetric._member import HeatMember
-from dtwin.kinds.volumetric._motions import HeatTerm, heat_terms
+from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
 from dtwin.schema import Floats, require_name
 from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
@@ -91,7 +91,7 @@ class HeatTwins(TwinShelf):
     def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> HeatTwin:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
-        ``effects``: error motions or families, as :func:`dtwin.kinds.volumetric._motions.heat_terms` takes them.
+        ``effects``: error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them.
         Raises ``InputError`` when something is not known, or a robust fit is asked for.
         """
         require_name(name, "the twin")

@@ -8,6 +8,7 @@ from pathlib import Path
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._bundle import ACTIONS as ACTIONS
 from dtwin.kinds.sinusoidal._bundle import Action
 from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate
 from dtwin.kinds.sinusoidal._gates import tone_gates
@@ -15,9 +16,9 @@ from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of, heard_groups
 from dtwin.kinds.sinusoidal._training import what_was_seen
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
-from dtwin.train.gates import JudgedBundle
 from dtwin.train.logged import candidate_metrics
 from dtwin.train.results import Candidate
+from studies.judged_bundle import JudgedBundle
 
 _SEARCHED = "symbolic"
 MODELS = (*FORMS, _SEARCHED)
