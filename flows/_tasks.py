@@ -27,7 +27,7 @@ from dtwin.lifecycle import evidence as closed_loop
 from dtwin.lifecycle import recheck as rechecking
 from dtwin.lifecycle import train as training
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, measuring
+from dtwin.pipeline import measuring
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
 from dtwin.pipeline.desk import Desk
 from dtwin.plan import EvidencePlan, Plan
@@ -36,7 +36,7 @@ from dtwin.report.checking import check_source
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.on_campaign import TwinView, look_at
-from studies import papers
+from studies import cell, papers
 from studies.cobot_steps import ProgressOf
 from studies.wall_clock import Circle, serve_wall_clock
 

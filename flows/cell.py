@@ -9,9 +9,9 @@ from prefect.client.schemas.objects import State
 from prefect.states import Completed
 
 from dtwin.config import home
-from dtwin.pipeline.cell import run_job, status, step_rows
-from dtwin.pipeline.cell_state import DONE, CellFile
 from flows import _artifacts, _tasks
+from studies.cell import run_job, status, step_rows
+from studies.cell_state import DONE, CellFile
 
 
 @flow(name="cell", flow_run_name="cell {cell}")

@@ -14,15 +14,15 @@ from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
-from dtwin.machines.joint_program import MOTIONS
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.targets import Target, TargetCorrection, TargetFrame
-from dtwin.train.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
 from studies.machines import probed_block as b_
+from studies.machines.joint_program import MOTIONS
 from studies.machines.placing_cell import DATUM_MM, PLACE_MM, PlacingCell, ProbedPlacement
+from studies.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
 from studies.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
 from studies.sphere_evidence import WAYS, difference, half_width, share_of_oracle
 

@@ -36,8 +36,8 @@ def resume(cell: Cell = "demo", as_json: Json = False) -> None:
 @app.command("status")
 def status(cell: Cell = "demo", as_json: Json = False) -> None:
     """Show every step, the twin that is live, and whether the job runs."""
-    from dtwin.pipeline.cell import status as seen_now
-    from dtwin.pipeline.cell_state import CellFile
+    from studies.cell import status as seen_now
+    from studies.cell_state import CellFile
 
     seen = seen_now(CellFile(home(), cell))
     emit(seen, lambda: _text(seen), as_json=as_json)
@@ -50,7 +50,7 @@ def stop(
     as_json: Json = False,
 ) -> None:
     """Ask a running job to stop when its step is done: no machine is left in the middle."""
-    from dtwin.pipeline.cell_state import CellFile
+    from studies.cell_state import CellFile
 
     CellFile(home(), cell).ask_to_stop(reason)
     emit({"cell": cell, "stop_asked": reason}, lambda: f"asked: {reason}", as_json=as_json)
@@ -59,18 +59,18 @@ def stop(
 @app.command("clear")
 def clear(cell: Cell = "demo", as_json: Json = False) -> None:
     """Forget the job of a cell that is not running."""
-    from dtwin.pipeline.cell_state import CellFile
+    from studies.cell_state import CellFile
 
     CellFile(home(), cell).clear()
     emit({"cell": cell, "cleared": True}, lambda: f"cell {cell} has no job now", as_json=as_json)
 
 
 def _run(cell: str, parameters: Mapping[str, Any], *, as_json: bool) -> None:
-    from dtwin.pipeline.cell import status as seen_now
-    from dtwin.pipeline.cell_state import CellFile
     from flows._runtime import delivered
     from flows._runtime import run as run_flow
     from flows.cell import cell_flow
+    from studies.cell import status as seen_now
+    from studies.cell_state import CellFile
 
     with delivered():
         run_flow(cell_flow, cell=cell, **parameters)
@@ -82,7 +82,7 @@ def _run(cell: str, parameters: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 def _text(seen: Mapping[str, Any]) -> str:
-    from dtwin.pipeline.cell import step_rows
+    from studies.cell import step_rows
 
     head = ("part", "step", "its twin", "state", "s", "error without, µm", "error, µm")
     asked = f"; asked to stop: {seen['stop_asked']}" if seen["stop_asked"] else ""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.machines.joint_program import Waypoint, drive_program
 from dtwin.schema import Floats
+from studies.machines.joint_program import Waypoint, drive_program
 from studies.machines.probed_block import Block, probe
 
 PLACE_MM = np.array([-680.0, 0.0, 147.0])

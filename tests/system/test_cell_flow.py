@@ -10,11 +10,11 @@ from command_here import said
 from running_servers import Up, wait_for
 
 from dtwin.config import home
-from dtwin.pipeline.cell import status
-from dtwin.pipeline.cell_state import DONE, STEPS, CellFile
 from flows import _tasks
 from flows._runtime import delivered, run
 from flows.cell import cell_flow
+from studies.cell import status
+from studies.cell_state import DONE, STEPS, CellFile
 
 pytest_plugins = ["shared_up"]
 pytestmark = pytest.mark.system

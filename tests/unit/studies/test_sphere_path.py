@@ -8,7 +8,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.links import state as layout
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.machines.joint_program import Waypoint, drive_program
+from studies.machines.joint_program import Waypoint, drive_program
 from studies.machines.placing_cell import DATUM_MM, PLACE_MM
 from studies.machines.sphere_path import HEIGHT_MM, RADIUS_MM, sphere_plan, sphere_run
 

@@ -27,9 +27,9 @@ from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.held_out_band import with_held_out_band
-from dtwin.train.placement_model import TrainingPlacement, placement_bundle
 from dtwin.train.results import OUTPUT_RMS, Candidate, Scores
 from dtwin.train.twin_band import parameter_factor
+from studies.placement_model import TrainingPlacement, placement_bundle
 
 LIBRARY = Library()
 

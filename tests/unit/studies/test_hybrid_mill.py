@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.machines.hybrid_mill import ITEMS, MODE_HZ, SENSOR_NOISE_G, CorrectionInput, HybridMill, hybrid_parameters
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
+from studies.machines.hybrid_mill import ITEMS, MODE_HZ, SENSOR_NOISE_G, CorrectionInput, HybridMill, hybrid_parameters
 
 CORNERS = np.array([[0.0, 47.0], [47.0, 47.0], [47.0, 0.0]])
 

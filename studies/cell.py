@@ -11,27 +11,15 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
-from dtwin.machines import cubesat
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
-from dtwin.machines.hybrid_mill import HybridMill
-from dtwin.machines.joint_program import Waypoint, drive_program
-from dtwin.pipeline.cell_state import (
-    COBOT,
-    DONE,
-    INTERRUPTED,
-    MILL,
-    NONE,
-    RUNNING,
-    STEPS,
-    CellFile,
-    live_twin,
-    next_step,
-    now,
-)
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.targets import Target, TargetCorrection, TargetFrame
-from dtwin.train.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
+from studies.cell_state import COBOT, DONE, INTERRUPTED, MILL, NONE, RUNNING, STEPS, CellFile, live_twin, next_step, now
+from studies.machines import cubesat
+from studies.machines.hybrid_mill import HybridMill
+from studies.machines.joint_program import Waypoint, drive_program
+from studies.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
 
 _TCP_MM = np.array([0.0, 0.0, 158.3])
 _TAUGHT = 6

@@ -16,8 +16,8 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.pipeline.cell import do_step, run_job, status
-from dtwin.pipeline.cell_state import COBOT, MILL, NONE, STEPS, CellFile
+from studies.cell import do_step, run_job, status
+from studies.cell_state import COBOT, MILL, NONE, STEPS, CellFile
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_a_killed_job_is_stopped_with_no_twin_live_and_its_step_is_done_again(ce
     cell.begin(1, 0)
     code = (
         "import sys, time; from pathlib import Path; from dtwin.config import Home;"
-        "from dtwin.pipeline.cell import run_job; from dtwin.pipeline.cell_state import CellFile\n"
+        "from studies.cell import run_job; from studies.cell_state import CellFile\n"
         "def do(step, part, twin):\n"
         "    if step == 'mill quarter 3':\n"
         "        print('milling', flush=True); time.sleep(60)\n"
