@@ -7,9 +7,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast
 
-from fastapi import Request
+from fastapi import Depends, Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
@@ -186,6 +186,14 @@ class Bench:
 def bench_of(request: Request) -> Bench:
     """Return the state of the server that answers a request."""
     return cast(Bench, request.app.state.bench)
+
+
+async def _here(request: Request) -> Bench:
+    return bench_of(request)
+
+
+Here = Annotated[Bench, Depends(_here)]
+"""The same as an argument of what answers."""
 
 
 def _place_of(root: Path) -> tuple[int, int] | None:

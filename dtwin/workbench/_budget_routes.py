@@ -18,7 +18,7 @@ from dtwin.report.faults import undecided_lines
 from dtwin.report.html import Table
 from dtwin.twins.of_kind import paths_of
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._pages import begun, rendered
 
 _KEPT = "programs"
@@ -36,9 +36,8 @@ class _ProgramRequest(BaseModel):
 
 
 @router.get("/twins/{name}/budget")
-def budget_page(request: Request, name: str, on: str = "") -> Response:
+def budget_page(request: Request, bench: Here, name: str, on: str = "") -> Response:
     """Show what each cause makes of the error of measured paths, and of the program that was evaluated last."""
-    bench = bench_of(request)
     view = reading.view(bench, name, on=on)
     found: Budget = bench.cache.get(("budget", *view.key), lambda: budget(view.twin, view.obs))
     whole = paths_of(bench.home, bench.library, name)
@@ -61,9 +60,8 @@ def budget_page(request: Request, name: str, on: str = "") -> Response:
 
 
 @router.post("/api/twins/{name}/program")
-def evaluate_program(request: Request, name: str, wanted: _ProgramRequest) -> JSONResponse:
+def evaluate_program(bench: Here, name: str, wanted: _ProgramRequest) -> JSONResponse:
     """Evaluate a program with the newest version of a twin."""
-    bench = bench_of(request)
     twin = of_circles(paths_of(bench.home, bench.library, name))
     where = wanted.file or "the program"
     text = plain(wanted.program.encode(), where)

@@ -20,7 +20,7 @@ from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.report.sheet import budget_rows, notes_beside
 from dtwin.schema import fresh_name
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._pages import begun, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
@@ -50,9 +50,9 @@ class _Reason(BaseModel):
 
 
 @router.get("/campaigns")
-def campaign_list(request: Request, find: str = "", page: int = 1) -> Response:
+def campaign_list(request: Request, bench: Here, find: str = "", page: int = 1) -> Response:
     """Show campaigns, so many on a page; ``find`` is a part of their name, machine or kind."""
-    every, wanted = bench_of(request).campaigns(), find.strip().casefold()
+    every, wanted = bench.campaigns(), find.strip().casefold()
     matching = (
         [one for one in every if wanted in f"{one.name} {one.machine} {one.kind}".casefold()] if wanted else every
     )
@@ -73,9 +73,8 @@ def campaign_list(request: Request, find: str = "", page: int = 1) -> Response:
 
 
 @router.get("/campaigns/{name}")
-def campaign_page(request: Request, name: str, part: int | None = None) -> Response:
+def campaign_page(request: Request, bench: Here, name: str, part: int | None = None) -> Response:
     """Show a campaign: its test sheet, its runs, and what can be done with it."""
-    bench = bench_of(request)
     rows = bench.run_rows(name)
     version = bench.lake_version
     line = bench.cache.get(("overview", name, version), lambda: overview(name, rows))
@@ -118,9 +117,8 @@ def _worst_part(sheet: Mapping[str, Any] | None) -> int:
 
 
 @router.get("/api/campaigns/{name}/sheet/{part}")
-def sheet_figure(request: Request, name: str, part: int) -> Response:
+def sheet_figure(bench: Here, name: str, part: int) -> Response:
     """Return the picture of one condition of the test sheet."""
-    bench = bench_of(request)
     rows = bench.run_rows(name)
     kind = kind_named(rows[0]["kind"])
     parts = campaign_sheet_of(bench, name, rows[0]["machine"])["parts"]
@@ -132,19 +130,18 @@ def sheet_figure(request: Request, name: str, part: int) -> Response:
 
 
 @router.get("/campaigns/{name}/certificate.html")
-def certificate_file(request: Request, name: str, language: str = "en") -> Response:
+def certificate_file(bench: Here, name: str, language: str = "en") -> Response:
     """Return the certificate of a campaign, to print or to sign.
 
     Its scripts stand in the page, which is shut off from the workbench: another origin, and no requests.
     """
-    made = certificate(bench_of(request).home, name, language)
+    made = certificate(bench.home, name, language)
     return HTMLResponse(made, headers={"Content-Security-Policy": _SHUT_OFF})
 
 
 @router.get("/campaigns/{name}/runs/{run_id}")
-def run_page(request: Request, name: str, run_id: str) -> Response:
+def run_page(request: Request, bench: Here, name: str, run_id: str) -> Response:
     """Show one run."""
-    bench = bench_of(request)
     row = _row(bench, name, run_id)
     kind = kind_named(row["kind"])
     sheet = campaign_sheet_of(bench, name, row["machine"]) if kind.offers("sheet") else {"parts": []}
@@ -165,9 +162,8 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
 
 
 @router.get("/api/campaigns/{name}/runs/{run_id}/{figure}")
-def run_figure(request: Request, name: str, run_id: str, figure: str) -> Response:
+def run_figure(bench: Here, name: str, run_id: str, figure: str) -> Response:
     """Return a figure of a run: one of the drawings of its kind."""
-    bench = bench_of(request)
     row = _row(bench, name, run_id)
     drawings = {drawing.name: drawing for drawing in kind_named(row["kind"]).drawings}
     if figure not in drawings:
@@ -184,9 +180,8 @@ def run_figure(request: Request, name: str, run_id: str, figure: str) -> Respons
 
 
 @router.post("/api/campaigns/{name}/amend")
-def amend_campaign(request: Request, name: str, wanted: _Amendment) -> JSONResponse:
+def amend_campaign(bench: Here, name: str, wanted: _Amendment) -> JSONResponse:
     """State anew what was stated wrongly; raw values never change."""
-    bench = bench_of(request)
     bench.lake.campaign(name)
     stated, runs = [f"{wanted.field}={wanted.value}"], [wanted.run] if wanted.run else []
     change = partial(amend, bench.lake, name, stated, wanted.because, runs=runs)
@@ -195,10 +190,9 @@ def amend_campaign(request: Request, name: str, wanted: _Amendment) -> JSONRespo
 
 @router.post("/api/campaigns/{name}/runs/{run_id}/{verb}")
 def leave_run_out(
-    request: Request, name: str, run_id: str, verb: Literal["leave-out", "restore"], why: _Reason
+    bench: Here, name: str, run_id: str, verb: Literal["leave-out", "restore"], why: _Reason
 ) -> JSONResponse:
     """Leave a run out of every figure, twin and report, or take it in again."""
-    bench = bench_of(request)
     _row(bench, name, run_id)
     change = partial(leave_out, bench.lake, name, [run_id], why.because, out=verb == "leave-out")
     return begun(bench, f"{verb} {run_id}", f"/campaigns/{name}", change, "keep the record")

@@ -6,15 +6,15 @@ from fastapi import APIRouter, Request
 from starlette.responses import PlainTextResponse, Response
 
 from dtwin.serve.delivery import MAC, NONCE, answer, delivery, question, read_key, same
-from dtwin.workbench._bench import bench_of
+from dtwin.workbench._bench import Here
 
 router = APIRouter()
 
 
 @router.get("/delivery/{machine}", include_in_schema=False)
-def deliver(request: Request, machine: str) -> Response:
+def deliver(request: Request, bench: Here, machine: str) -> Response:
     """Return bundles and pointers of a machine, signed for this question alone."""
-    home = bench_of(request).home
+    home = bench.home
     key, nonce = read_key(home), request.headers.get(NONCE, "")
     if key is None or not same(request.headers.get(MAC, ""), question(key, nonce, machine)):
         return PlainTextResponse("refused: this asks without the key of this home\n", 403)

@@ -21,7 +21,7 @@ from dtwin.physics.template import template
 from dtwin.report.signature import signature_caption, signature_svg
 from dtwin.report.twins import effect_text
 from dtwin.schema import RunMeta, require_name
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._pages import download, rendered
 
 router = APIRouter()
@@ -36,9 +36,8 @@ class _EffectSource(BaseModel):
 
 
 @router.get("/effects")
-def effect_list(request: Request, edit: str = "") -> Response:
+def effect_list(request: Request, bench: Here, edit: str = "") -> Response:
     """Show all effects, and the user's own with what is wrong with them."""
-    bench = bench_of(request)
     library = [e for _, e in sorted(bench.library.items())]
     source = _source(bench, edit) if edit else ""
     return rendered(
@@ -59,9 +58,9 @@ def effect_list(request: Request, edit: str = "") -> Response:
 
 
 @router.get("/effects/{name}")
-def effect_page(request: Request, name: str) -> Response:
+def effect_page(request: Request, bench: Here, name: str) -> Response:
     """Show what an effect is."""
-    effect = bench_of(request).library[name]
+    effect = bench.library[name]
     return rendered(
         request,
         "effect.html",
@@ -80,12 +79,11 @@ def effect_template(name: str = "my_effect") -> Response:
 
 
 @router.post("/api/effects")
-def save(request: Request, wanted: _EffectSource) -> JSONResponse:
+def save(bench: Here, wanted: _EffectSource) -> JSONResponse:
     """Keep a file of an own effect, and say whether it works; a file that does not is not kept.
 
     Its code is run: the server must have been started with ``--effects-path``.
     """
-    bench = bench_of(request)
     path = _own_path(bench, wanted.name)
     effect = _checked(bench, path, wanted.source)
     write_text(path, wanted.source, "the effect")

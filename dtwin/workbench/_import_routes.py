@@ -18,7 +18,7 @@ from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.pipeline.measuring import ingest
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here, bench_of
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
@@ -74,9 +74,9 @@ class _Tables(BaseModel):
 
 
 @router.post("/api/trays")
-def new_tray(request: Request) -> dict[str, str]:
+def new_tray(bench: Here) -> dict[str, str]:
     """Open a tray for files."""
-    return {"tray": bench_of(request).trays.new()}
+    return {"tray": bench.trays.new()}
 
 
 @router.put("/api/trays/{tray}")
@@ -87,26 +87,25 @@ async def receive(request: Request, tray: str, name: str) -> JSONResponse:
 
 
 @router.delete("/api/trays/{tray}")
-def drop_tray(request: Request, tray: str) -> dict[str, str]:
+def drop_tray(bench: Here, tray: str) -> dict[str, str]:
     """Throw a tray away."""
-    trays = bench_of(request).trays
+    trays = bench.trays
     trays.folder(tray)
     trays.drop(tray)
     return {"dropped": tray}
 
 
 @router.post("/api/trays/{tray}/tables")
-def tables_of_tray(request: Request, tray: str) -> list[str]:
+def tables_of_tray(bench: Here, tray: str) -> list[str]:
     """Return the tables of a tray that lie alone, in archives, too."""
-    folder = bench_of(request).trays.folder(tray)
+    folder = bench.trays.folder(tray)
     with _said_of_the_tray(folder):
         return tables_alone(folder)
 
 
 @router.post("/api/trays/{tray}/understand")
-def understand_table(request: Request, tray: str, table: _Table) -> dict[str, Any]:
+def understand_table(bench: Here, tray: str, table: _Table) -> dict[str, Any]:
     """Return what a table of a tray is taken for; where it cannot be, its heads and the reason."""
-    bench = bench_of(request)
     folder = bench.trays.folder(tray)
     path = _in_tray(folder, table.file)
     with _said_of_the_tray(folder):

@@ -25,7 +25,7 @@ from dtwin.serve._lease import is_leased
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.serve.live_state import RECENT_S, live_state
 from dtwin.serve.served_time import events_path, never_released
-from dtwin.workbench._bench import bench_of
+from dtwin.workbench._bench import Here, bench_of
 from dtwin.workbench._pages import drawn, rendered
 
 router = APIRouter()
@@ -49,9 +49,9 @@ class _Serving:
 
 
 @router.get("/live")
-def live_page(request: Request) -> Response:
+def live_page(request: Request, bench: Here) -> Response:
     """Show what is served now, and the sessions that ended."""
-    home = bench_of(request).home
+    home = bench.home
     serving = _servings(home)
     begun = _never_ended(home, {s.machine for s in serving})
     # In another container a process holds its machine as well, and the kernel does not list it here.
@@ -71,9 +71,9 @@ def live_page(request: Request) -> Response:
 
 
 @router.get("/api/live")
-def live(request: Request) -> dict[str, Any]:
+def live(bench: Here) -> dict[str, Any]:
     """Return what is served now, and the newest session of every machine."""
-    return _seen(bench_of(request).home)
+    return _seen(bench.home)
 
 
 def _seen(home: Home) -> dict[str, Any]:
@@ -84,9 +84,9 @@ def _seen(home: Home) -> dict[str, Any]:
 
 
 @router.get("/api/live/{machine}/now")
-def now(request: Request, machine: str) -> dict[str, Any]:
+def now(bench: Here, machine: str) -> dict[str, Any]:
     """Return what a machine that is served does now, and the figures of the newest seconds when its loop shows them."""
-    home = bench_of(request).home
+    home = bench.home
     serving = _serving(home, machine)
     if serving is None:
         raise _none(machine)
@@ -168,9 +168,9 @@ def _none(machine: str) -> InputError:
 
 
 @router.get("/api/live/{machine}/jitter")
-def jitter(request: Request, machine: str, started: str) -> Response:
+def jitter(bench: Here, machine: str, started: str) -> Response:
     """Return the jitter of the session that began at a time."""
-    for session in sessions(bench_of(request).home):
+    for session in sessions(bench.home):
         if (session["machine"], session.get("started")) == (machine, started) and session.get("timing"):
             figure: go.Figure = jitter_figure(session["timing"]["jitter_us_histogram"])
             return drawn(figure)
@@ -184,9 +184,9 @@ def _outside_share(session: Mapping[str, Any]) -> float:
 
 
 @router.post("/api/live/{machine}/stop")
-def stop(request: Request, machine: str) -> JSONResponse:
+def stop(bench: Here, machine: str) -> JSONResponse:
     """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
-    serving = _serving(bench_of(request).home, machine)
+    serving = _serving(bench.home, machine)
     if serving is not None:
         os.kill(serving.pid, signal.SIGINT)
         return JSONResponse({"stopped": serving.pid})

@@ -24,7 +24,7 @@ from dtwin.report.faults import title_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.sheet import number_of
 from dtwin.units import shown_unit
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun, download, drawn, rendered
@@ -95,17 +95,16 @@ class ScheduleTold(BaseModel):
 
 
 @router.get("/machines")
-def machine_list(request: Request) -> Response:
+def machine_list(request: Request, bench: Here) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
-    bench = bench_of(request)
     overviews = machine_overviews(bench.home, bench.campaigns(), bench.twin_lines())
     return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
 @router.get("/machines/{name}")
-def machine_page(request: Request, name: str) -> Response:
+def machine_page(request: Request, bench: Here, name: str) -> Response:
     """Show one machine."""
-    history = bench_of(request).history(name)
+    history = bench.history(name)
     changes = [change for one in history["series"] for change in one["changes"]]
     return rendered(
         request,
@@ -117,27 +116,26 @@ def machine_page(request: Request, name: str) -> Response:
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
         known_facts=FACTS,
-        plans=planned_of(bench_of(request), name),
+        plans=planned_of(bench, name),
         with_twins=[kind.name for kind in kinds() if kind.offers("twins")],
     )
 
 
 @router.post("/api/machines/{name}/together")
-def compare_tests(request: Request, name: str) -> JSONResponse:
+def compare_tests(bench: Here, name: str) -> JSONResponse:
     """Diagnose the newest test of each sort and compare them."""
-    return _worked_out(bench_of(request), name, "together", machine_joint)
+    return _worked_out(bench, name, "together", machine_joint)
 
 
 @router.post("/api/machines/{name}/next")
-def find_next(request: Request, name: str) -> JSONResponse:
+def find_next(bench: Here, name: str) -> JSONResponse:
     """Diagnose the newest test of each sort and find which test tells most after them."""
-    return _worked_out(bench_of(request), name, "next", machine_next)
+    return _worked_out(bench, name, "next", machine_next)
 
 
 @router.get("/machines/{name}/together")
-def together(request: Request, name: str) -> Response:
+def together(request: Request, bench: Here, name: str) -> Response:
     """Show what the tests of a machine say together."""
-    bench = bench_of(request)
     if not is_compared(bench.home, name, bench.library):
         return _not_diagnosed(request, name, "together")
     diagnosis = machine_joint(bench.home, name, library=bench.library)
@@ -147,9 +145,8 @@ def together(request: Request, name: str) -> Response:
 
 
 @router.get("/machines/{name}/next")
-def next_page(request: Request, name: str) -> Response:
+def next_page(request: Request, bench: Here, name: str) -> Response:
     """Show which test tells most for its time."""
-    bench = bench_of(request)
     if not is_compared(bench.home, name, bench.library):
         return _not_diagnosed(request, name, "next")
     advice = machine_next(bench.home, name, library=bench.library)
@@ -157,9 +154,8 @@ def next_page(request: Request, name: str) -> Response:
 
 
 @router.get("/machines/{name}/next/{test}.{ending}")
-def next_files(request: Request, name: str, test: str, ending: Literal["toml", "zip"]) -> Response:
+def next_files(bench: Here, name: str, test: str, ending: Literal["toml", "zip"]) -> Response:
     """Return a proposed test as its plan file, or as plan file and programs."""
-    bench = bench_of(request)
     tests = machine_next(bench.home, name, library=bench.library)["tests"]
     document = next((t["document"] for t in tests if t["name"] == test), None)
     if document is None:
@@ -172,18 +168,18 @@ def next_files(request: Request, name: str, test: str, ending: Literal["toml", "
 
 
 @router.get("/machines/{name}/next-test.ics")
-def next_test_file(request: Request, name: str) -> Response:
+def next_test_file(bench: Here, name: str) -> Response:
     """Return the next test as a calendar file."""
-    due = bench_of(request).history(name)["next_test"]
+    due = bench.history(name)["next_test"]
     if not due:
         raise InputError("no next test is known", code="page.unknown", where=name, hint="state how often it is tested")
     return download(calendar_of(name, due, datetime.now(UTC)), f"{name}.ics", "text/calendar")
 
 
 @router.get("/api/machines/{name}/summary")
-def summary(request: Request, name: str) -> dict[str, Any]:
+def summary(bench: Here, name: str) -> dict[str, Any]:
     """Return what the last test of a machine says, its values so far, its newest change, whether a test is due, and its champion."""
-    history = bench_of(request).history(name)
+    history = bench.history(name)
     tests = [test for test in history["tests"] if test["figure"]]
     last = tests[-1] if tests else None
     alike = [
@@ -202,67 +198,66 @@ def summary(request: Request, name: str) -> dict[str, Any]:
 
 
 @router.get("/api/machines/{name}/series")
-def series(request: Request, name: str, of: str) -> Response:
+def series(bench: Here, name: str, of: str) -> Response:
     """Return the picture of a figure over time."""
-    history = bench_of(request).history(name)
+    history = bench.history(name)
     return drawn(series_figure(_series(history, of), history["events"]))
 
 
 @router.get("/api/machines/{name}/chart")
-def control_chart(request: Request, name: str, of: str) -> Response:
+def control_chart(bench: Here, name: str, of: str) -> Response:
     """Return the control chart of a figure."""
-    return drawn(chart_figure(_series(bench_of(request).history(name), of)))
+    return drawn(chart_figure(_series(bench.history(name), of)))
 
 
 @router.post("/api/machines/{name}/event")
-def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
+def tell_event(bench: Here, name: str, told: EventTold) -> JSONResponse:
     """Note what happened to a machine."""
-    return _noted(bench_of(request), name, "Note for", with_event, told)
+    return _noted(bench, name, "Note for", with_event, told)
 
 
 @router.post("/api/machines/{name}/event/drop")
-def drop_event(request: Request, name: str, told: NotedEvent) -> JSONResponse:
+def drop_event(bench: Here, name: str, told: NotedEvent) -> JSONResponse:
     """Take back the note of an event."""
-    return _noted(bench_of(request), name, "Note taken back for", without_event, told)
+    return _noted(bench, name, "Note taken back for", without_event, told)
 
 
 @router.post("/api/machines")
-def add_machine(request: Request, told: MachineTold) -> JSONResponse:
+def add_machine(bench: Here, told: MachineTold) -> JSONResponse:
     """Add a machine before its first test; one that is there keeps what is known of it."""
     facts = {key: value for key, value in told.model_dump(exclude={"machine"}).items() if value}
-    return _stated(bench_of(request), told.machine, "Record", facts)
+    return _stated(bench, told.machine, "Record", facts)
 
 
 @router.post("/api/machines/{name}/facts")
-def tell_facts(request: Request, name: str, told: FactsTold) -> JSONResponse:
+def tell_facts(bench: Here, name: str, told: FactsTold) -> JSONResponse:
     """State what is known of a machine."""
-    return _stated(bench_of(request), name, "Record", told.model_dump())
+    return _stated(bench, name, "Record", told.model_dump())
 
 
 @router.post("/api/machines/{name}/axis")
-def tell_axis(request: Request, name: str, told: AxisTold) -> JSONResponse:
+def tell_axis(bench: Here, name: str, told: AxisTold) -> JSONResponse:
     """State what is known of an axis, or take it back."""
     known = told.model_dump(exclude={"axis"}, exclude_none=True)
-    return _stated(bench_of(request), name, f"Axis {told.axis}", {"axes": {told.axis: known or None}})
+    return _stated(bench, name, f"Axis {told.axis}", {"axes": {told.axis: known or None}})
 
 
 @router.post("/api/machines/{name}/tolerance/drop")
-def drop_tolerance(request: Request, name: str, told: SymbolTold) -> JSONResponse:
+def drop_tolerance(bench: Here, name: str, told: SymbolTold) -> JSONResponse:
     """Take back what is stated of a figure."""
-    return _stated(bench_of(request), name, "Tolerance taken back", {"tolerances": {told.symbol: None}})
+    return _stated(bench, name, "Tolerance taken back", {"tolerances": {told.symbol: None}})
 
 
 @router.post("/api/machines/{name}/tolerance")
-def tell_tolerance(request: Request, name: str, told: ToleranceTold) -> JSONResponse:
+def tell_tolerance(bench: Here, name: str, told: ToleranceTold) -> JSONResponse:
     """State the largest value that a figure may have."""
-    bench = bench_of(request)
     return _stated(bench, name, "Tolerance", {"tolerances": {told.symbol: told.high_um}})
 
 
 @router.post("/api/machines/{name}/schedule")
-def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONResponse:
+def tell_schedule(bench: Here, name: str, told: ScheduleTold) -> JSONResponse:
     """State how often a machine is tested."""
-    return _stated(bench_of(request), name, "Tests", {"test_every_days": told.days})
+    return _stated(bench, name, "Tests", {"test_every_days": told.days})
 
 
 def _worked_out(bench: Bench, name: str, what: str, make: Callable[..., Any]) -> JSONResponse:

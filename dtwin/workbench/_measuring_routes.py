@@ -12,16 +12,16 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.pipeline.desk import desks, give_answer
-from dtwin.workbench._bench import bench_of
+from dtwin.workbench._bench import Here
 from dtwin.workbench._pages import rendered
 
 router = APIRouter()
 
 
 @router.get("/measuring")
-def measuring_page(request: Request) -> Response:
+def measuring_page(request: Request, bench: Here) -> Response:
     """Show what is asked now."""
-    asked = desks(bench_of(request).home)
+    asked = desks(bench.home)
     desks_shown = [
         {"id": name, "name": folder.name, "folder": str(folder), "question": question}
         for name, (folder, question) in asked.items()
@@ -30,9 +30,9 @@ def measuring_page(request: Request) -> Response:
 
 
 @router.get("/api/measuring")
-def measuring(request: Request) -> dict[str, Any]:
+def measuring(bench: Here) -> dict[str, Any]:
     """Return the questions that are open, by the desk's name."""
-    return _open(desks(bench_of(request).home))
+    return _open(desks(bench.home))
 
 
 def _open(asked: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> dict[str, Any]:
@@ -40,9 +40,9 @@ def _open(asked: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> dict[str, Any]
 
 
 @router.post("/api/measuring/{desk}/{question}/{answer}")
-def answered(request: Request, desk: str, question: str, answer: str) -> JSONResponse:
+def answered(bench: Here, desk: str, question: str, answer: str) -> JSONResponse:
     """Answer a question."""
-    asking = desks(bench_of(request).home).get(desk)
+    asking = desks(bench.home).get(desk)
     if asking is None:
         raise InputError(
             "no campaign is measured there now", code="campaign.answer", got=desk[:40], hint="reload the page"
@@ -52,9 +52,9 @@ def answered(request: Request, desk: str, question: str, answer: str) -> JSONRes
 
 
 @router.get("/api/jobs/{job_id}")
-def progress(request: Request, job_id: str) -> dict[str, Any]:
+def progress(bench: Here, job_id: str) -> dict[str, Any]:
     """Say how far a job is."""
-    job = bench_of(request).jobs.get(job_id)
+    job = bench.jobs.get(job_id)
     if job is None:
         raise InputError(
             "this work is not known here",
@@ -66,7 +66,7 @@ def progress(request: Request, job_id: str) -> dict[str, Any]:
 
 
 @router.delete("/api/jobs/{job_id}")
-def forget(request: Request, job_id: str) -> dict[str, Any]:
+def forget(bench: Here, job_id: str) -> dict[str, Any]:
     """Drop the note of a job that has ended."""
-    bench_of(request).jobs.forget(job_id)
+    bench.jobs.forget(job_id)
     return {}

@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.report.html import Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
 from dtwin.workbench import _models as models
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, drawn, rendered
 
@@ -28,9 +28,9 @@ class _Comment(BaseModel):
 
 
 @router.get("/models")
-def model_list(request: Request) -> Response:
+def model_list(request: Request, bench: Here) -> Response:
     """Show the versions of every machine, and the history of promotions."""
-    home = bench_of(request).home
+    home = bench.home
     registry = models.registry_of(home)
     versions: list[Any] = []
     past: dict[str, list[dict[str, Any]]] = {}
@@ -44,9 +44,8 @@ def model_list(request: Request) -> Response:
 
 
 @router.get("/models/{machine}/{version}")
-def model_page(request: Request, machine: str, version: str) -> Response:
+def model_page(request: Request, bench: Here, machine: str, version: str) -> Response:
     """Show a version: candidates, front, gates, evidence."""
-    bench = bench_of(request)
     judged = _judged(bench, machine, version)
     from dtwin.report.campaign import evidence_table
     from dtwin.train.promotion import state_of
@@ -66,9 +65,9 @@ def model_page(request: Request, machine: str, version: str) -> Response:
 
 
 @router.get("/api/models/{machine}/{version}/{kind}")
-def model_figure(request: Request, machine: str, version: str, kind: str) -> Response:
+def model_figure(bench: Here, machine: str, version: str, kind: str) -> Response:
     """Return a figure of a version: front, latency, r2 or evidence."""
-    judged = _judged(bench_of(request), machine, version)
+    judged = _judged(bench, machine, version)
     if kind == "front" and judged.front:
         return drawn(front_figure(judged.front, judged.floor_um, judged.floor_dof))
     if kind == "latency":
@@ -81,9 +80,8 @@ def model_figure(request: Request, machine: str, version: str, kind: str) -> Res
 
 
 @router.post("/api/models/{machine}/{version}/promote")
-def promote(request: Request, machine: str, version: str, why: _Comment) -> JSONResponse:
+def promote(bench: Here, machine: str, version: str, why: _Comment) -> JSONResponse:
     """Check a version and make it champion, or put it on trial; the gates decide."""
-    bench = bench_of(request)
     registry = models.require_registry(bench.home, machine)
     registered = registry.version(machine, version)
 
@@ -109,9 +107,8 @@ def promote(request: Request, machine: str, version: str, why: _Comment) -> JSON
 
 
 @router.post("/api/models/{machine}/rollback")
-def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
+def roll_back(bench: Here, machine: str, why: _Comment) -> JSONResponse:
     """Bar the champion and go back to the one before it."""
-    bench = bench_of(request)
     registry = models.require_registry(bench.home, machine)
 
     def work(tell: Tell) -> str:

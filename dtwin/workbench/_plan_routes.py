@@ -35,7 +35,7 @@ from dtwin.plan_file import planned_document
 from dtwin.report.changes import change_table, changes_text, changes_title
 from dtwin.report.faults import title_of
 from dtwin.units import UNITS, shown_unit
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here
 from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun, download, rendered
@@ -58,9 +58,8 @@ class _PlanTold(BaseModel):
 
 
 @router.get("/machines/{name}/plan")
-def plan_page(request: Request, name: str) -> Response:
+def plan_page(request: Request, bench: Here, name: str) -> Response:
     """Show the form of a test, how long it takes, what it would show, and what it could not tell apart."""
-    bench = bench_of(request)
     kind, told = _told(request.url.query)
     draft = draft_of(bench.home, name, kind)
     forecast: Mapping[str, Any] | None = None
@@ -95,22 +94,21 @@ def plan_page(request: Request, name: str) -> Response:
 
 
 @router.get("/machines/{name}/plan.{ending}")
-def plan_files(request: Request, name: str, ending: Ending) -> Response:
+def plan_files(request: Request, bench: Here, name: str, ending: Ending) -> Response:
     """Return what the form says as a plan file, or as plan file and programs."""
     kind, told = _told(request.url.query)
-    return _files(with_settings(draft_of(bench_of(request).home, name, kind), told), ending)
+    return _files(with_settings(draft_of(bench.home, name, kind), told), ending)
 
 
 @router.get("/machines/{name}/plans/{plan}.{ending}")
-def kept_files(request: Request, name: str, plan: str, ending: Ending) -> Response:
+def kept_files(bench: Here, name: str, plan: str, ending: Ending) -> Response:
     """Return a plan that was kept as its file, or as plan file and programs."""
-    return _files(kept_plan(bench_of(request).home, plan), ending)
+    return _files(kept_plan(bench.home, plan), ending)
 
 
 @router.post("/api/machines/{name}/plans")
-def start_test(request: Request, name: str, wanted: _PlanTold) -> JSONResponse:
+def start_test(bench: Here, name: str, wanted: _PlanTold) -> JSONResponse:
     """Have a test measured at once on a virtual machine; else keep its plan until a campaign answers it."""
-    bench = bench_of(request)
     kind, told = _told(wanted.query)
     document = with_settings(draft_of(bench.home, name, kind), told)
     planned_document(document, "the plan")
@@ -128,16 +126,14 @@ def start_test(request: Request, name: str, wanted: _PlanTold) -> JSONResponse:
 
 
 @router.post("/api/machines/{name}/plans/{plan}/drop")
-def take_back(request: Request, name: str, plan: str) -> JSONResponse:
+def take_back(bench: Here, name: str, plan: str) -> JSONResponse:
     """Take a plan back."""
-    bench = bench_of(request)
     return begun(bench, f"Take back {plan}", f"/machines/{name}#planned", lambda: drop_plan(bench.home, plan))
 
 
 @router.get("/machines/{name}/changes")
-def changes_page(request: Request, name: str, campaign: str = "") -> Response:
+def changes_page(request: Request, bench: Here, name: str, campaign: str = "") -> Response:
     """Show the figures of a test beside those of another one of its kind."""
-    bench = bench_of(request)
     other = request.query_params.get("with", "")
     compared = sheet_changes(bench.home, campaign, other, name) if campaign else last_changes(bench.home, name)
     same = [one.name for one in bench.campaigns() if (one.machine, one.kind) == (name, compared["kind"])]

@@ -20,7 +20,7 @@ from dtwin.twins.of_kind import AnyTwin
 from dtwin.twins.seen import able_to
 from dtwin.twins.several import SeveralComparison
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here, bench_of
 from dtwin.workbench._pages import drawn, rendered
 
 router = APIRouter()
@@ -69,9 +69,9 @@ def compared_with(bench: Bench, name: str, on: str) -> dict[str, Any]:
 
 
 @router.get("/api/twins/{name}/compared/{number}")
-def compared_figure(request: Request, name: str, number: int, on: str = "") -> Response:
+def compared_figure(bench: Here, name: str, number: int, on: str = "") -> Response:
     """Return a figure of a twin of no path against measurements."""
-    figures = _comparison(bench_of(request), name, on)[1]
+    figures = _comparison(bench, name, on)[1]
     if not 0 <= number < len(figures):
         raise InputError("no such figure", code="page.unknown", where=name, got=str(number), allowed=f"{len(figures)}")
     return drawn(figures[number])

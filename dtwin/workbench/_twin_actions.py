@@ -19,7 +19,7 @@ from dtwin.twins.of_kind import AnyTwin, AnyTwins, fit_twin, twins_for
 from dtwin.twins.seen import chosen
 from dtwin.twins.shelf import require_same_machine
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._bench import Bench, Here, bench_of
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun
 
@@ -71,9 +71,8 @@ class _VersionRequest(BaseModel):
 
 
 @router.post("/api/twins")
-def fit(request: Request, wanted: _FitRequest) -> JSONResponse:
+def fit(bench: Here, wanted: _FitRequest) -> JSONResponse:
     """Fit effects to a campaign of the lake."""
-    bench = bench_of(request)
     require_name(wanted.name, "the twin")
     campaigns = wanted.campaigns or [wanted.campaign]
     for campaign in campaigns:
@@ -110,9 +109,8 @@ def _changed(request: Request, name: str, wanted: _EffectRequest, verb: str) -> 
 
 
 @router.post("/api/twins/{name}/learn/{what}")
-def learn(request: Request, name: str, what: Literal["law", "map"]) -> JSONResponse:
+def learn(bench: Here, name: str, what: Literal["law", "map"]) -> JSONResponse:
     """Add a law, or a map, for structure that no effect explains."""
-    bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name)
     learned = partial(learn_law if what == "law" else learn_map, twins, name)
@@ -120,9 +118,8 @@ def learn(request: Request, name: str, what: Literal["law", "map"]) -> JSONRespo
 
 
 @router.post("/api/twins/{name}/rollback")
-def roll_back(request: Request, name: str, wanted: _VersionRequest) -> JSONResponse:
+def roll_back(bench: Here, name: str, wanted: _VersionRequest) -> JSONResponse:
     """Make a new version with the effects of an older one; nothing is deleted."""
-    bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name, wanted.version)
     title = f"Roll {name} back to version {wanted.version}"
@@ -130,9 +127,8 @@ def roll_back(request: Request, name: str, wanted: _VersionRequest) -> JSONRespo
 
 
 @router.post("/api/twins/{name}/diagnose")
-def diagnose(request: Request, name: str) -> JSONResponse:
+def diagnose(bench: Here, name: str) -> JSONResponse:
     """Find out what the newest version lacks."""
-    bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name)
     said = "test every effect of the library, and what repeats say"
@@ -140,15 +136,14 @@ def diagnose(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/campaigns/{campaign}/find")
-def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
+def find(bench: Here, campaign: str, wanted: _NameRequest) -> JSONResponse:
     """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
-    return _find(bench_of(request), [campaign], wanted.name)
+    return _find(bench, [campaign], wanted.name)
 
 
 @router.post("/api/machines/{machine}/find")
-def find_together(request: Request, machine: str, wanted: _TogetherRequest) -> JSONResponse:
+def find_together(bench: Here, machine: str, wanted: _TogetherRequest) -> JSONResponse:
     """The same of several tests of a machine, all in one twin; of its newest tests of a path where none is named."""
-    bench = bench_of(request)
     for campaign in wanted.campaigns:
         require_same_machine(wanted.name, machine, campaign, bench.lake.campaign(campaign).machine)
     newest = newest_tests(bench.lake.runs(left_out=True, machine=machine), machine) if not wanted.campaigns else ()
@@ -174,9 +169,8 @@ def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/discover")
-def discover(request: Request, name: str) -> JSONResponse:
+def discover(bench: Here, name: str) -> JSONResponse:
     """Find all effects that the runs can tell, and add them one by one."""
-    bench = bench_of(request)
     twins = bench.twins_with(name)
     twins.newest(name)
 
@@ -188,9 +182,8 @@ def discover(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/correct")
-def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResponse:
+def correct(bench: Here, name: str, wanted: _CorrectionRequest) -> JSONResponse:
     """Register the correction that a confirmed twin stands for, or say why not."""
-    bench = bench_of(request)
     twins = bench.twins_with(name)
     on = chosen(bench.home, twins.newest(name), "twin_correction", wanted.on or None)
 

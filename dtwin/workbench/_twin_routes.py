@@ -34,7 +34,7 @@ from dtwin.twins.registration import waiting, waiting_text
 from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import bench_of
+from dtwin.workbench._bench import Here, bench_of
 from dtwin.workbench._campaigns import possible_effects
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._heat_pages import heat_page
@@ -49,9 +49,8 @@ _Words = Annotated[list[str], Query()]
 
 
 @router.get("/twins")
-def twin_list(request: Request) -> Response:
+def twin_list(request: Request, bench: Here) -> Response:
     """Show all twins."""
-    bench = bench_of(request)
     return rendered(
         request,
         "twins.html",
@@ -63,9 +62,8 @@ def twin_list(request: Request) -> Response:
 
 
 @router.get("/twins/{name}")
-def compare_page(request: Request, name: str, on: str = "") -> Response:
+def compare_page(request: Request, bench: Here, name: str, on: str = "") -> Response:
     """Show measured against twin, on the runs of the fit or on others of the machine."""
-    bench = bench_of(request)
     if other := _page_of_no_path(request, name, on):
         return other
     view = reading.view(bench, name, on=on)
@@ -96,9 +94,8 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
 
 
 @router.get("/twins/{name}/diagnose")
-def diagnose_page(request: Request, name: str) -> Response:
+def diagnose_page(request: Request, bench: Here, name: str) -> Response:
     """Show what is missing."""
-    bench = bench_of(request)
     if other := _page_of_no_path(request, name):
         return other
     twin = bench.twins.newest(name)
@@ -127,9 +124,10 @@ def diagnose_page(request: Request, name: str) -> Response:
 
 
 @router.get("/twins/{name}/versions")
-def versions_page(request: Request, name: str, first: int | None = None, second: int | None = None) -> Response:
+def versions_page(
+    request: Request, bench: Here, name: str, first: int | None = None, second: int | None = None
+) -> Response:
     """Show every version, two of them side by side, and what can be added or removed."""
-    bench = bench_of(request)
     if other := _page_of_no_path(request, name):
         return other
     twins = bench.twins
@@ -159,9 +157,8 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
 
 
 @router.get("/twins/{name}/report.html")
-def report(request: Request, name: str) -> Response:
+def report(bench: Here, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
-    bench = bench_of(request)
     twin = bench.twins_with(name).newest(name)
     if not isinstance(twin, Twin):
         comparison, compared = None, compared_with(bench, name, "")
@@ -194,7 +191,7 @@ def experiment_programs(request: Request, name: str) -> Response:
 
 @router.get("/api/twins/{name}/overlay/{kind}")
 def overlay(
-    request: Request,
+    bench: Here,
     name: str,
     kind: str,
     condition: _Numbers = [],  # noqa: B006
@@ -204,7 +201,6 @@ def overlay(
     on: str = "",
 ) -> Response:
     """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
-    bench = bench_of(request)
     view = reading.view(bench, name, on=on)
     floor_um = reading.floor_of(bench, view).um
     chosen = reading.chosen_conditions(view, condition)[:6]
@@ -239,17 +235,16 @@ def overlay(
 
 
 @router.get("/api/twins/{name}/runs")
-def runs(request: Request, name: str, condition: _Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
+def runs(bench: Here, name: str, condition: _Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
     """Return the runs of conditions."""
-    view = reading.view(bench_of(request), name, on=on)
+    view = reading.view(bench, name, on=on)
     chosen = reading.chosen_conditions(view, condition)
     return {"campaign": view.obs.campaign.name, "conditions": chosen, "runs": reading.runs_of(view, chosen)}
 
 
 @router.get("/api/twins/{name}/map")
-def heat_map(request: Request, name: str, on: str = "") -> Response:
+def heat_map(bench: Here, name: str, on: str = "") -> Response:
     """Return the mean residual of every condition over the angle."""
-    bench = bench_of(request)
     view = reading.view(bench, name, on=on)
     floor_um = reading.floor_of(bench, view).um
     means, grid = view.residual_um, view.obs.grid
@@ -258,26 +253,24 @@ def heat_map(request: Request, name: str, on: str = "") -> Response:
 
 
 @router.get("/api/twins/{name}/encoder")
-def encoder(request: Request, name: str, on: str = "") -> Response:
+def encoder(bench: Here, name: str, on: str = "") -> Response:
     """Return the error by who can see it, when the controller was logged."""
-    split = reading.view(bench_of(request), name, on=on).result["encoder_split"]
+    split = reading.view(bench, name, on=on).result["encoder_split"]
     if not split:
         raise InputError("the controller was not logged", code="page.unknown", where=name)
     return drawn(encoder_section(split).figures[0])
 
 
 @router.get("/api/twins/{name}/waterfall")
-def waterfall(request: Request, name: str) -> Response:
+def waterfall(bench: Here, name: str) -> Response:
     """Return how the error fell from version to version."""
-    bench = bench_of(request)
     begun = "set-up only" if isinstance(bench.twins_with(name), Twins) else "no effects"
     return drawn(waterfall_figure(bench.twins.history(name), begun))
 
 
 @router.get("/api/twins/{name}/ranked")
-def ranked(request: Request, name: str) -> Response:
+def ranked(bench: Here, name: str) -> Response:
     """Return the candidates by the error predicted after adding each."""
-    bench = bench_of(request)
     diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version)
     if diagnosis is None:
         raise InputError("the twin is not diagnosed yet", code="twin.undiagnosed", where=f"twin {name}")
@@ -285,9 +278,8 @@ def ranked(request: Request, name: str) -> Response:
 
 
 @router.get("/api/twins/{name}/signature")
-def signature(request: Request, name: str, effect: str, condition: _Numbers = []) -> Response:  # noqa: B006
+def signature(bench: Here, name: str, effect: str, condition: _Numbers = []) -> Response:  # noqa: B006
     """Return what adding an effect would take away, over the residual."""
-    bench = bench_of(request)
     diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version) or {"candidates": []}
     labelled = {f"{c['effect']} {c['axis']}".strip(): c.get("campaign", "") for c in diagnosis["candidates"]}
     view = reading.view(bench, name, on=labelled.get(effect, ""))
