@@ -158,6 +158,8 @@ class Kind:
         Whether a check tells the figures of all runs in one table, not run by run.
     laws : bool
         Whether a law is searched for what a twin leaves.
+    told_as : str
+        What a check calls the figures of a campaign; empty: as the kind.
     campaign_columns : tuple of str
         Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for all such names.
     sheet_columns : tuple of str
@@ -192,6 +194,7 @@ class Kind:
     goes_round: ClassVar[bool] = False
     in_one_table: ClassVar[bool] = False
     laws: ClassVar[bool] = False
+    told_as: ClassVar[str] = ""
     campaign_columns: ClassVar[tuple[str, ...]] = ()
     sheet_columns: ClassVar[tuple[str, ...]] = ()
     figures: ClassVar[tuple[str, ...]] = ()
@@ -287,12 +290,14 @@ class Kind:
         return self._done("run_figures")(run) if "run_figures" in self.places else {}
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        """Return the figures of a campaign, JSON-ready."""
-        return self._done("campaign_figures")(runs) if "campaign_figures" in self.places else {}
+        """Return the figures of a campaign, JSON-ready; what does it gives those of ``told_as``."""
+        told_as = self.told_as or self.name
+        return {told_as: self._done("campaign_figures")(runs)} if "campaign_figures" in self.places else {}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        """Return the text of what a check found, besides that of each run."""
-        return self._done("figure_lines")(result) if "figure_lines" in self.places else []
+        """Return the text of what a check found, besides that of each run; what does it takes the figures of ``told_as``."""
+        told_as = self.told_as or self.name
+        return list(self._done("figure_lines")(result[told_as])) if "figure_lines" in self.places else []
 
     @property
     def drawings(self) -> Sequence[Drawing]:

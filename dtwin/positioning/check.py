@@ -95,13 +95,11 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> Iterator[Finding]
 
 
 def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Finding]:
-    """Return what the positioning runs of a campaign say together: repeats, spoilt readings, drift.
-
-    ``runs``: with their samples.
-    """
+    """Return what the positioning runs of a campaign say together: repeats, spoilt readings, drift."""
+    runs = [run for run in runs if run.samples]
     said = "one run only: repeatability and noise floor are unknown"
     single = [Finding("campaign.no_repeat", "warning", said, {"conditions_1": 1.0})] if len(runs) == 1 else []
-    tests = tests_by_axis(runs, scale)
+    tests = tests_by_axis(runs, scale) if runs else []
     told = [finding for test in tests for finding in _across_cycles(test)]
     datum, zeroed, clipped, turned = (
         [finding for test in tests if (finding := judge(test)) is not None]

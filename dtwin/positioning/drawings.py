@@ -31,3 +31,6 @@ def _along(run: Run, floor_um: Callable[[], float], scale: Scale = LENGTHS) -> g
 def drawings(scale: Scale = LENGTHS) -> tuple[Drawing, ...]:
     """Return the figures of one run."""
     return (Drawing("along", "Error of the run along its path", 520, partial(_along, scale=scale)),)
+
+
+DRAWINGS = drawings()

@@ -79,7 +79,7 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
     form: ClassVar[str]
     no_robust: ClassVar[str]
 
-    def __init__(self, home: Home) -> None:
+    def __init__(self, home: Home, _library: object = None) -> None:
         super().__init__(home, self.named)
 
     @abstractmethod

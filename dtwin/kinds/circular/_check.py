@@ -12,7 +12,7 @@ from dtwin.acquire.motion_quality import judge_motion
 from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.circular._across_runs import across_findings
 from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.schema import Finding, Floats, Run, SignalGroup
+from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
 _SAME_RADIUS = 0.01
@@ -51,7 +51,7 @@ def judge_circular_run(run: Run) -> list[Finding]:
     return findings
 
 
-def with_whole_angle(run: Run) -> Run:
+def with_whole_angle(run: Run, _campaign: Campaign) -> Run:
     """Return a run whose angle runs on where the file's begins anew after a turn."""
     steps = np.diff(run.samples.get("angle_deg", np.empty(0)))
     typical = float(np.median(np.abs(steps))) if steps.size else 0.0

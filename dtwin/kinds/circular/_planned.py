@@ -9,7 +9,7 @@ from dtwin.acquire.programs import gcode, urscript
 from dtwin.kinds.kind import Planned
 from dtwin.physics.experiment import REPEATS
 from dtwin.physics.state import AXES_OF
-from dtwin.plan import Plan, advice, duration_s
+from dtwin.plan import Plan, advice, duration_s, expand, training_plan
 from dtwin.report.text import table
 
 # Lengths of usual ball bars, the room that their mounts need, and the travel of an axis of which nothing is stated.
@@ -20,8 +20,17 @@ _MOUNTING_S = 600.0
 _COLUMNS = ("test", "setup", "plane", "radius_mm", "feed_mm_min", "repeat")
 
 
-def planned(plan: Plan) -> Planned:
-    """Return circles as ``dtwin plan`` shows them."""
+def planned(document: Mapping[str, Any], where: str) -> Planned:
+    """Return circles as their plan file states them."""
+    return _shown(expand(document, where))
+
+
+def usual_plan() -> Planned:
+    """Return the training campaign."""
+    return _shown(training_plan())
+
+
+def _shown(plan: Plan) -> Planned:
     moving_s, total_s = duration_s(plan)
     rows = [[t.test_id, t.setup, t.plane, t.radius_mm, t.feed_mm_min, t.repeat] for t in plan.tests]
     return Planned(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
-    from dtwin.schema import Campaign, Run
+    from dtwin.schema import Run
 
 
 class _Circular(Kind):
@@ -42,9 +42,12 @@ class _Circular(Kind):
         **TWINS_OF_PATHS,
         "machines": "_machines:MACHINES",
         "takes_alone": "_circle_table:is_circle_table",
+        "plan": "_planned:planned",
+        "usual_plan": "_planned:usual_plan",
         "draft": "_planned:draft",
         "programs": "_planned:programs",
         "proposals": "_planned:proposals",
+        "completed": "_check:with_whole_angle",
         "judge_run": "_check:judge_circular_run",
         "judge_campaign": "_check:judge_circular_campaign",
         "sheet": "_sheet:circular_sheet",
@@ -63,27 +66,10 @@ class _Circular(Kind):
 
         return read_circle_runs if is_circle_table(path) else None
 
-    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.circular._planned import planned
-        from dtwin.plan import expand
-
-        return planned(expand(document, where))
-
-    def usual_plan(self) -> Planned:
-        from dtwin.kinds.circular._planned import planned
-        from dtwin.plan import training_plan
-
-        return planned(training_plan())
-
     def foreseen(self, planned: Planned) -> Observations:
         from dtwin.physics.experiment import planned_observations
 
         return planned_observations(planned.plan)
-
-    def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.circular._check import with_whole_angle
-
-        return with_whole_angle(run)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         from dtwin.kinds.circular._report import circular_result

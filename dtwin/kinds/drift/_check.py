@@ -103,9 +103,10 @@ def _still(series: Series) -> bool:
 
 def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
     """Return what logs of one machine say together: whether one is in another unit, or of another step, than is told."""
+    runs = [run for run in runs if run.samples]
     stepped = {run.meta.run_id for run in runs if "step_mm" in run.meta.condition}
     findings = []
-    for name, (ratio, others) in contradicting(runs).items():
+    for name, (ratio, others) in contradicting(runs).items() if len(runs) > 1 else ():
         which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
         unit = _unit(ratio)
         why = f"a factor of {_UNITS[unit]}" if unit else "one of the logs was measured in other steps than are stated"

@@ -382,3 +382,6 @@ def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stam
         got=cells[0][:40],
         allowed=f"a head with a unit, such as time [s], time [min] or time [d]; or {FORMS}",
     )
+
+
+READERS = dict.fromkeys(SUFFIXES, read_drift)

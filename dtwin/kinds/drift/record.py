@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from collections.abc import Mapping
+from typing import ClassVar
 
-from dtwin.kinds.kind import FileReader, Kind
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dtwin.config import Home
-    from dtwin.physics.effect import Effect
-    from dtwin.schema import Finding, Run
-    from dtwin.twins.verbs import Twins
+from dtwin.kinds.kind import Kind
 
 
 class _Drift(Kind):
@@ -34,7 +26,12 @@ class _Drift(Kind):
     places: ClassVar[Mapping[str, str]] = {
         "machines": "_machines:MACHINES",
         "takes_alone": "_read:is_drift_log",
+        "readers": "_read:READERS",
         "judge_run": "_check:judge_drift",
+        "judge_campaign": "_check:judge_campaign_drift",
+        "campaign_figures": "_check:drift_figures",
+        "figure_lines": "_check:drift_lines",
+        "twins": "_twins:DriftTwins",
         "sheet": "_sheet:drift_sheet",
         "sheet_figure": "_sheet:drift_figure",
         "drawings": "_sheet:DRAWINGS",
@@ -49,33 +46,6 @@ class _Drift(Kind):
         "export_twin": "_export:export_twin",
         "twin_report": "_twin_report",
     }
-
-    def reader_of(self, path: Path) -> FileReader | None:
-        from dtwin.kinds.drift._read import SUFFIXES, read_drift
-
-        return read_drift if path.suffix.lower() in SUFFIXES else None
-
-    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.drift._check import judge_campaign_drift
-
-        whole = [run for run in runs if run.samples]
-        return judge_campaign_drift(whole) if len(whole) > 1 else []
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.kinds.drift._twins import DriftTwins
-
-        # The same verbs, for a twin of a log.
-        return cast("Twins", DriftTwins(home))
-
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.drift._check import drift_figures
-
-        return {"drift": drift_figures(runs)}
-
-    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.drift._check import drift_lines
-
-        return drift_lines(result["drift"])
 
 
 KIND = _Drift()

@@ -6,19 +6,20 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import TWINS_OF_PATHS, Drawing, FileReader, Kind
+from dtwin.kinds.kind import TWINS_OF_PATHS, FileReader, Kind
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from dtwin.report.sheet import Sheet
     from dtwin.report.uncertainty import Circumstances
-    from dtwin.schema import Finding, Run
+    from dtwin.schema import Run
 
 
 class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
+    told_as = "positioning"
     stated = ("axis",)
     campaign_columns = columns
     sheet_columns = columns
@@ -48,6 +49,10 @@ class _Linear(Kind):
         "proposals": "_planned:proposals",
         "completed": "_read:with_pitch",
         "judge_run": "dtwin.positioning.check:judge_positioning_run",
+        "judge_campaign": "dtwin.positioning.check:judge_positioning_campaign",
+        "campaign_figures": "_report:positioning_result",
+        "figure_lines": "_report:positioning_lines",
+        "drawings": "dtwin.positioning.drawings:DRAWINGS",
         "sheet_figure": "dtwin.positioning.sheet:positioning_figure",
         "axis_errors": "_served_axis:axis_errors",
         "rows": "_grid:stroke_rows",
@@ -83,33 +88,11 @@ class _Linear(Kind):
 
         require_pitch(condition.get("screw_pitch_mm"), where)
 
-    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.positioning.check import judge_positioning_campaign
-
-        whole = [run for run in runs if run.samples]
-        return judge_positioning_campaign(whole) if whole else []
-
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.linear._sheet import asked, contributions
         from dtwin.positioning.sheet import positioning_sheet
 
         return positioning_sheet(runs, asked, partial(contributions, under))
-
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.linear._report import positioning_result
-
-        return {"positioning": positioning_result(runs)}
-
-    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.linear._report import positioning_lines
-
-        return positioning_lines(result["positioning"])
-
-    @property
-    def drawings(self) -> Sequence[Drawing]:
-        from dtwin.positioning.drawings import drawings
-
-        return drawings()
 
 
 KIND = _Linear()

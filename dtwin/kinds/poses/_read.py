@@ -289,3 +289,6 @@ def _seconds(stamps: Floats) -> Floats:
         return np.array(iso, dtype="datetime64[s]").astype(np.float64)
     except ValueError:
         return np.zeros(len(stamps))
+
+
+READERS = dict.fromkeys((".csv", *SPREADSHEETS), read_poses)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import FileReader, Kind
+from dtwin.kinds.kind import Kind
 
 if TYPE_CHECKING:
-    from dtwin.config import Home
-    from dtwin.physics.effect import Effect
     from dtwin.schema import Run
-    from dtwin.twins.verbs import Twins
 
 
 class _Poses(Kind):
@@ -40,21 +37,16 @@ class _Poses(Kind):
     }
     places: ClassVar[Mapping[str, str]] = {
         "takes_alone": "_read:is_pose_table",
+        "readers": "_read:READERS",
         "completed": "_data:with_chain",
         "judge_run": "_check:judge_poses",
         "sheet": "_sheet:pose_sheet",
         "sheet_figure": "_sheet:pose_figure",
         "drawings": "_sheet:DRAWINGS",
         "export_twin": "_export:export_twin",
+        "twins": "_twins:PoseTwins",
         "twin_report": "_twin_report",
     }
-
-    @property
-    def readers(self) -> Mapping[str, FileReader]:
-        from dtwin.acquire.spreadsheet import SUFFIXES
-        from dtwin.kinds.poses._read import read_poses
-
-        return dict.fromkeys((".csv", *SUFFIXES), read_poses)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.poses._check import problem_of
@@ -67,12 +59,6 @@ class _Poses(Kind):
         from dtwin.kinds.poses._iso9283 import lines
 
         return [line for run, found in result["iso9283"].items() for line in lines(run, found)]
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.kinds.poses._twins import PoseTwins
-
-        # The same verbs, for a twin of an arm.
-        return cast("Twins", PoseTwins(home))
 
 
 KIND = _Poses()

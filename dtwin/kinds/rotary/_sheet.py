@@ -76,7 +76,8 @@ def contributions(under: Circumstances, symbol: str, test: LinearTest) -> tuple[
 def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the runs of a campaign say together, what the standard asks for besides, and how turns close."""
     found = judge_positioning_campaign(runs, ANGLES)
-    for test in tests_by_axis(runs, ANGLES):
+    whole = [run for run in runs if run.samples]
+    for test in tests_by_axis(whole, ANGLES) if whole else []:
         found += [Finding("rotary.asked", "warning", said) for said in asked(test)]
         found += closures(test)
     return found

@@ -27,6 +27,12 @@ class _Rotary(Kind):
     sheet_columns = columns
     figures = ("A", "A↑", "A↓", "R", "R↑", "R↓", "E", "E↑", "E↓", "B", "B̄", "M")
     unit = "arcsec"
+    told_as = "positioning"
+    places: ClassVar[Mapping[str, str]] = {
+        "judge_campaign": "_sheet:judge_campaign",
+        "campaign_figures": "_sheet:positioning_result",
+        "figure_lines": "_sheet:positioning_lines",
+    }
     prefixed = figures
     read_with = (*Kind.read_with, "condition.instrument")
     instead: ClassVar[Mapping[str, str]] = {
@@ -65,12 +71,6 @@ class _Rotary(Kind):
 
         return list(judge_positioning_run(run, ANGLES))
 
-    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.rotary._sheet import judge_campaign
-
-        whole = [run for run in runs if run.samples]
-        return judge_campaign(whole) if whole else []
-
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
         from dtwin.kinds.rotary._scale import ANGLES
         from dtwin.kinds.rotary._sheet import contributions, noted
@@ -83,16 +83,6 @@ class _Rotary(Kind):
         from dtwin.positioning.sheet import positioning_figure
 
         return positioning_figure(runs, ANGLES)
-
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.rotary._sheet import positioning_result
-
-        return {"positioning": positioning_result(runs)}
-
-    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.rotary._sheet import positioning_lines
-
-        return list(positioning_lines(result["positioning"]))
 
     @property
     def drawings(self) -> Sequence[Drawing]:

@@ -21,7 +21,7 @@ from dtwin.acquire.campaign_folder import inside
 from dtwin.errors import InputError
 from dtwin.kinds.rotation._angles import angle_of_pulses, nominal_angle, smooth_angle, unwrapped
 from dtwin.kinds.rotation._at_rest import is_at_rest
-from dtwin.kinds.rotation._files import Channel, Reading, read_file
+from dtwin.kinds.rotation._files import SUFFIXES, Channel, Reading, read_file
 from dtwin.kinds.rotation._heads import ANGLE, AT_REST, OVER_SPEED, PULSE, SPEED, direction_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
@@ -269,3 +269,6 @@ def _no_angle(told: float, found: float) -> Finding:
 
 def _safe(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_+-]+", "-", name).strip("-_+")[:60] or "probe"
+
+
+READERS = dict.fromkeys(SUFFIXES, read_rotation)

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
-from dtwin.kinds.kind import FileReader, Kind
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dtwin.schema import Run
+from dtwin.kinds.kind import Kind
 
 
 class _Rotation(Kind):
@@ -43,24 +38,15 @@ class _Rotation(Kind):
     places: ClassVar[Mapping[str, str]] = {
         "machines": "_machines:MACHINES",
         "takes_alone": "_files:is_rotation_file",
+        "readers": "_read:READERS",
         "judge_run": "_check:judge_rotation",
         "judge_campaign": "_campaign:judge_speeds",
         "sheet": "_sheet:rotation_sheet",
         "sheet_figure": "_sheet:rotation_figure",
         "drawings": "_sheet:DRAWINGS",
         "run_figures": "_campaign:run_figures",
+        "campaign_figures": "_campaign:rotation_figures",
     }
-
-    def reader_of(self, path: Path) -> FileReader | None:
-        from dtwin.kinds.rotation._files import SUFFIXES
-        from dtwin.kinds.rotation._read import read_rotation
-
-        return read_rotation if path.suffix.lower() in SUFFIXES else None
-
-    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.rotation._campaign import rotation_figures
-
-        return {"rotation": rotation_figures(runs)}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         from dtwin.kinds.rotation._campaign import rotation_lines

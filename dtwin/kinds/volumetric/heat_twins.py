@@ -85,7 +85,7 @@ class HeatTwins(TwinShelf):
     Verbs, and what they refuse and return, are those of :class:`dtwin.twins.verbs.Twins`.
     """
 
-    def __init__(self, home: Home) -> None:
+    def __init__(self, home: Home, _library: object = None) -> None:
         super().__init__(home, KIND)
 
     def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> HeatTwin:

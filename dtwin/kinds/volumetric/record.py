@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from dtwin.kinds.kind import Kind
-
-if TYPE_CHECKING:
-    from dtwin.config import Home
-    from dtwin.kinds.volumetric.heat_twins import HeatTwins
-    from dtwin.physics.effect import Effect
 
 
 class _Volumetric(Kind):
@@ -40,6 +35,7 @@ class _Volumetric(Kind):
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
         "drawings": "_page:DRAWINGS",
+        "twins": "dtwin.kinds.volumetric.heat_twins:HeatTwins",
         "twin_report": "dtwin.kinds.volumetric.twin_report",
         "training": "_training:train_volumetric",
         "recognises": "_bundle:is_volumetric_bundle",
@@ -47,11 +43,6 @@ class _Volumetric(Kind):
         "champion_error": "_drift:heat_error",
         "held_out": "_drift:heat_held_out",
     }
-
-    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
-        from dtwin.kinds.volumetric.heat_twins import HeatTwins
-
-        return HeatTwins(home)
 
 
 KIND = _Volumetric()
