@@ -29,20 +29,12 @@ _DETERMINED = 1e-6
 class Part:
     """A campaign in a common fit.
 
-    Attributes
-    ----------
-    problem : Problem
-        Not whitened, with what its repeats disagree by.
-    terms : tuple of Term
-        Effects as this campaign sees them.
-    number_of : tuple of int
-        Which term of the machine each of them is.
-    columns : ndarray, shape (rows * n, k)
-        Set-up terms, then effects.
-    row_weight : ndarray, shape (rows,)
-        Of each row within the campaign; 1 in a fit that is not robust.
-    weight : float
-        Of the campaign: one by what its runs scatter and miss, 1/um.
+    ``problem``: not whitened, with what its repeats disagree by.
+    ``terms``: effects as this campaign sees them.
+    ``number_of``: which term of the machine each of them is.
+    ``columns``, (rows * n, k): set-up terms, then effects.
+    ``row_weight``, (rows,): of each row within the campaign; 1 in a fit that is not robust.
+    ``weight``: of the campaign: one by what its runs scatter and miss, 1/um.
     """
 
     problem: Problem

@@ -44,14 +44,9 @@ class Quantity:
 class Sizes:
     """What a fit says of its parameters.
 
-    Attributes
-    ----------
-    of : tuple of Quantity or None
-        What of the machine each is, of what is told; None for what belongs to the campaign.
-    value, dof : ndarray, shape (k,)
-        In the units of the quantities; degrees of freedom of the uncertainty.
-    covariance : ndarray, shape (k, k)
-        Of standard uncertainties.
+    ``of``: what of the machine each is, of what is told; None for what belongs to the campaign.
+    ``value``, ``dof``, (k,): in the units of the quantities; degrees of freedom of the uncertainty.
+    ``covariance``, (k, k): of standard uncertainties.
     """
 
     of: tuple[Quantity | None, ...]

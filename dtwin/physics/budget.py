@@ -18,18 +18,12 @@ from dtwin.schema import Floats
 class Share:
     """What one effect of a twin makes of the error of a campaign.
 
-    Attributes
-    ----------
-    label, title, remedy : str
-        The effect as commands take it, its name in words, and what to do about it.
-    rms_um : dict of str to float
-        RMS of what it does, set-ups taken out, by plane or axis, with "" for the whole campaign.
-    uncertainty_um : float
-        Of the RMS of the whole, expanded, k = 2, from those of its parameters, taken as uncorrelated; NaN without repeats.
-    left_um : float
-        RMS of the error when it is gone, set-ups taken out.
-    largest_um : float
-        Largest difference of the mean of a condition then: of circles the largest circular deviation.
+    ``label``, ``title``, ``remedy``: the effect as commands take it, its name in words, and what to do about it.
+    ``rms_um``: RMS of what it does, set-ups taken out, by plane or axis, with "" for the whole campaign.
+    ``uncertainty_um``: of the RMS of the whole, expanded, k = 2, from those of its parameters, taken as uncorrelated;
+    NaN without repeats.
+    ``left_um``: RMS of the error when it is gone, set-ups taken out.
+    ``largest_um``: largest difference of the mean of a condition then: of circles the largest circular deviation.
     """
 
     label: str
@@ -49,14 +43,10 @@ class Share:
 class Budget:
     """The causes of a campaign's error, the largest first.
 
-    Attributes
-    ----------
-    error_um, largest_um : float
-        RMS of the error, set-ups taken out, and largest difference of the mean of a condition.
-    left_um, left_largest_um : float
-        The same when all effects are gone.
-    unexplained_um : float
-        RMS of what repeats agree on of it; the twin does not know it.
+    ``error_um``, ``largest_um``: RMS of the error, set-ups taken out, and largest difference of the mean of a
+    condition.
+    ``left_um``, ``left_largest_um``: the same when all effects are gone.
+    ``unexplained_um``: RMS of what repeats agree on of it; the twin does not know it.
     """
 
     shares: tuple[Share, ...]
@@ -76,10 +66,7 @@ def budget(twin: Twin, obs: Observations) -> Budget:
 
     Effects may undo each other: shares are no parts of a sum.
 
-    Parameters
-    ----------
-    obs : Observations
-        Runs, not necessarily those of the fit.
+    ``obs``: runs, not necessarily those of the fit.
     """
     shares = sorted((_share(twin, term, obs) for term in twin.terms), key=lambda share: -share.rms_um[""])
     every = sum((_does_um(twin, term, obs) for term in twin.terms), np.zeros(obs.y_um.shape))

@@ -173,10 +173,7 @@ def applicable(
 ) -> tuple[list[Instance], dict[str, str]]:
     """Return what may be missing, and why the rest of the library cannot be judged.
 
-    Parameters
-    ----------
-    known : sequence of Term
-        Effects that the twin has.
+    ``known``: effects that the twin has.
     """
     have = {term.label for term in known}
     geometry = obs.campaign.machine_geometry
@@ -207,10 +204,7 @@ def _never_changed(obs: Observations, effect: Effect) -> bool:
 def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: int = 3) -> list[float]:
     """Return the pitches at which the residual repeats most along an axis.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (rows, n)
-        Whitened coefficients of the residual.
+    ``residual``, (rows, n): whitened coefficients of the residual.
     """
     axis = instance.axis
     odd = instance.effect.law.direction == "odd"

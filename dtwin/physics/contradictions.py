@@ -34,23 +34,15 @@ _Side = frozenset[int]
 class Contradiction:
     """A parameter of which campaigns have another value than the rest.
 
-    Attributes
-    ----------
-    campaigns, others : tuple of str
-        Those that differ, and those that they differ from.
-    effect, axis, parameter, unit : str
-        What differs; the axis is a plane where only the difference of its two axes is told.
-    difference, k2 : float
-        By how much, with its expanded uncertainty; unit of replication: the run.
-    p_value : float
-        After Holm over campaigns and parameters.
-    since : str
-        First day with the newer value, as the campaign states it; empty when no day is stated.
-    what : str
-        ``change`` of the machine where later tests agree with it, ``mistake`` where tests before and after agree with each
-        other, ``change or mistake`` where the newest test alone differs.
-    rivals : tuple of str
-        Effects of which these tests might as well have another size instead.
+    ``campaigns``, ``others``: those that differ, and those that they differ from.
+    ``effect``, ``axis``, ``parameter``, ``unit``: what differs; the axis is a plane where only the difference of its
+    two axes is told.
+    ``difference``, ``k2``: by how much, with its expanded uncertainty; unit of replication: the run.
+    ``p_value``: after Holm over campaigns and parameters.
+    ``since``: first day with the newer value, as the campaign states it; empty when no day is stated.
+    ``what``: ``change`` of the machine where later tests agree with it, ``mistake`` where tests before and after agree
+    with each other, ``change or mistake`` where the newest test alone differs.
+    ``rivals``: effects of which these tests might as well have another size instead.
     """
 
     campaigns: tuple[str, ...]
@@ -90,10 +82,7 @@ class _Tested:
 def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
     """Give campaigns that contradict the others a value of their own, the most certain first, and name them.
 
-    Parameters
-    ----------
-    started : sequence of str
-        When each campaign was begun, ISO 8601; empty where that is not stated.
+    ``started``: when each campaign was begun, ISO 8601; empty where that is not stated.
     """
     found: list[Contradiction] = []
     while len(found) < _MOST:

@@ -17,21 +17,12 @@ _IN_ONE = 0.99
 def left_out_gain(problem: Problem, whitened: Floats) -> float:
     """Return the mean relative gain on left-out conditions.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with everything known.
-    whitened : ndarray, shape (rows * n, k)
-        Columns of the candidate.
-
-    Returns
-    -------
-    float
-        One when the residual vanishes, below zero when the candidate makes it worse. A whole
-        (plane, radius, feed) is left out at a time, or a run where a number of the candidate acts
-        in one of them only, as a leaning axis does in its plane: no other foretells that. Centre and
-        radius come from the other runs of the set-up; a set-up that is left out as a whole has
-        its own.
+    ``problem``: whitened campaign with everything known.
+    ``whitened``, (rows * n, k): columns of the candidate.
+    Returns 1 when the residual vanishes, below zero when the candidate makes it worse. A whole (plane, radius, feed)
+    is left out at a time, or a run where a number of the candidate acts in one of them only, as a leaning axis does in
+    its plane: no other foretells that. Centre and radius come from the other runs of the set-up; a set-up that is left
+    out as a whole has its own.
     """
     obs = problem.obs
     groups, power = obs.place_of, (whitened**2).reshape(obs.n_rows, obs.n_bins, -1).sum(axis=1)
@@ -68,12 +59,8 @@ def left_out_places(problem: Problem, whitened: Floats) -> float:
 
     What has almost as many numbers as there are places draws a curve through them, and foretells none of them.
 
-    Parameters
-    ----------
-    problem : Problem
-        Campaign without weights, with everything known.
-    whitened : ndarray, shape (rows * n, k)
-        Columns of the candidate, without weights.
+    ``problem``: campaign without weights, with everything known.
+    ``whitened``, (rows * n, k): columns of the candidate, without weights.
     """
     obs = problem.obs
     if not obs.there_and_back or obs.n_bins > _MOST_PLACES:

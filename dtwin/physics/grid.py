@@ -93,16 +93,10 @@ class OneAxis:
 class Row:
     """One passage of a run on the grid.
 
-    Attributes
-    ----------
-    y_um : ndarray, shape (n,)
-        Mean deviation in each bin.
-    mask : ndarray of bool, shape (n,)
-        Where something was measured.
-    columns : dict
-        What was logged: a number, or an array of shape (n,).
-    feed_mm_s : float
-        Path speed that was reached.
+    ``y_um``, (n,): mean deviation in each bin.
+    ``mask``, (n,): where something was measured.
+    ``columns``: what was logged: a number, or an array of shape (n,).
+    ``feed_mm_s``: path speed that was reached.
     """
 
     run: Run
@@ -117,27 +111,15 @@ class Row:
 class Grid:
     """The points along a path.
 
-    Attributes
-    ----------
-    coordinate : str
-        What counts along the path, with its unit: ``angle_deg``, ``position_mm``, ``phase_deg``.
-    points : ndarray, shape (n,)
-        Its value in the middle of every bin.
-    setup : ndarray, shape (n, k)
-        What belongs to a set-up and never to the machine.
-    setup_names : tuple of str
-        Names of these, with unit.
-    fine : int
-        Points in each bin at which effects are evaluated.
-    averaged : callable
-        Takes values at the fine points, shape (n * fine, k), to the bins, shape (n, k).
-    state : callable
-        ``state(meta, condition, feed_mm_s, geometry)``: the machine at the fine points of a run, nothing
-        logged.
-    described : int
-        Highest harmonic that a headline names.
-    in_plane : bool
-        Whether two axes move in a plane; else one moves alone.
+    ``coordinate``: what counts along the path, with its unit: ``angle_deg``, ``position_mm``, ``phase_deg``.
+    ``points``, (n,): its value in the middle of every bin.
+    ``setup``, (n, k): what belongs to a set-up and never to the machine.
+    ``setup_names``: names of these, with unit.
+    ``fine``: points in each bin at which effects are evaluated.
+    ``averaged``: takes values at the fine points, shape (n * fine, k), to the bins, shape (n, k).
+    ``state``: ``state(meta, condition, feed_mm_s, geometry)``: the machine at the fine points of a run, nothing logged.
+    ``described``: highest harmonic that a headline names.
+    ``in_plane``: whether two axes move in a plane; else one moves alone.
     """
 
     kind: str

@@ -90,15 +90,8 @@ def _condition_of_run(meta: RunMeta) -> Condition:
 def rows_of(run: Run, time_h: float) -> list[Row]:
     """Average one run over the bins of each of its turns.
 
-    Parameters
-    ----------
-    run : Run
-        With ``angle_deg`` and ``deviation_um``.
-
-    Raises
-    ------
-    InputError
-        When columns are missing or the run is too short.
+    ``run``: with ``angle_deg`` and ``deviation_um``.
+    Raises ``InputError`` when columns are missing or the run is too short.
     """
     condition = _condition_of_run(run.meta)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):

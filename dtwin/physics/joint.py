@@ -48,12 +48,8 @@ class MachineTest:
 class Size:
     """Size of a cause in one test.
 
-    Attributes
-    ----------
-    label : str
-        The effect that stands for it there.
-    uncertainty : float
-        Expanded, k = 2; unit of replication: the run.
+    ``label``: the effect that stands for it there.
+    ``uncertainty``: expanded, k = 2; unit of replication: the run.
     """
 
     campaign: str
@@ -71,16 +67,11 @@ class Size:
 class Shared:
     """A cause that several tests measured.
 
-    Attributes
-    ----------
-    cause, axis : str
-        What it is; ``axis`` is a plane for the difference of its two axes.
-    sizes : tuple of Size
-        In the order of the tests.
-    value, uncertainty : float
-        All of them together, each by its own uncertainty; k = 2. NaN where they contradict each other.
-    apart : tuple of (str, str, float, float)
-        Campaigns that contradict each other, by how much, and the uncertainty of that, k = 2.
+    ``cause``, ``axis``: what it is; ``axis`` is a plane for the difference of its two axes.
+    ``sizes``: in the order of the tests.
+    ``value``, ``uncertainty``: all of them together, each by its own uncertainty; k = 2. NaN where they contradict each
+    other.
+    ``apart``: campaigns that contradict each other, by how much, and the uncertainty of that, k = 2.
     """
 
     cause: str
@@ -121,14 +112,9 @@ class _Judged:
 class Settled:
     """A group of one test that another test judges.
 
-    Attributes
-    ----------
-    group : tuple of str
-        What the test alone could not tell apart.
-    judged : tuple of Judged
-        Those of them that another test can see.
-    left : tuple of str
-        Those that are possible still; one is the name, none is a contradiction.
+    ``group``: what the test alone could not tell apart.
+    ``judged``: those of them that another test can see.
+    ``left``: those that are possible still; one is the name, none is a contradiction.
     """
 
     campaign: str
@@ -163,14 +149,9 @@ def joint(
 ) -> Joint:
     """Compare the tests of a machine.
 
-    Parameters
-    ----------
-    tests : sequence of MachineTest
-        Of one machine, each diagnosed from nothing.
-    library : mapping of str to Effect
-        The library that they were diagnosed with.
-    groups : sequence of sequence of tuple of str
-        Of each test the groups of labels to compare, in place of those that its diagnosis found.
+    ``tests``: of one machine, each diagnosed from nothing.
+    ``library``: the library that they were diagnosed with.
+    ``groups``: of each test the groups of labels to compare, in place of those that its diagnosis found.
     """
     every = groups or [[tuple(s.label for s in group) for group in test.found.found] for test in tests]
     measured = [_Measured(test, own, library) for test, own in zip(tests, every, strict=True)]

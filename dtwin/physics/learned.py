@@ -44,15 +44,8 @@ def law_size(
 def learned_effect(name: str) -> Effect:
     """Return the effect that a name describes.
 
-    Parameters
-    ----------
-    name : str
-        ``learned_odd_h3_f1_r0``: odd in direction, third harmonic, feed to the power of one.
-
-    Raises
-    ------
-    InputError
-        When the name describes no law.
+    ``name``: ``learned_odd_h3_f1_r0``: odd in direction, third harmonic, feed to the power of one.
+    Raises ``InputError`` when the name describes no law.
     """
     found = _NAME.fullmatch(name)
     if found is None:

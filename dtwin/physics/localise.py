@@ -34,15 +34,8 @@ def condition_means(obs: Observations, values: Floats) -> Floats:
 def systematic_rms_um(obs: Observations, residual: Floats) -> float:
     """Return the RMS of what repeats agree on: residual minus noise, in quadrature.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (rows, n)
-        Residual of the twin.
-
-    Returns
-    -------
-    float
-        sqrt(max(0, MS_residual - MS_pure_error)); NaN without repeats.
+    ``residual``, (rows, n): residual of the twin.
+    Returns sqrt(max(0, MS_residual - MS_pure_error)); NaN without repeats.
     """
     count = np.bincount(obs.condition_of)
     repeated = count[obs.condition_of] > 1
@@ -60,10 +53,7 @@ def systematic_rms_um(obs: Observations, residual: Floats) -> float:
 def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any], ...]:
     """Return the sectors in which the mean residual of a condition is largest.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (rows, n)
-        Residual of the twin.
+    ``residual``, (rows, n): residual of the twin.
     """
     means = condition_means(obs, residual)
     edges = np.linspace(0, obs.n_bins, min(_SECTORS, obs.n_bins) + 1).round().astype(int)
@@ -85,10 +75,7 @@ def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any]
 def headline(obs: Observations, residual: Floats) -> str:
     """Describe the systematic residual: direction, harmonic, feed, radius.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (rows, n)
-        Residual of the twin.
+    ``residual``, (rows, n): residual of the twin.
     """
     means = condition_means(obs, residual)
     words = []

@@ -84,17 +84,9 @@ def machine_terms(
 
     The difference of two axes that a circle shows is taken apart into the axes where another campaign sees one of them.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names; ``name:axis`` takes one axis. Names of one cause are one term.
-    axis : str
-        Take this axis only.
-
-    Raises
-    ------
-    InputError
-        When there is no such effect, or no campaign sees it.
+    ``names``: names; ``name:axis`` takes one axis. Names of one cause are one term.
+    ``axis``: take this axis only.
+    Raises ``InputError`` when there is no such effect, or no campaign sees it.
     """
     out: dict[tuple[str, str], Term] = {}
     for wanted in names:

@@ -39,16 +39,11 @@ _TOLD = 0.25
 class Unknown:
     """A number that tests have in common.
 
-    Attributes
-    ----------
-    cause, axis : str
-        What it is the size of: a cause that instruments share, or an effect that one kind of test sees.
-    part : str
-        The parameter, such as ``cosine``; empty where there is only one.
-    typical : float
-        Size on an ordinary machine.
-    sort : str
-        The only sort of test that sees it; empty for a cause that several kinds see.
+    ``cause``, ``axis``: what it is the size of: a cause that instruments share, or an effect that one kind of test
+    sees.
+    ``part``: the parameter, such as ``cosine``; empty where there is only one.
+    ``typical``: size on an ordinary machine.
+    ``sort``: the only sort of test that sees it; empty for a cause that several kinds see.
     """
 
     cause: str
@@ -95,10 +90,7 @@ class _Worth:
 class Made:
     """A test that was made.
 
-    Attributes
-    ----------
-    unclear : sequence of sequence of str
-        Groups of effects, with their axes, that it found and that no test tells apart, see :func:`unclear`.
+    ``unclear``: groups of effects, with their axes, that it found and that no test tells apart, see :func:`unclear`.
     """
 
     obs: Observations
@@ -108,16 +100,10 @@ class Made:
 class Knowledge:
     """What tests say of the faults of a machine.
 
-    Parameters
-    ----------
-    measured : sequence of Made
-        Tests that were made.
-    planned : sequence of Observations
-        Tests that could be made, with nothing in them.
-    library : mapping of str to Effect
-        Effects that may be there.
-    noise_um : mapping of str to float
-        RMS by which repeats disagree, for each kind of planned test; a kind that was measured tells its own.
+    ``measured``: tests that were made.
+    ``planned``: tests that could be made, with nothing in them.
+    ``library``: effects that may be there.
+    ``noise_um``: RMS by which repeats disagree, for each kind of planned test; a kind that was measured tells its own.
     """
 
     def __init__(

@@ -47,20 +47,12 @@ class Term:
 class Problem:
     """Measurements and known effects, whitened.
 
-    Attributes
-    ----------
-    y : ndarray, shape (rows * n,)
-        Whitened coefficients of the measurements.
-    basis : ndarray, shape (rows * n, p)
-        Orthonormal basis of the set-up terms and the effects that are taken as known.
-    noise : PureError or None
-        What repeats disagree by; None without repeats.
-    weights : ndarray, shape (n,)
-        Whitening.
-    zero_weight : float
-        Whitening of the zero that rows of a run share, as of :class:`dtwin.physics.whitening.PureError`.
-    parts : tuple of ndarray, shape (rows * n, q)
-        Columns that the basis spans: those of every set-up, then of each known effect.
+    ``y``, (rows * n,): whitened coefficients of the measurements.
+    ``basis``, (rows * n, p): orthonormal basis of the set-up terms and the effects that are taken as known.
+    ``noise``: what repeats disagree by; None without repeats.
+    ``weights``, (n,): whitening.
+    ``zero_weight``: whitening of the zero that rows of a run share, as of :class:`dtwin.physics.whitening.PureError`.
+    ``parts``, (rows * n, q): columns that the basis spans: those of every set-up, then of each known effect.
     """
 
     obs: Observations
@@ -119,33 +111,19 @@ class Problem:
     def visible(self, whitened: Floats, given: Floats | None = None, least: float = INVISIBLE) -> tuple[Floats, Floats]:
         """Return the part of columns that the known effects cannot imitate.
 
-        Parameters
-        ----------
-        whitened : ndarray, shape (rows * n, k)
-            Whitened columns.
-        given : ndarray, shape (rows * n, q), optional
-            Orthonormal columns, orthogonal to the basis, that are taken out too.
-        least : float
-            Columns of which a smaller share is left do not count as visible.
-
-        Returns
-        -------
-        left : ndarray, shape (rows * n, j)
-            Orthonormal columns, j <= k.
-        share : ndarray, shape (k,)
-            Share of each column's sum of squares that is visible.
+        ``whitened``, (rows * n, k): whitened columns.
+        ``given``, (rows * n, q): orthonormal columns, orthogonal to the basis, that are taken out too.
+        ``least``: columns of which a smaller share is left do not count as visible.
+        Returns ``left``, (rows * n, j): orthonormal columns, j <= k.
+        Returns ``share``, (k,): share of each column's sum of squares that is visible.
         """
         return beside(self.basis, whitened, least, given)
 
     def extended(self, visible: Floats, whitened: Floats) -> Problem:
         """Return the problem with one more known effect.
 
-        Parameters
-        ----------
-        visible : ndarray, shape (rows * n, j)
-            What ``visible`` returned for it.
-        whitened : ndarray, shape (rows * n, k)
-            Its whitened columns.
+        ``visible``, (rows * n, j): what ``visible`` returned for it.
+        ``whitened``, (rows * n, k): its whitened columns.
         """
         return replace(self, basis=np.concatenate([self.basis, visible], axis=1), parts=(*self.parts, whitened))
 
@@ -203,13 +181,9 @@ def least_visible(term: Term) -> float:
 def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> Problem:
     """Whiten a campaign.
 
-    Parameters
-    ----------
-    known : sequence of Term
-        Effects that the twin has, without set-up terms.
-    within : sequence of Term
-        Effects that may act inside a condition: they are taken out before noise is estimated,
-        so that what they do does not count as noise.
+    ``known``: effects that the twin has, without set-up terms.
+    ``within``: effects that may act inside a condition: they are taken out before noise is estimated, so that what they
+    do does not count as noise.
     """
     plain = unweighted(obs, known)
     noise = _noise(plain, within)
@@ -219,10 +193,7 @@ def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> 
 def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
     """Return the problem with all harmonics alike: ordinary least squares.
 
-    Parameters
-    ----------
-    known : sequence of Term
-        Effects that the twin has, without set-up terms.
+    ``known``: effects that the twin has, without set-up terms.
     """
     flat = PureError(0.0, np.ones(obs.n_bins), np.ones(len(obs.conditions)), 0)
     return replace(weighted_like(obs, known, flat), noise=None)

@@ -34,12 +34,8 @@ Groups = Mapping[tuple[int, int], int]
 class Pool:
     """Campaigns ready to be solved together.
 
-    Attributes
-    ----------
-    terms : tuple of Term
-        Effects of the machine.
-    groups : mapping
-        Campaigns that contradict others have a value of their own.
+    ``terms``: effects of the machine.
+    ``groups``: campaigns that contradict others have a value of their own.
     """
 
     parts: tuple[Part, ...]
@@ -49,11 +45,9 @@ class Pool:
     def maps(self) -> tuple[list[Floats], list[tuple[int, int, int]]]:
         """Return which common parameters make those of each campaign, and what they are.
 
-        Returns
-        -------
-        maps : list of ndarray, shape (k_i, total)
-        meaning : list of (int, int, int)
-            Term, parameter and campaign of each common one; campaign -1 - group where it is shared, term -1 of set-ups.
+        Returns ``maps``, (k_i, total) each.
+        Returns ``meaning``: term, parameter and campaign of each common one; campaign -1 - group where it is shared,
+        term -1 of set-ups.
         """
         meaning: dict[tuple[int, int, int], int] = {}
         rows: list[list[int]] = []
@@ -71,20 +65,12 @@ class Pool:
 class SeveralFit:
     """Result of a common fit.
 
-    Attributes
-    ----------
-    pool : Pool
-        What was fitted.
-    fits : tuple of Fit
-        The same as each campaign sees it, with its set-ups, residual and noise floor.
-    terms : tuple of Term
-        Effects of the machine, with the shapes that were found.
-    estimates : tuple of Estimate
-        Their parameters; of waves the amplitude, of what belongs to one campaign its values there.
-    weights : tuple of float
-        Of each campaign, 1/um.
-    rank, n_columns, condition, aliases
-        Of all of them together, as in :class:`dtwin.physics.fit.Fit`.
+    ``pool``: what was fitted.
+    ``fits``: the same as each campaign sees it, with its set-ups, residual and noise floor.
+    ``terms``: effects of the machine, with the shapes that were found.
+    ``estimates``: their parameters; of waves the amplitude, of what belongs to one campaign its values there.
+    ``weights``: of each campaign, 1/um.
+    ``rank``, ``n_columns``, ``condition``, ``aliases``: of all of them together, as in :class:`dtwin.physics.fit.Fit`.
     """
 
     pool: Pool
@@ -111,19 +97,10 @@ def fit_several(
     Within a campaign all harmonics weigh alike, as where it is fitted alone; between campaigns weighs one by the square of
     what is left within its runs: its noise floor without the wander of its zero, and what the laws miss.
 
-    Parameters
-    ----------
-    terms : sequence of Term
-        Effects of the machine; shape parameters are refined from where they are.
-    robust : bool
-        Give runs that are far off less weight (Huber, by run).
-    refine : bool
-        Search the shapes of effects from where they are; otherwise they stay.
-
-    Raises
-    ------
-    InputError
-        When no campaign sees an effect.
+    ``terms``: effects of the machine; shape parameters are refined from where they are.
+    ``robust``: give runs that are far off less weight (Huber, by run).
+    ``refine``: search the shapes of effects from where they are; otherwise they stay.
+    Raises ``InputError`` when no campaign sees an effect.
     """
     pool = _pooled(campaigns, terms, library)
     if refine and any(t.instance.effect.refined_shapes(True) for t in terms):

@@ -32,18 +32,11 @@ _QUIET: tuple[Verdict, ...] = ("unknown_effect", "need_repeats", "variance_effec
 class SeveralDiagnosis(Diagnosis):
     """What several campaigns say together; what a :class:`Diagnosis` has is of all of them.
 
-    Attributes
-    ----------
-    tests : tuple of MachineTest
-        What each campaign says by itself.
-    settled : Joint
-        What they say of each other.
-    contradictions : tuple of Contradiction
-        Of the twin: sizes that campaigns do not agree on.
-    explained : mapping of str to str
-        Effects that would explain a contradiction, and which.
-    of_campaign : mapping of str to str
-        Where each effect was found or considered.
+    ``tests``: what each campaign says by itself.
+    ``settled``: what they say of each other.
+    ``contradictions``: of the twin: sizes that campaigns do not agree on.
+    ``explained``: effects that would explain a contradiction, and which.
+    ``of_campaign``: where each effect was found or considered.
     """
 
     tests: tuple[MachineTest, ...] = ()
@@ -94,12 +87,8 @@ def diagnose_several(
     Each campaign is diagnosed beside what the twin has, the sizes free in it, so that what campaigns disagree on is a
     contradiction and no new name. Groups that one cannot tell apart are judged by the others.
 
-    Parameters
-    ----------
-    campaigns : sequence of Observations
-        Those of the twin, in its order.
-    alone : sequence of Diagnosis or None
-        What is known of each by itself, beside what the twin has.
+    ``campaigns``: those of the twin, in its order.
+    ``alone``: what is known of each by itself, beside what the twin has.
     """
     tests = []
     for obs, told in zip(campaigns, alone or [None] * len(campaigns), strict=True):

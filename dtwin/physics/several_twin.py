@@ -25,14 +25,9 @@ _SUMMED = ("rms_before_um", "rms_after_um", "systematic_rms_um", "noise_floor_um
 class SeveralTwin(Twin):
     """A twin of several campaigns; what a :class:`Twin` has is of all of them together.
 
-    Attributes
-    ----------
-    parts : tuple of Twin
-        As each campaign sees it: effects by the names that they have there, its set-ups, figures and box.
-    about : tuple of mapping
-        Of each campaign ``kind``, ``started`` and ``weight``, the last in 1/um.
-    contradictions : tuple of Contradiction
-        Campaigns that have a value of their own, because they contradict the others.
+    ``parts``: as each campaign sees it: effects by the names that they have there, its set-ups, figures and box.
+    ``about``: of each campaign ``kind``, ``started`` and ``weight``, the last in 1/um.
+    ``contradictions``: campaigns that have a value of their own, because they contradict the others.
     """
 
     parts: tuple[Twin, ...] = ()
@@ -72,10 +67,8 @@ class SeveralTwin(Twin):
 class SeenTwin(Twin):
     """A twin of several campaigns as one of them sees it.
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (parameters, parameters)
-        Of the parameters of its effects, in their order: by all campaigns, which one of them alone does not tell.
+    ``covariance``, (parameters, parameters): of the parameters of its effects, in their order: by all campaigns, which
+    one of them alone does not tell.
     """
 
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))

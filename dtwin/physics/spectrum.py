@@ -17,16 +17,8 @@ def strongest_lines(
     Lines are peaks of the amplitude spectrum of the Hann-windowed signal, interpolated by a
     parabola; bands come from the plain periodogram, so that their squares add up.
 
-    Parameters
-    ----------
-    signal_um : ndarray, shape (n,)
-        The signal, centre removed.
-
-    Returns
-    -------
-    lines : list of (frequency_hz, amplitude_um)
-        Strongest first.
-    bands : list of (from_hz, to_hz, rms_um)
+    ``signal_um``, (n,): the signal, centre removed.
+    Returns ``lines`` of (frequency_hz, amplitude_um), the strongest first, and ``bands`` of (from_hz, to_hz, rms_um).
     """
     n = signal_um.size
     centred = signal_um - signal_um.mean()

@@ -22,16 +22,9 @@ _WANDERS = 0.05
 def to_harmonics(values: Floats) -> Floats:
     """Return real, orthonormal Fourier coefficients along the path.
 
-    Parameters
-    ----------
-    values : ndarray, shape (rows, n, ...)
-        Values in every bin.
-
-    Returns
-    -------
-    ndarray, same shape
-        Harmonic 0, then cosine and sine of harmonics 1, 2 ..., for an even number of bins at
-        last harmonic n / 2: an orthonormal transform, so sums of squares are kept.
+    ``values``, (rows, n, ...): values in every bin.
+    Returns harmonic 0, then cosine and sine of harmonics 1, 2 ..., for an even number of bins at last harmonic n / 2:
+    an orthonormal transform, so sums of squares are kept.
     """
     spectrum = np.fft.rfft(values, axis=1, norm="ortho")
     n = values.shape[1]
@@ -69,19 +62,12 @@ def harmonic_numbers(n_bins: int) -> Indices:
 class PureError:
     """What repeats disagree by.
 
-    Attributes
-    ----------
-    floor_um : float
-        RMS of one run about the mean of its condition.
-    weights : ndarray, shape (n,)
-        Factors of the coefficients that make this noise white, with RMS one.
-    variance : ndarray, shape (conditions,)
-        Variance of a whitened coefficient in each condition, NaN without repeats.
-    dof : int
-        Runs minus conditions, over conditions that were repeated.
-    zero_weight : float
-        Factor, beside its weight, of the part of coefficient 0 that all rows of a run share: below one where the zero of
-        the instrument wanders from run to run by more than rows of a run differ.
+    ``floor_um``: RMS of one run about the mean of its condition.
+    ``weights``, (n,): factors of the coefficients that make this noise white, with RMS one.
+    ``variance``, (conditions,): variance of a whitened coefficient in each condition, NaN without repeats.
+    ``dof``: runs minus conditions, over conditions that were repeated.
+    ``zero_weight``: factor, beside its weight, of the part of coefficient 0 that all rows of a run share: below one
+    where the zero of the instrument wanders from run to run by more than rows of a run differ.
     """
 
     floor_um: float
@@ -138,24 +124,13 @@ def pure_error(
 ) -> PureError | None:
     """Estimate the noise from repeats.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (rows, n)
-        Harmonic coefficients of the residual.
-    condition_of : ndarray of int, shape (rows,)
-        Condition of each row.
-    mask_share : float
-        Share of the bins that was measured.
-    fitted : ndarray, shape (rows, n, k), optional
-        Orthonormal columns that were fitted: inside conditions they have used up degrees of
-        freedom, each in the harmonics that it touches.
-    run_of : ndarray of int, shape (rows,), optional
-        Run of each row, where runs have several rows in different conditions.
-
-    Returns
-    -------
-    PureError or None
-        None with fewer than two degrees of freedom.
+    ``residual``, (rows, n): harmonic coefficients of the residual.
+    ``condition_of``, (rows,): condition of each row.
+    ``mask_share``: share of the bins that was measured.
+    ``fitted``, (rows, n, k): orthonormal columns that were fitted: inside conditions they have used up degrees of
+    freedom, each in the harmonics that it touches.
+    ``run_of``, (rows,): run of each row, where runs have several rows in different conditions.
+    Returns None with fewer than two degrees of freedom.
     """
     deviation, m = within_condition(residual, condition_of)
     repeated = m > 1
