@@ -41,18 +41,11 @@ _ALPHA_UM = 1.5
 class Size:
     """How much is computed.
 
-    Attributes
-    ----------
-    machines : tuple of str
-        Simulated machines.
-    vibrations_um : tuple of float
-        Peak to peak, the first one 0.
-    feeds_mm_min : tuple of float
-        Feeds of the virtual hexapod, on both sides of 1200.
-    particles, iterations : int
-        Of the swarm.
-    judged : bool
-        Whether there are machines and heights enough for lines about all of them.
+    ``machines``: simulated machines.
+    ``vibrations_um``: peak to peak, the first one 0.
+    ``feeds_mm_min``: feeds of the virtual hexapod, on both sides of 1200.
+    ``particles``, ``iterations``: of the swarm.
+    ``judged``: whether there are machines and heights enough for lines about all of them.
     """
 
     machines: tuple[str, ...]
@@ -70,20 +63,11 @@ QUICK = Size(("sim1", "sim3"), (0.0, 5.0), QUICK_FEEDS_MM_MIN, 10, 15, judged=Fa
 def dynamics_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     """Compute every figure again.
 
-    Parameters
-    ----------
-    size : Size
-        How much.
-    seed : int
-        Of vibration, swarm and virtual hexapod.
-    progress : callable
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        ``lines`` (fields of :class:`~studies.paper_line.Line`), ``cases`` of the simulated machines and
-        ``sweep`` of the virtual hexapod.
+    ``size``: how much.
+    ``seed``: of vibration, swarm and virtual hexapod.
+    ``progress``: called with (done, total, what).
+    Returns ``lines`` (fields of :class:`~studies.paper_line.Line`), ``cases`` of the simulated machines and ``sweep``
+    of the virtual hexapod.
     """
     progress(0, 4, "fitness and filter")
     lines = [_published_filter(), _printed_fitness(), *_alpha(seed)]
@@ -107,18 +91,10 @@ def dynamics_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
 def hexapod_sweep(feeds_mm_min: Sequence[float], seed: int) -> list[dict[str, float]]:
     """Return dynamic components of the virtual hexapod by feed, beside what is true.
 
-    Parameters
-    ----------
-    feeds_mm_min : sequence of float
-        Feeds.
-    seed : int
-        Of the machine.
-
-    Returns
-    -------
-    list of dict
-        Mean of both directions: circular deviation, components by the low-pass, RMS of the
-        difference to the same machine without dynamics, accelerometer RMS along Y.
+    ``feeds_mm_min``: feeds.
+    ``seed``: of the machine.
+    Returns the mean of both directions: circular deviation, components by the low-pass, RMS of the difference to the same
+    machine without dynamics, accelerometer RMS along Y.
     """
     moving = VirtualHexapod(seed=seed)
     still = VirtualHexapod(moving.parameters.without_dynamics(), seed)
@@ -280,14 +256,9 @@ def _swarm(size: Size, seed: int) -> Line:
 def swarm_on_machine(name: str, size: Size, seed: int) -> Tuning:
     """Tune Q/R on a simulated machine with 10 um of vibration against the still machine.
 
-    Parameters
-    ----------
-    name : str
-        The machine.
-    size : Size
-        Of the swarm.
-    seed : int
-        Of vibration and swarm.
+    ``name``: the machine.
+    ``size``: of the swarm.
+    ``seed``: of vibration and swarm.
     """
     machine, rng = simulated_machines()[name], np.random.default_rng(seed)
     fast, slow = (simulated_turn(machine, 1, height, rng) for height in (10.0, 0.0))

@@ -53,20 +53,12 @@ _FASTER = 120.0
 class Size:
     """How much is computed.
 
-    Attributes
-    ----------
-    campaigns : int
-        Simulated mappings for the scatter.
-    corrected : int
-        Of these, how many are corrected and verified.
-    seeds : int
-        First weights of each network.
-    epochs : int
-        Of the comparison of trainings.
-    single_epochs : int
-        Of the single network.
-    judged : bool
-        Whether it is enough for lines that depend on the number of campaigns or epochs.
+    ``campaigns``: simulated mappings for the scatter.
+    ``corrected``: of these, how many are corrected and verified.
+    ``seeds``: first weights of each network.
+    ``epochs``: of the comparison of trainings.
+    ``single_epochs``: of the single network.
+    ``judged``: whether it is enough for lines that depend on the number of campaigns or epochs.
     """
 
     campaigns: int
@@ -86,19 +78,10 @@ QUICK = Size(campaigns=12, corrected=4, seeds=3, epochs=300, single_epochs=150, 
 def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     """Compute every figure again.
 
-    Parameters
-    ----------
-    size : Size
-        How much.
-    seed : int
-        First seed of the simulated campaigns.
-    progress : callable
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        ``lines`` (fields of :class:`~studies.paper_line.Line`) and ``tables`` (figures by step of the table).
+    ``size``: how much.
+    ``seed``: first seed of the simulated campaigns.
+    ``progress``: called with (done, total, what).
+    Returns ``lines`` (fields of :class:`~studies.paper_line.Line`) and ``tables`` (figures by step of the table).
     """
     network = read_network()
     exact = exact_averages(network, mapping_plan())
@@ -129,10 +112,7 @@ def exact_averages(network: LatheNetwork, plan: LinearPlan) -> Averages:
 def table_steps(network: LatheNetwork) -> list[dict[str, Any]]:
     """Return what tables of different steps leave of the printed error at every 0.013 in.
 
-    Parameters
-    ----------
-    network : LatheNetwork
-        The machine; without drift or noise.
+    ``network``: the machine; without drift or noise.
     """
     plan = mapping_plan()
     # A grid that shares few points with any of the tables.

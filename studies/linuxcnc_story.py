@@ -42,14 +42,9 @@ _TABLE_TRAVEL_MM = (-60.0, 60.0)
 class StorySize:
     """How much is measured.
 
-    Attributes
-    ----------
-    campaign : CirclePlan
-        Circles that the twin is fitted to.
-    radius_mm : float
-        Of the circles of the proof; not one of the campaign.
-    repeats : int
-        Of every circle of the proof.
+    ``campaign``: circles that the twin is fitted to.
+    ``radius_mm``: of the circles of the proof; not one of the campaign.
+    ``repeats``: of every circle of the proof.
     """
 
     campaign: CirclePlan
@@ -66,23 +61,12 @@ def linuxcnc_story(
 ) -> dict[str, Any]:
     """Tell the story; every number is measured by LinuxCNC's own sampler.
 
-    Parameters
-    ----------
-    home : Home
-        Campaign, twin and registry stay there to be looked at.
-    seed : int
-        Of orders and noise.
-    size : StorySize
-        How much is measured.
-    progress : callable, optional
-        ``progress(title)`` returns what is called with (done, total, what).
-
-    Raises
-    ------
-    MissingPart
-        When LinuxCNC cannot run here.
-    GateRefusal
-        When an offline gate refuses the correction.
+    ``home``: campaign, twin and registry stay there to be looked at.
+    ``seed``: of orders and noise.
+    ``size``: how much is measured.
+    ``progress``: ``progress(title)`` returns what is called with (done, total, what).
+    Raises ``MissingPart`` when LinuxCNC cannot run here.
+    Raises ``GateRefusal`` when an offline gate refuses the correction.
     """
     require_linuxcnc()
     tell = progress or (lambda title: lambda done, total, what: None)
@@ -157,12 +141,8 @@ def _completed(twins: Twins, name: str, seed: int) -> tuple[list[dict[str, Any]]
 def compensation_tables(home: Home, made: Correction) -> tuple[dict[str, str], dict[str, str]]:
     """Return the text of each axis's compensation file, and what such a file cannot hold.
 
-    Parameters
-    ----------
-    home : Home
-        Where the correction is registered.
-    made : Correction
-        The correction.
+    ``home``: where the correction is registered.
+    ``made``: the correction.
     """
     source = source_of(home, made.frozen.twin.name, None)
     tables: dict[str, str] = {}

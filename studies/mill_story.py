@@ -62,21 +62,11 @@ def mill_story(
 ) -> dict[str, Any]:
     """Tell the story; every number is measured on the virtual mill, machine clock.
 
-    Parameters
-    ----------
-    home : Home
-        Lake, twins and registry: campaign and twin stay there to be looked at.
-    seed : int
-        Of all sessions.
-    quick : bool
-        Two repeats instead of three.
-    progress : callable, optional
-        ``progress(title)`` returns what is called with (done, total, what).
-
-    Raises
-    ------
-    GateRefusal
-        When the twin is not confirmed well enough to move a machine.
+    ``home``: lake, twins and registry: campaign and twin stay there to be looked at.
+    ``seed``: of all sessions.
+    ``quick``: two repeats instead of three.
+    ``progress``: ``progress(title)`` returns what is called with (done, total, what).
+    Raises ``GateRefusal`` when the twin is not confirmed well enough to move a machine.
     """
     tell = progress or (lambda title: lambda done, total, what: None)
     repeats = 2 if quick else 3

@@ -36,24 +36,13 @@ def defects(
 ) -> list[dict[str, Any]]:
     """Apply each defect to a correction, and say which gate or alarm catches it.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The correction as it should be.
-    metrics : mapping of str to float
-        What its training logged, for the offline gates.
-    seed : int
-        Of the session in which all of them are measured.
-    repeats : int
-        Of every way, feed and direction.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    list of dict
-        By defect: ``defect``, ``caught`` (names), ``ratio`` of the error with it to the error
-        without any correction, mean over the feeds; None when it is caught before it moves.
+    ``bundle``: the correction as it should be.
+    ``metrics``: what its training logged, for the offline gates.
+    ``seed``: of the session in which all of them are measured.
+    ``repeats``: of every way, feed and direction.
+    ``progress``: called with (done, total, what).
+    Returns by defect: ``defect``, ``caught`` (names), ``ratio`` of the error with it to the error without any
+    correction, mean over the feeds; None when it is caught before it moves.
     """
     ways = {
         RIGHT: Way(bundle),
@@ -74,10 +63,7 @@ def defects(
 def with_dead_term(bundle: Bundle) -> Bundle:
     """Return the bundle with a Gaussian of the path angle added that is zero everywhere in reach.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        From ``twin_bundle``.
+    ``bundle``: from ``twin_bundle``.
     """
     graph = bundle.tick_graph
     nodes = list(graph.nodes)
@@ -136,9 +122,6 @@ def _rounded(mm: Floats) -> Floats:
 def uncaught(found: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the defects that no gate and no alarm caught.
 
-    Parameters
-    ----------
-    found : sequence of dict
-        From ``defects``.
+    ``found``: from ``defects``.
     """
     return [d["defect"] for d in found if not d["caught"] and d["defect"] != RIGHT]

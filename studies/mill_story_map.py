@@ -35,18 +35,11 @@ Weights = Mapping[str, Floats]
 class LearnedSession:
     """A map of positions, learned as the thesis learned.
 
-    Attributes
-    ----------
-    weights : dict of str to ndarray
-        By direction, of ``position_waves``.
-    rows : tuple of dict
-        By feed: ``r2`` on the run that was left out, its error before and after.
-    mounting_share : float
-        Share of the mean square of the map that is centre and radius of the mounting.
-    scores : Scores
-        Held out by feed, centre and radius of the mounting taken out: what the gates read.
-    bundle : Bundle
-        The map as it would be served.
+    ``weights``: by direction, of ``position_waves``.
+    ``rows``: by feed: ``r2`` on the run that was left out, its error before and after.
+    ``mounting_share``: share of the mean square of the map that is centre and radius of the mounting.
+    ``scores``: held out by feed, centre and radius of the mounting taken out: what the gates read.
+    ``bundle``: the map as it would be served.
     """
 
     weights: Weights
@@ -59,10 +52,7 @@ class LearnedSession:
 def learn_session(runs: Sequence[Run]) -> LearnedSession:
     """Learn runs 1 to 3 of every feed, and score the fourth.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        One mounting of the bar.
+    ``runs``: one mounting of the bar.
     """
     learned = [r for r in runs if r.meta.repeat < RUNS_OF_A_FEED]
     kept = [r for r in runs if r.meta.repeat == RUNS_OF_A_FEED]
@@ -74,10 +64,7 @@ def learn_session(runs: Sequence[Run]) -> LearnedSession:
 def map_bundle(weights: Weights) -> Bundle:
     """Return a map of positions as a bundle: no delay, the box of the path angle.
 
-    Parameters
-    ----------
-    weights : mapping of str to ndarray
-        By direction.
+    ``weights``: by direction.
     """
     builder = GraphBuilder()
     ccw, cw = (_sum_of_waves(builder, weights[d]) for d in DIRECTIONS)
@@ -101,14 +88,9 @@ def map_bundle(weights: Weights) -> Bundle:
 def register_map(home: Home, learned: LearnedSession, geometry: Mapping[str, Any]) -> RegisteredVersion:
     """Register the map as any trained candidate, so that the gates can say what they think.
 
-    Parameters
-    ----------
-    home : Home
-        Registry.
-    learned : LearnedSession
-        The map.
-    geometry : mapping
-        Of the machine.
+    ``home``: registry.
+    ``learned``: the map.
+    ``geometry``: of the machine.
     """
     graph = learned.bundle.tick_graph
     candidate = Candidate(
@@ -146,12 +128,8 @@ def register_map(home: Home, learned: LearnedSession, geometry: Mapping[str, Any
 def without_mounting(runs: Sequence[Run], values: Sequence[Floats]) -> list[Floats]:
     """Return values with one centre and radius, common to the runs, taken out.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Circles of one mounting.
-    values : sequence of ndarray
-        Of each run, um.
+    ``runs``: circles of one mounting.
+    ``values``: of each run, um.
     """
     basis = np.concatenate([position_waves(run)[:, :3] for run in runs])
     joined = np.concatenate(values)

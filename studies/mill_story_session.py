@@ -45,12 +45,8 @@ _QUIET: Mapping[str, Any] = {
 class Way:
     """One way of correcting.
 
-    Attributes
-    ----------
-    bundle : Bundle
-        What is served.
-    change : callable, optional
-        What the bench makes of the correction; it arrives as it is without.
+    ``bundle``: what is served.
+    ``change``: what the bench makes of the correction; it arrives as it is without.
     """
 
     bundle: Bundle
@@ -61,14 +57,9 @@ class Way:
 class LaterSession:
     """What was measured.
 
-    Attributes
-    ----------
-    runs : dict of str to tuple of Run
-        By way, in order of time; the other ways' runs lie between.
-    acted : dict of str to dict
-        By way and name of a condition: share of the ticks in which each guard acted.
-    temperature_c : tuple of float
-        Lowest and highest logged temperature.
+    ``runs``: by way, in order of time; the other ways' runs lie between.
+    ``acted``: by way and name of a condition: share of the ticks in which each guard acted.
+    ``temperature_c``: lowest and highest logged temperature.
     """
 
     runs: Mapping[str, tuple[Run, ...]]
@@ -78,12 +69,8 @@ class LaterSession:
     def measured(self, way: str, bundle: Bundle) -> MeasuredWays:
         """Return the runs of a way beside those without any correction.
 
-        Parameters
-        ----------
-        way : str
-            One of the ways.
-        bundle : Bundle
-            What was served in it.
+        ``way``: one of the ways.
+        ``bundle``: what was served in it.
         """
         delay_s = float(geometry()["correction_delay_s"])
         served = [replace(run, meta=replace(run.meta, correction=bundle.model_sha256)) for run in self.runs[way]]
@@ -102,12 +89,8 @@ class LaterSession:
     def raw_um(self, way: str, feed: float) -> float:
         """Return the mean absolute reading of a way's runs, mounting and all.
 
-        Parameters
-        ----------
-        way : str
-            One of the ways.
-        feed : float
-            Feed in mm/min.
+        ``way``: one of the ways.
+        ``feed``: feed in mm/min.
         """
         chosen = [run for run in self.runs[way] if run.meta.feed_mm_min == feed]
         return float(np.mean([np.abs(run.samples["deviation_um"]).mean() for run in chosen]))
@@ -121,16 +104,10 @@ def later_session(
     The oracle knows the repeatable error of every single circle, at its temperature, and has the
     guard and the delay of the first way.
 
-    Parameters
-    ----------
-    ways : mapping of str to Way
-        Ways of correcting; ``none`` and ``oracle`` are added.
-    seed : int
-        Of the session.
-    repeats : int
-        Of every way, feed and direction.
-    progress : callable, optional
-        Called with (done, total, what).
+    ``ways``: ways of correcting; ``none`` and ``oracle`` are added.
+    ``seed``: of the session.
+    ``repeats``: of every way, feed and direction.
+    ``progress``: called with (done, total, what).
     """
     names = [NONE, ORACLE, *ways]
     tests, places = _interleaved(names, seed, repeats)

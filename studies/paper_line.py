@@ -17,16 +17,11 @@ _WORST_FIRST: tuple[Answer, ...] = ("does not", "follows", "easier here")
 class Line:
     """One comparison.
 
-    Attributes
-    ----------
-    what, paper, ours : str
-        The figure, theirs, ours.
-    answer : {"follows", "does not", "easier here", "calibrated", "not judged"}
-        ``easier here``: better than theirs by more than the tolerance. ``calibrated``: agrees, and
-        constants were set so that it does. ``not judged``: not the same quantity, or too little was
-        computed.
-    target : str
-        Number in the acceptance list, empty for what is no target.
+    ``what``, ``paper``, ``ours``: the figure, theirs, ours.
+    ``answer``, follows or does not or easier here or calibrated or not judged: ``easier here``: better than theirs by
+    more than the tolerance. ``calibrated``: agrees, and constants were set so that it does. ``not judged``: not the
+    same quantity, or too little was computed.
+    ``target``: number in the acceptance list, empty for what is no target.
     """
 
     what: str
@@ -49,10 +44,7 @@ def calibrated(agrees: object) -> Answer:
 def by_what_is_left(ours: float, theirs: float) -> Answer:
     """Return the answer for a figure of which less is better.
 
-    Parameters
-    ----------
-    ours, theirs : float
-        What is left of an error or of a variance, in the same unit; ``theirs`` positive.
+    ``ours``, ``theirs``: what is left of an error or of a variance, in the same unit; ``theirs`` positive.
     """
     if ours > FACTOR * theirs:
         return "does not"
@@ -67,12 +59,8 @@ def worst(answers: Iterable[Answer]) -> Answer:
 def left_open(lines: Iterable[Line], targets: Iterable[str] | None = None) -> list[Line]:
     """Return lines with those not judged for which too little was computed.
 
-    Parameters
-    ----------
-    lines : iterable of Line
-        Comparisons.
-    targets : iterable of str, optional
-        Numbers of those lines; all without.
+    ``lines``: comparisons.
+    ``targets``: numbers of those lines; all without.
     """
     open_ = None if targets is None else set(targets)
     return [replace(line, answer="not judged") if open_ is None or line.target in open_ else line for line in lines]

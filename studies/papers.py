@@ -13,12 +13,8 @@ from dtwin.progress import Progress
 class Paper:
     """A source.
 
-    Attributes
-    ----------
-    source : str
-        Who published it.
-    compute : callable
-        Called with (quick, seed, progress); returns ``lines``, JSON-ready fields of ``Line``.
+    ``source``: who published it.
+    ``compute``: called with (quick, seed, progress); returns ``lines``, JSON-ready fields of ``Line``.
     """
 
     source: str
@@ -63,15 +59,9 @@ PAPERS = {
 def computed(name: str, *, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
     """Compute the figures of a source again.
 
-    Parameters
-    ----------
-    name : str
-        A key of ``PAPERS``.
-    quick : bool
-        Less of everything.
-    seed : int
-        Of everything random.
-    progress : callable
-        Called with (done, total, what).
+    ``name``: a key of ``PAPERS``.
+    ``quick``: less of everything.
+    ``seed``: of everything random.
+    ``progress``: called with (done, total, what).
     """
     return PAPERS[name].compute(quick, seed, progress)

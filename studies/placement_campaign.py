@@ -46,16 +46,10 @@ SETTINGS = ProbeSettings(
 class Row:
     """One placement of the campaign.
 
-    Attributes
-    ----------
-    motion, feed_mm_min, way
-        Condition, and ``uncompensated``, ``compensated`` or ``oracle``.
-    started_s : float
-        Since the start of the session.
-    probed : ProbedPlacement
-        What was written down.
-    placed : Placed
-        What follows from it.
+    ``motion``, ``feed_mm_min``, ``way``: condition, and ``uncompensated``, ``compensated`` or ``oracle``.
+    ``started_s``: since the start of the session.
+    ``probed``: what was written down.
+    ``placed``: what follows from it.
     """
 
     motion: str
@@ -74,14 +68,9 @@ class Row:
 def learn(cobot: VirtualCobot, tcp_mm: Floats, *, repeats: int) -> tuple[Bundle, int]:
     """Return the correction from a session of its own at other feeds, and what it left out.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The machine.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    repeats : int
-        Placements of each motion and feed.
+    ``cobot``: the machine.
+    ``tcp_mm``, (3,): tool centre point.
+    ``repeats``: placements of each motion and feed.
     """
     cell = PlacingCell(cobot, _TRAINING_SESSION)
     found, left_out = [], 0
@@ -102,16 +91,10 @@ def measure(
 ) -> list[Row]:
     """Place every condition in every way, in an order that is drawn anew for every repeat.
 
-    Parameters
-    ----------
-    cobot, bundle, tcp_mm
-        Machine, correction, tool centre point.
-    repeats : int
-        Placements of each condition and way.
-    seed : int
-        Of the order and of what does not repeat.
-    progress : callable, optional
-        Called with (done, total, what).
+    ``cobot``, ``bundle``, ``tcp_mm``: machine, correction, tool centre point.
+    ``repeats``: placements of each condition and way.
+    ``seed``: of the order and of what does not repeat.
+    ``progress``: called with (done, total, what).
     """
     cell = PlacingCell(cobot, 100 * _SESSION + seed)
     jobs = [(m, f, way) for m in MOTIONS for f in FEEDS_MM_MIN for way in WAYS]
@@ -170,10 +153,7 @@ def conditions(rows: Sequence[Row]) -> list[dict[str, Any]]:
 def audit(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return what other bookkeeping would make of the same placements.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        The campaign.
+    ``rows``: the campaign.
     """
     plain = [r for r in rows if r.way != "oracle"]
     good = [r for r in plain if r.placed.flag == COUNTS]
@@ -207,14 +187,9 @@ def flags(rows: Sequence[Row]) -> dict[str, int]:
 def write_campaign(folder: Path, rows: Sequence[Row], name: str) -> None:
     """Write the campaign as a folder of kind ``placement``, one run for each condition and way.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder; the campaign file comes last.
-    rows : sequence of Row
-        All placements, flagged ones too.
-    name : str
-        Name of the campaign.
+    ``folder``: folder; the campaign file comes last.
+    ``rows``: all placements, flagged ones too.
+    ``name``: name of the campaign.
     """
     groups: dict[tuple[str, float, str], list[Row]] = defaultdict(list)
     for row in rows:

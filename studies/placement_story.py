@@ -28,18 +28,11 @@ _TRAINED_MM_MIN = (2000.0, 4000.0, 6000.0)
 class StorySize:
     """How much is measured.
 
-    Attributes
-    ----------
-    mountings : int
-        Mountings of the bar that the path's model is fitted to.
-    feeds_mm_min : tuple of float
-        Feeds of the three circles, before and after.
-    runs : int
-        Runs of each way.
-    placements : int
-        Placements of each condition and way.
-    training : int
-        Placements of each motion and training feed.
+    ``mountings``: mountings of the bar that the path's model is fitted to.
+    ``feeds_mm_min``: feeds of the three circles, before and after.
+    ``runs``: Runs of each way.
+    ``placements``: placements of each condition and way.
+    ``training``: placements of each motion and training feed.
     """
 
     mountings: int
@@ -58,22 +51,12 @@ def placement_story(
 ) -> dict[str, Any]:
     """Measure both, machine clock, and put the published tables beside them.
 
-    Parameters
-    ----------
-    home : Home
-        The campaign of placements is written below its ``campaigns``.
-    seed : int
-        Of the machine and of what does not repeat.
-    size : StorySize
-        How much.
-    progress : callable, optional
-        ``progress(title)`` returns what is called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        JSON-ready: ``sphere``, ``placements``, ``published``, and ``shortfalls``: where less than
-        80 % of the oracle's reduction was reached, or a condition became worse.
+    ``home``: the campaign of placements is written below its ``campaigns``.
+    ``seed``: of the machine and of what does not repeat.
+    ``size``: how much.
+    ``progress``: ``progress(title)`` returns what is called with (done, total, what).
+    Returns JSON-ready: ``sphere``, ``placements``, ``published``, and ``shortfalls``: where less than 80 % of the
+    oracle's reduction was reached, or a condition became worse.
     """
     tell = progress or (lambda title: lambda done, total, what: None)
     cobot = VirtualCobot(seed=seed)

@@ -41,19 +41,10 @@ _DRAWS = 2**12
 def printed_x_error_um(x_mm: Floats, y_mm: Floats, follow_x: Floats, follow_y: Floats, rms: Floats) -> Floats:
     """Return the X error by the thesis's equation 6-2, as printed.
 
-    Parameters
-    ----------
-    x_mm, y_mm : ndarray
-        Position feedback.
-    follow_x, follow_y : ndarray, same shape
-        Position errors of the controller; their unit is not stated.
-    rms : ndarray, same shape
-        RMS of the table's accelerometer.
-
-    Returns
-    -------
-    ndarray, same shape
-        um.
+    ``x_mm``, ``y_mm``: position feedback.
+    ``follow_x``, ``follow_y``: position errors of the controller; their unit is not stated.
+    ``rms``: RMS of the table's accelerometer.
+    Returns µm.
     """
     shaken = np.exp(-1.74 * (0.000786 * rms - 1.0) ** 2 - 0.0206 * (-0.0861 * y_mm - 1.0) ** 4 - 0.111)
     inner = -0.467 * (-0.103 * follow_x - 1.0) ** 2 - 2.0 * (0.00113 * follow_y + shaken) ** 2
@@ -63,20 +54,11 @@ def printed_x_error_um(x_mm: Floats, y_mm: Floats, follow_x: Floats, follow_y: F
 def position_map(seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
     """Say what decides the printed equation, and try a position map on two mountings of the bar.
 
-    Parameters
-    ----------
-    seed : int
-        Of the mill, its set-ups and noise.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        ``influence``: total Sobol index of each input; ``at``: the equation at four points;
-        ``sessions``: error before and after the map, R², and the same with centre and radius of
-        the mounting taken out. Unit of replication: the run. ``robot``: what
-        :func:`~studies.robot_equation.robot_equation` returns.
+    ``seed``: of the mill, its set-ups and noise.
+    ``progress``: called with (done, total, what).
+    Returns ``influence``: total Sobol index of each input; ``at``: the equation at four points; ``sessions``: error
+    before and after the map, R², and the same with centre and radius of the mounting taken out. Unit of replication:
+    the run. ``robot``: what :func:`~studies.robot_equation.robot_equation` returns.
     """
     tell = progress or (lambda done, total, what: None)
     tell(0, 2, "influence of the inputs")
@@ -139,10 +121,7 @@ def _sessions(seed: int) -> list[dict[str, Any]]:
 def fit_position_map(runs: Sequence[Run]) -> Floats:
     """Return the weights of ``position_waves`` that fit the readings best, shape (17,), um.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Circles of one direction.
+    ``runs``: circles of one direction.
     """
     columns = np.concatenate([position_waves(run) for run in runs])
     readings = np.concatenate([run.samples["deviation_um"] for run in runs])
@@ -152,10 +131,7 @@ def fit_position_map(runs: Sequence[Run]) -> Floats:
 def position_waves(run: Run) -> Floats:
     """Return what a function of the position on one circle can be, shape (n, 17).
 
-    Parameters
-    ----------
-    run : Run
-        A circle.
+    ``run``: a circle.
     """
     angle = np.radians(run.samples["angle_deg"])
     waves = [f(h * angle) for h in range(1, HARMONICS + 1) for f in (np.cos, np.sin)]

@@ -24,18 +24,11 @@ _AT_END_MM = 0.002
 class ProbeSettings:
     """What the evaluation must know of block and probe.
 
-    Attributes
-    ----------
-    half_x_mm, half_y_mm, thickness_mm : float
-        Block at ``reference_c``.
-    ball_radius_mm : float
-        Effective radius of the probe's ball.
-    search_mm : float
-        How far each search reaches from the expected face.
-    expansion_1_k, reference_c : float
-        Thermal growth of the block.
-    x_at_y_mm, y_at_x_mm : tuple of float
-        Where the two X faces' and Y faces' touches are made.
+    ``half_x_mm``, ``half_y_mm``, ``thickness_mm``: block at ``reference_c``.
+    ``ball_radius_mm``: effective radius of the probe's ball.
+    ``search_mm``: how far each search reaches from the expected face.
+    ``expansion_1_k``, ``reference_c``: thermal growth of the block.
+    ``x_at_y_mm``, ``y_at_x_mm``: where the two X faces' and Y faces' touches are made.
     """
 
     half_x_mm: float
@@ -53,16 +46,10 @@ class ProbeSettings:
 class Placed:
     """Where a block lies.
 
-    Attributes
-    ----------
-    error_um : ndarray, shape (3,)
-        Centre of its lower face, relative to where it should be.
-    turned_deg : float
-        About the vertical, both faces together.
-    faces_disagree_deg : float
-        Rotation by the X face minus rotation by the Y face.
-    flag : str
-        One of ``FLAGS``.
+    ``error_um``, (3,): centre of its lower face, relative to where it should be.
+    ``turned_deg``: about the vertical, both faces together.
+    ``faces_disagree_deg``: rotation by the X face minus rotation by the Y face.
+    ``flag``: one of ``FLAGS``.
     """
 
     error_um: Floats
@@ -77,21 +64,11 @@ def locate(readings_mm: Floats, temperature_c: float, jig_moved_um: float, setti
     The two touches on each face give its direction; the ball's radius and half of the block, as
     large as it is at its temperature, are taken off along the face's normal, not along an axis.
 
-    Parameters
-    ----------
-    readings_mm : ndarray, shape (5,)
-        Centre of the ball along the direction of search, relative to the expected block.
-    temperature_c : float
-        Of the block.
-    jig_moved_um : float
-        By how much the jig's pin, probed after the placement, has moved.
-    settings : ProbeSettings
-        Block and probe.
-
-    Raises
-    ------
-    InputError
-        When there are not five finite readings.
+    ``readings_mm``, (5,): centre of the ball along the direction of search, relative to the expected block.
+    ``temperature_c``: of the block.
+    ``jig_moved_um``: by how much the jig's pin, probed after the placement, has moved.
+    ``settings``: block and probe.
+    Raises ``InputError`` when there are not five finite readings.
     """
     readings = np.asarray(readings_mm, dtype=float)
     if readings.shape != (5,) or not np.isfinite(readings).all():

@@ -20,11 +20,8 @@ _PLACEMENTS = 10
 def recomputed() -> dict[str, Any]:
     """Return what follows from the printed numbers beside what is printed.
 
-    Returns
-    -------
-    dict
-        JSON-ready: ``xyz`` and, for both motions, ``mean_sd``, ``zeros``, ``offset``, ``centring``,
-        ``radial`` and ``limit``.
+    Returns JSON-ready: ``xyz`` and, for both motions, ``mean_sd``, ``zeros``, ``offset``, ``centring``, ``radial`` and
+    ``limit``.
     """
     data = tomllib.loads(published_table("cobot_placements.toml").read_text("utf-8"))
     return {

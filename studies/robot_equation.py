@@ -23,18 +23,10 @@ _RADIUS_MM, _WINDOW_S = 100.0, 0.5
 def radial_error_mm(peak_g: Floats, power_g2: Floats, rms_g: Floats, kurt: Floats, form: Form) -> Floats:
     """Return the radial error by one of the three forms that the thesis gives.
 
-    Parameters
-    ----------
-    peak_g, power_g2, rms_g, kurt : ndarray
-        Peak along X, mean square along Y, RMS and kurtosis along X of one window; the units are not
-        printed, these are the ones that give plausible sizes.
-    form : str
-        One of ``FORMS``.
-
-    Returns
-    -------
-    ndarray
-        mm.
+    ``peak_g``, ``power_g2``, ``rms_g``, ``kurt``: peak along X, mean square along Y, RMS and kurtosis along X of one
+    window; the units are not printed, these are the ones that give plausible sizes.
+    ``form``: one of ``FORMS``.
+    Returns mm.
     """
     impulsive = 16.5 * (0.00161 * kurt - 1.0) ** 2
     scaling = 0.0158 * peak_g + 21.8
@@ -50,17 +42,10 @@ def radial_error_mm(peak_g: Floats, power_g2: Floats, rms_g: Floats, kurt: Float
 def robot_equation(seed: int) -> dict[str, Any]:
     """Evaluate the forms at given windows, and the one that ran on windows of the virtual cobot.
 
-    Parameters
-    ----------
-    seed : int
-        Of the cobot.
-
-    Returns
-    -------
-    dict
-        ``at``: value of each form in mm by window; ``windows``, ``runs``: how many of the cobot;
-        ``decided_r2``: of the form that ran, by 21.8 times the mean square along Y alone;
-        ``held_against_bar_r2``: of that form, against the mean of the ball bar in the same window.
+    ``seed``: of the cobot.
+    Returns ``at``: value of each form in mm by window; ``windows``, ``runs``: how many of the cobot; ``decided_r2``: of
+    the form that ran, by 21.8 times the mean square along Y alone; ``held_against_bar_r2``: of that form, against the
+    mean of the ball bar in the same window.
     """
     cobot = VirtualCobot(seed=seed)
     made = [

@@ -45,20 +45,12 @@ _MACHINE_4 = {"feed": 1000.0, "readings": 1000, "circular_deviation": {"cw": 18.
 class Case:
     """One machine, direction and vibration, by one way of taking vibration out.
 
-    Attributes
-    ----------
-    machine, direction, how : str
-        Which.
-    vibration_um : float
-        Peak to peak.
-    before_um, after_um : float
-        Circular deviation.
-    off_um : float
-        ``after_um`` minus what the same way leaves without vibration.
-    dc1_um, dc2_um, dc3_um : float
-        Dynamic components.
-    true_rms_um : float
-        RMS of the vibration that was put in.
+    ``machine``, ``direction``, ``how``: which.
+    ``vibration_um``: peak to peak.
+    ``before_um``, ``after_um``: circular deviation.
+    ``off_um``: ``after_um`` minus what the same way leaves without vibration.
+    ``dc1_um``, ``dc2_um``, ``dc3_um``: dynamic components.
+    ``true_rms_um``: RMS of the vibration that was put in.
     """
 
     machine: str
@@ -84,10 +76,7 @@ def simulated_machines() -> dict[str, dict[str, Any]]:
 def ways(machine: Mapping[str, Any]) -> dict[str, Filter]:
     """Return the filters that are compared.
 
-    Parameters
-    ----------
-    machine : mapping
-        Gives the radius.
+    ``machine``: gives the radius.
     """
     radius = float(machine["radius"])
     return {
@@ -103,16 +92,10 @@ def simulated_turn(
 ) -> Turn:
     """Return one turn of a simulated machine in the order of travel.
 
-    Parameters
-    ----------
-    machine : mapping
-        A table of the published file.
-    direction : {1, -1}
-        Counter-clockwise or clockwise.
-    vibration_pp_um : float
-        Peak to peak.
-    rng : Generator
-        Source of the vibration.
+    ``machine``: a table of the published file.
+    ``direction``, 1 or -1: counter-clockwise or clockwise.
+    ``vibration_pp_um``: peak to peak.
+    ``rng``: source of the vibration.
     """
     count = int(machine["readings"])
     # Just short of the reversals, whose side would else be decided by rounding; just past them
@@ -125,14 +108,9 @@ def simulated_turn(
 def compare_ways(names: Sequence[str], seed: int, vibrations_um: Sequence[float] = VIBRATIONS_UM) -> list[Case]:
     """Take the vibration out of every machine, in every way.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Machines.
-    seed : int
-        Of the vibration.
-    vibrations_um : sequence of float
-        Peak to peak; the first must be 0.
+    ``names``: machines.
+    ``seed``: of the vibration.
+    ``vibrations_um``: peak to peak; the first must be 0.
     """
     out: list[Case] = []
     for number, name in enumerate(names):

@@ -31,17 +31,11 @@ WAYS = ("uncompensated", "compensated", "oracle")
 class FeedResult:
     """Before and after at one feed, the run as unit.
 
-    Attributes
-    ----------
-    feed_mm_min : float
-        Programmed feed.
-    trained : bool
-        Whether the model was fitted at this feed.
-    rms_um, raw_mae_um : dict of str to list of float
-        By way, every run: RMS with one centre and one length for all runs of the way, and the mean
-        absolute deviation as measured, mounting included.
-    acted : dict of str to int
-        How often each reason of the guard held, while compensated.
+    ``feed_mm_min``: programmed feed.
+    ``trained``: whether the model was fitted at this feed.
+    ``rms_um``, ``raw_mae_um``: by way, every run: RMS with one centre and one length for all runs of the way, and the
+    mean absolute deviation as measured, mounting included.
+    ``acted``: how often each reason of the guard held, while compensated.
     """
 
     feed_mm_min: float
@@ -85,22 +79,13 @@ def sphere_evidence(
     Machine clock: controller and serving code in lock-step. What does not repeat on this machine
     acts between tool and bar, so a way is driven once and recorded ``repeats`` times.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        What is served.
-    cobot : VirtualCobot
-        The machine.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    feeds_mm_min, trained_mm_min : sequence of float
-        Feeds to run, and those that the bundle was fitted at.
-    repeats : int
-        Runs of each way.
-    setup : str
-        Mounting of the bar, one that no fit has seen.
-    progress : callable, optional
-        Called with (done, total, what).
+    ``bundle``: what is served.
+    ``cobot``: the machine.
+    ``tcp_mm``, (3,): tool centre point.
+    ``feeds_mm_min``, ``trained_mm_min``: feeds to run, and those that the bundle was fitted at.
+    ``repeats``: Runs of each way.
+    ``setup``: mounting of the bar, one that no fit has seen.
+    ``progress``: called with (done, total, what).
     """
     out = []
     for done, feed in enumerate(feeds_mm_min, start=1):

@@ -37,22 +37,13 @@ _MARGIN = 0.05
 class SphereModel:
     """Fitted tables.
 
-    Attributes
-    ----------
-    azimuth_rad : ndarray, shape (places,)
-        Knots along the path, rising.
-    place_um : ndarray, shape (places,)
-        Error along the bar at the knots.
-    elevation_rad : ndarray, shape (places,)
-        Commanded elevation of the bar there.
-    ring_um : ndarray, shape (moves, knots)
-        Error after the start of each move, at 6000 mm/min.
-    mounting_um : ndarray, shape (mountings, 4)
-        Centre along x, y, z and length of every mounting, for the record.
-    rms_um : float
-        What the fit leaves.
-    feeds_mm_min : tuple of float
-        Feeds that it was fitted to.
+    ``azimuth_rad``, (places,): knots along the path, rising.
+    ``place_um``, (places,): error along the bar at the knots.
+    ``elevation_rad``, (places,): commanded elevation of the bar there.
+    ``ring_um``, (moves, knots): error after the start of each move, at 6000 mm/min.
+    ``mounting_um``, (mountings, 4): centre along x, y, z and length of every mounting, for the record.
+    ``rms_um``: what the fit leaves.
+    ``feeds_mm_min``: feeds that it was fitted to.
     """
 
     azimuth_rad: Floats
@@ -80,10 +71,7 @@ def mounting_terms(run: SphereRun) -> Floats:
 def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
     """Fit both tables to runs without correction.
 
-    Parameters
-    ----------
-    mountings : sequence of sequences of SphereRun
-        Runs by mounting of the bar; each mounting has a centre and a length of its own.
+    ``mountings``: Runs by mounting of the bar; each mounting has a centre and a length of its own.
     """
     runs = [run for group in mountings for run in group]
     azimuth = np.concatenate([r.azimuth_rad for r in runs])
@@ -120,15 +108,10 @@ def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
 def sphere_bundle(model: SphereModel, machine: str, *, horizon_s: float) -> Bundle:
     """Freeze a fit: the error along the bar, as its parts in the plane and across it.
 
-    Parameters
-    ----------
-    model : SphereModel
-        What was fitted.
-    machine : str
-        Machine that it is for.
-    horizon_s : float
-        Known delay between a correction and the motion that it causes; place and time are taken
-        as far ahead.
+    ``model``: what was fitted.
+    ``machine``: machine that it is for.
+    ``horizon_s``: known delay between a correction and the motion that it causes; place and time are taken as far
+    ahead.
     """
     g = GraphBuilder()
     speed, angle = g.input("commanded_speed_mm_s"), g.input("path_angle_rad")

@@ -30,12 +30,8 @@ _MOUNTED = SetupErrors(centre_mm=0.02, radius_um=2.0)
 def thesis_mill(seed: int, **settings: Any) -> VirtualMill:
     """Return a mill whose X axis grows with its temperature, and whose scale was set at one.
 
-    Parameters
-    ----------
-    seed : int
-        Of mountings, sampling and noise: one for each session.
-    **settings
-        Further attributes of ``VirtualMill``.
+    ``seed``: of mountings, sampling and noise: one for each session.
+    ``**settings``: further attributes of ``VirtualMill``.
     """
     parameters = MillParameters(
         squareness_um_m={PLANE: 30.0},
@@ -57,10 +53,7 @@ def circle(
 ) -> CircularTest:
     """Return one circle of the thesis's test.
 
-    Parameters
-    ----------
-    direction, feed_mm_min, repeat, setup, correction, pause_s
-        As in ``CircularTest``.
+    ``direction``, ``feed_mm_min``, ``repeat``, ``setup``, ``correction``, ``pause_s``: as in ``CircularTest``.
     """
     return CircularTest(PLANE, direction, RADIUS_MM, feed_mm_min, repeat, setup, pause_s, correction=correction)
 
@@ -68,14 +61,9 @@ def circle(
 def measure_warm(mill: VirtualMill, tests: Sequence[CircularTest], warm_up: int) -> list[Run]:
     """Measure circles after others that only warm the machine.
 
-    Parameters
-    ----------
-    mill : VirtualMill
-        The machine, cold.
-    tests : sequence of CircularTest
-        What is kept.
-    warm_up : int
-        Circles of 100 mm at the fastest feed before them.
+    ``mill``: the machine, cold.
+    ``tests``: what is kept.
+    ``warm_up``: circles of 100 mm at the fastest feed before them.
     """
     return mill.measure([*_warming(warm_up, tests[0].setup), *tests])[warm_up:]
 
@@ -83,12 +71,8 @@ def measure_warm(mill: VirtualMill, tests: Sequence[CircularTest], warm_up: int)
 def session_of_the_thesis(seed: int, *, warm_up: int) -> list[Run]:
     """Measure one mounting of the bar: four runs of each feed, both directions, in order.
 
-    Parameters
-    ----------
-    seed : int
-        Of the session.
-    warm_up : int
-        Circles before it.
+    ``seed``: of the session.
+    ``warm_up``: circles before it.
     """
     tests = [
         circle(direction, feed, repeat, "learned")
@@ -105,10 +89,7 @@ def designed_campaign(seed: int) -> list[Run]:
     It begins warm and stops in the middle of every mounting: what follows temperature turns back,
     what follows time goes on.
 
-    Parameters
-    ----------
-    seed : int
-        Of the session and of the order.
+    ``seed``: of the session and of the order.
     """
     rng = np.random.default_rng([seed, 17])
     tests: list[CircularTest] = []

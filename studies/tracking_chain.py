@@ -42,14 +42,9 @@ LOOP_HZ = 4.6
 def tracking_chain(seed: int = 0, progress: Progress | None = None, *, repeats: int = REPEATS) -> Chain:
     """Run the thesis's tracking test on the virtual cobot and reduce it as the thesis does.
 
-    Parameters
-    ----------
-    seed : int
-        Of the machine, its set-ups and its noise.
-    progress : callable, optional
-        Called with (done, total, what).
-    repeats : int
-        Runs of each feed and direction; the thesis has three.
+    ``seed``: of the machine, its set-ups and its noise.
+    ``progress``: called with (done, total, what).
+    ``repeats``: Runs of each feed and direction; the thesis has three.
     """
     passes, recordings = _measured(seed, repeats, progress)
     return reduce_passes(passes, (*_circles(recordings), *_real_circles()))

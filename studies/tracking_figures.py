@@ -33,18 +33,12 @@ PUBLISHED: Mapping[str, tuple[float, ...]] = {
 class Pass:
     """One direction of one run, reduced as the thesis reduces it.
 
-    Attributes
-    ----------
-    feed_mm_min, direction, repeat : float, str, int
-        Which run.
-    angle_rad : ndarray, shape (k,)
-        Path angle at the passes of the loop inside the test window.
-    bar_um, encoder_um : ndarray, shape (k,)
-        Ball bar, and the controller's own position along the radius, minus the nominal radius.
-    blocks_g : ndarray, shape (k, 3, 800)
-        Wrist acceleration that each pass reads, tool axes.
-    middle : slice
-        The middle half.
+    ``feed_mm_min``, ``direction``, ``repeat``: which run.
+    ``angle_rad``, (k,): path angle at the passes of the loop inside the test window.
+    ``bar_um``, ``encoder_um``, (k,): ball bar, and the controller's own position along the radius, minus the nominal
+    radius.
+    ``blocks_g``, (k, 3, 800): wrist acceleration that each pass reads, tool axes.
+    ``middle``: the middle half.
     """
 
     feed_mm_min: float
@@ -59,12 +53,8 @@ class Pass:
     def corrected_um(self, threshold_g2: float, blocks_g: Floats | None = None) -> Floats:
         """Return the encoder's deviation with the integrated displacement added, shape (k,).
 
-        Parameters
-        ----------
-        threshold_g2 : float
-            Of the spectral filter.
-        blocks_g : ndarray, optional
-            Acceleration of another run, for the control.
+        ``threshold_g2``: of the spectral filter.
+        ``blocks_g``: acceleration of another run, for the control.
         """
         blocks = self.blocks_g if blocks_g is None else blocks_g
         moved_um = UM_PER_MM * displacement_mm(blocks, BLOCK_RATE_HZ, threshold_g2).mean(axis=2)
@@ -78,21 +68,12 @@ class Pass:
 class Chain:
     """What the chain gives.
 
-    Attributes
-    ----------
-    feeds : tuple of dict
-        One for each feed: the thesis's three means and its reduction in per cent, with their
-        spread over runs.
-    threshold_g2 : float
-        That a particle swarm chose at one feed, on the figure that is then reported.
-    reduction_pct, half_width_pct : float
-        Mean over the feeds, and half of its 95 % interval (unit: the feed).
-    controls : dict of str to float
-        The same figure for what knows nothing of the run.
-    along_the_path : dict of str to float
-        What is left at the loop's angles once centre and radius are fitted, um RMS.
-    set_up : tuple of dict
-        Mean over the middle half against the full circle, virtual and real.
+    ``feeds``: one for each feed: the thesis's three means and its reduction in per cent, with their spread over runs.
+    ``threshold_g2``: that a particle swarm chose at one feed, on the figure that is then reported.
+    ``reduction_pct``, ``half_width_pct``: mean over the feeds, and half of its 95 % interval (unit: the feed).
+    ``controls``: the same figure for what knows nothing of the run.
+    ``along_the_path``: what is left at the loop's angles once centre and radius are fitted, um RMS.
+    ``set_up``: mean over the middle half against the full circle, virtual and real.
     """
 
     feeds: tuple[Mapping[str, Any], ...]
@@ -125,12 +106,9 @@ class Chain:
 def published_figures() -> dict[str, float]:
     """Return what follows from the published table alone.
 
-    Returns
-    -------
-    dict of str to float
-        Mean of the recomputed per cents with half of its 95 % interval over the five feeds; the
-        reduction of the summed gap, which does not weigh small gaps most; and what one constant,
-        the mean gap of the other four feeds, would have given without any sensor.
+    Returns the mean of the recomputed per cents with half of its 95 % interval over the five feeds; the reduction of the
+    summed gap, which does not weigh small gaps most; and what one constant, the mean gap of the other four feeds, would
+    have given without any sensor.
     """
     bar, acc, enc = (np.array(PUBLISHED[k]) for k in ("ball_bar", "accelerometer", "encoder"))
     per_cent = 100.0 * (acc - enc) / (bar - enc)
@@ -145,12 +123,8 @@ def published_figures() -> dict[str, float]:
 def reduce_passes(passes: Sequence[Pass], set_up: Sequence[Mapping[str, Any]] = ()) -> Chain:
     """Reduce passes as the thesis does, and add the controls that it lacks.
 
-    Parameters
-    ----------
-    passes : sequence of Pass
-        All runs.
-    set_up : sequence of dict
-        Mean over the middle half against the full circle, for the report.
+    ``passes``: all runs.
+    ``set_up``: mean over the middle half against the full circle, for the report.
     """
     chosen = _tuned(passes)
     feeds = tuple(

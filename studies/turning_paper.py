@@ -42,20 +42,11 @@ _FORM_LEFT, _PHASE_LEFT = 0.31 / 2.42, 0.38 / 8.57
 def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
     """Compute the figures.
 
-    Parameters
-    ----------
-    quick : bool
-        24 groups instead of 99.
-    seed : int
-        Of all noise.
-    progress : callable
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        ``lines``: fields of :class:`~studies.paper_line.Line`; ``told``: what the groups show;
-        ``trial``: surfaces without and with.
+    ``quick``: 24 groups instead of 99.
+    ``seed``: of all noise.
+    ``progress``: called with (done, total, what).
+    Returns ``lines``: fields of :class:`~studies.paper_line.Line`; ``told``: what the groups show; ``trial``: surfaces
+    without and with.
     """
     steps = 5
     slide = virtual_slide("linear")
@@ -89,10 +80,7 @@ def _groups(slide: Slide, quick: bool, seed: int) -> ToneGroups:
 def calibration_lines(slide: Slide) -> list[Line]:
     """Return how far a mechanism is from the printed figures at 5 um.
 
-    Parameters
-    ----------
-    slide : Slide
-        The mechanism.
+    ``slide``: the mechanism.
     """
     at = {f: _measured(slide, f) for f in PRINTED_UM}
     rows = [
@@ -134,10 +122,7 @@ def _measured(slide: Slide, frequency: float) -> ToneErrors:
 def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
     """Return the exponents of error over acceleration: printed, of both slides.
 
-    Parameters
-    ----------
-    groups, hardened : ToneGroups
-        Of the linear slide, and of the one with a hardening joint.
+    ``groups``, ``hardened``: of the linear slide, and of the one with a hardening joint.
     """
     heard = heard_groups(groups)
     own = exponent(heard.feature("rms"), heard.beyond_encoder_um)
@@ -167,12 +152,8 @@ def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
 def learning_lines(law: FittedTones, free: FittedTones, printed: FittedTones, narx: Candidate) -> list[Line]:
     """Return held-out accuracy beside the printed one.
 
-    Parameters
-    ----------
-    law, free, printed : FittedTones
-        Two modes, free search, and the printed forms fitted anew.
-    narx : Candidate
-        The baseline.
+    ``law``, ``free``, ``printed``: two modes, free search, and the printed forms fitted anew.
+    ``narx``: the baseline.
     """
     lines = []
     for name, made in (("two modes", law), ("free search", free), ("printed forms, refitted", printed)):
@@ -228,10 +209,7 @@ def learning_lines(law: FittedTones, free: FittedTones, printed: FittedTones, na
 def printed_phase_deg(frequency_hz: Floats, shape_factor: Floats) -> Floats:
     """Return the phase error by the paper's equation 3, as printed, in degrees.
 
-    Parameters
-    ----------
-    frequency_hz, shape_factor : ndarray
-        Of the accelerometer.
+    ``frequency_hz``, ``shape_factor``: of the accelerometer.
     """
     return np.asarray(1.95 - 1.23 * np.tanh(-0.0441 * frequency_hz + 0.122 * shape_factor + 1.08))
 
@@ -239,10 +217,7 @@ def printed_phase_deg(frequency_hz: Floats, shape_factor: Floats) -> Floats:
 def phase_line(groups: ToneGroups) -> Line:
     """Return what the phase equation does as printed, without fitting it anew.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Of the linear slide, which has nearly the printed lags.
+    ``groups``: of the linear slide, which has nearly the printed lags.
     """
     heard = heard_groups(groups)
     said = printed_phase_deg(heard.feature("dominant_frequency"), heard.feature("shape_factor"))
@@ -263,10 +238,7 @@ def phase_line(groups: ToneGroups) -> Line:
 def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     """Return form and phase error of the bicuspid surface beside the printed ones.
 
-    Parameters
-    ----------
-    cut : mapping
-        From :func:`studies.bicuspid.trial`.
+    ``cut``: from :func:`studies.bicuspid.trial`.
     """
     row = next(r for r in cut["rows"] if r["frequency_hz"] == 40.0)
     before, after, less = row["before"], row["after"], row["reduction"]
@@ -295,12 +267,8 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
 def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
     """Return what the source's own correction does when it reads the corrected motion.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Of the linear slide.
-    seed : int
-        Of noise.
+    ``groups``: of the linear slide.
+    ``seed``: of noise.
     """
     lines = []
     for action, what in (

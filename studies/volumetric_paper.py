@@ -28,20 +28,10 @@ _CAUSE = "coolant_tank_c"
 def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False, truth: str = "surface") -> list[Line]:
     """Measure both campaigns of the virtual machine, fit to one, judge on the other.
 
-    Parameters
-    ----------
-    seed : int
-        Of the machine.
-    progress : callable
-        Called with (done, total, what).
-    quick : bool
-        Every third cycle.
-    truth : {"surface", "pockets"}
-        Where the thermocouples sit.
-
-    Returns
-    -------
-    list of Line
+    ``seed``: of the machine.
+    ``progress``: called with (done, total, what).
+    ``quick``: every third cycle.
+    ``truth``, surface or pockets: where the thermocouples sit.
     """
     with tempfile.TemporaryDirectory() as scratch:
         home = Home(Path(scratch) / "home")

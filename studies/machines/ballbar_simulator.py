@@ -34,15 +34,11 @@ UM_PER_PPM_MM = 1e-3
 class Convention:
     """What the paper leaves open.
 
-    Attributes
-    ----------
-    squareness, straightness, backlash, lateral_play, servo_mismatch, spike : int
-        Signs. Of the 64 choices the default one is the one that comes nearest to the printed
-        circular deviations of machines 2 and 3 with the directions as printed.
-    cyclic_rad : tuple of float
-        Phases of the cyclic errors of X and Y.
-    spike_deg : float
-        Path angle in which a reversal spike falls to 1/e.
+    ``squareness``, ``straightness``, ``backlash``, ``lateral_play``, ``servo_mismatch``, ``spike``: signs. Of the 64
+    choices the default one is the one that comes nearest to the printed circular deviations of machines 2 and 3 with
+    the directions as printed.
+    ``cyclic_rad``: phases of the cyclic errors of X and Y.
+    ``spike_deg``: path angle in which a reversal spike falls to 1/e.
     """
 
     squareness: int = -1
@@ -64,19 +60,12 @@ def radial_error_um(
 ) -> Floats:
     """Return the radial error of a simulated machine, shape of ``theta_rad``.
 
-    Parameters
-    ----------
-    machine : mapping
-        A table of ``ballbar_simulator.toml``: radius mm, scale ppm, squareness um/m, lengths um,
-        pitch mm, servo mismatch ms; two values are the positive and the negative end of an axis.
-    feed_mm_min : float
-        Feed.
-    direction : {1, -1}
-        Counter-clockwise or clockwise.
-    theta_rad : ndarray
-        Angles.
-    convention : Convention, optional
-        Signs, phases, width of spikes.
+    ``machine``: a table of ``ballbar_simulator.toml``: radius mm, scale ppm, squareness um/m, lengths um, pitch mm,
+    servo mismatch ms; two values are the positive and the negative end of an axis.
+    ``feed_mm_min``: feed.
+    ``direction``, 1 or -1: counter-clockwise or clockwise.
+    ``theta_rad``: angles.
+    ``convention``: signs, phases, width of spikes.
     """
     machine, made = _ABSENT | dict(machine), convention or Convention()
     cos, sin = np.cos(theta_rad), np.sin(theta_rad)
@@ -105,14 +94,9 @@ def radial_error_um(
 def vibration_um(peak_to_peak_um: float, samples: int, rng: np.random.Generator) -> Floats:
     """Return vibration of a given peak-to-peak height: white and uniform, the paper says no more.
 
-    Parameters
-    ----------
-    peak_to_peak_um : float
-        Height.
-    samples : int
-        How many.
-    rng : Generator
-        Source of randomness.
+    ``peak_to_peak_um``: height.
+    ``samples``: how many.
+    ``rng``: source of randomness.
     """
     return peak_to_peak_um * (rng.random(samples) - 0.5)
 

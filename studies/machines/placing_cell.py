@@ -23,24 +23,15 @@ _HANDOVER_S = 0.3
 class CellLooseness:
     """What differs from placement to placement; assumed, of the size that tables of the source show.
 
-    Attributes
-    ----------
-    robot_um : float
-        Standard deviation of the robot along each axis, from the cobot's drift.
-    grip_um, grip_mrad : float
-        How the block lies in the jig, and how it is turned there.
-    release_um : float
-        Jump when the magnets change over.
-    slip_share, slip_low_um, slip_high_um : float
-        How often the jig slips, and how far.
-    lost_share : float
-        How often a block is not where the probe searches.
-    probe_um : float
-        Of one touch.
-    room_c, warm_c, warming_placements : float
-        Temperature of the block: room, lasting work of the magnets, and its time constant.
-    thermometer_c : float
-        Of the logged temperature.
+    ``robot_um``: standard deviation of the robot along each axis, from the cobot's drift.
+    ``grip_um``, ``grip_mrad``: how the block lies in the jig, and how it is turned there.
+    ``release_um``: jump when the magnets change over.
+    ``slip_share``, ``slip_low_um``, ``slip_high_um``: how often the jig slips, and how far.
+    ``lost_share``: how often a block is not where the probe searches.
+    ``probe_um``: of one touch.
+    ``room_c``, ``warm_c``, ``warming_placements``: temperature of the block: room, lasting work of the magnets, and its
+    time constant.
+    ``thermometer_c``: of the logged temperature.
     """
 
     robot_um: float = 7.0
@@ -62,16 +53,10 @@ class CellLooseness:
 class ProbedPlacement:
     """What is written down of one placement.
 
-    Attributes
-    ----------
-    readings_mm : ndarray, shape (5,)
-        Probe readings in the order of ``HITS``.
-    temperature_c : float
-        Logged temperature of the block.
-    jig_moved_um : float
-        Change of the jig's pin since the placement before.
-    duration_s : float
-        Time of the program.
+    ``readings_mm``, (5,): probe readings in the order of ``HITS``.
+    ``temperature_c``: logged temperature of the block.
+    ``jig_moved_um``: change of the jig's pin since the placement before.
+    ``duration_s``: time of the program.
     """
 
     readings_mm: Floats
@@ -83,14 +68,9 @@ class ProbedPlacement:
 class PlacingCell:
     """Robot, jig, magnets, block and probe.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The robot.
-    seed : int
-        Of everything that does not repeat.
-    looseness : CellLooseness, optional
-        How much that is.
+    ``cobot``: the robot.
+    ``seed``: of everything that does not repeat.
+    ``looseness``: how much that is.
     """
 
     def __init__(self, cobot: VirtualCobot, seed: int, looseness: CellLooseness | None = None) -> None:
@@ -106,14 +86,9 @@ class PlacingCell:
     def place(self, target_mm: Floats, motion: str, feed_mm_min: float) -> ProbedPlacement:
         """Pick a block, place it at a target, and probe it where it should be.
 
-        Parameters
-        ----------
-        target_mm : ndarray, shape (3,)
-            What the robot is sent, base frame.
-        motion : str
-            ``MoveL`` or ``MoveJ``.
-        feed_mm_min : float
-            Programmed feed.
+        ``target_mm``, (3,): what the robot is sent, base frame.
+        ``motion``: ``MoveL`` or ``MoveJ``.
+        ``feed_mm_min``: programmed feed.
         """
         loose, rng = self.loose, self._rng
         reached, duration_s = self._driven(target_mm, motion, feed_mm_min)

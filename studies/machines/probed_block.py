@@ -26,14 +26,9 @@ HITS = ("x1", "x2", "y1", "y2", "z")
 class Block:
     """Where a block really is.
 
-    Attributes
-    ----------
-    centre_mm : ndarray, shape (3,)
-        Centre of its lower face, relative to where it was to be placed.
-    turned_rad : float
-        About the vertical.
-    temperature_c : float
-        Its temperature.
+    ``centre_mm``, (3,): centre of its lower face, relative to where it was to be placed.
+    ``turned_rad``: about the vertical.
+    ``temperature_c``: its temperature.
     """
 
     centre_mm: Floats
@@ -47,14 +42,9 @@ def probe(block: Block, noise_um: float, rng: np.random.Generator) -> Floats:
     Each search covers 2.5 mm on both sides of where the face is expected; a face that is further
     away is not found, and the reading is the end of the search.
 
-    Parameters
-    ----------
-    block : Block
-        The block.
-    noise_um : float
-        Standard deviation of a hit.
-    rng : Generator
-        Source of the noise.
+    ``block``: the block.
+    ``noise_um``: standard deviation of a hit.
+    ``rng``: source of the noise.
     """
     grown = 1.0 + EXPANSION_1_K * (block.temperature_c - REFERENCE_C)
     cosine, sine = np.cos(block.turned_rad), np.sin(block.turned_rad)

@@ -52,18 +52,11 @@ _CLOCK_S = 0.0025
 class SphereRun:
     """What the ball bar recorded on the way, with the commanded place of every reading.
 
-    Attributes
-    ----------
-    feed_mm_min : float
-        Programmed feed.
-    section : ndarray of int, shape (n,)
-        Which move it belongs to, from 1; 0 and the last are in-feed and out-feed.
-    section_s : ndarray, shape (n,)
-        Time since that move began.
-    azimuth_rad, elevation_rad : ndarray, shape (n,)
-        Commanded direction of the bar; the azimuth is unwrapped.
-    deviation_um : ndarray, shape (n,)
-        Measured length minus the nominal one.
+    ``feed_mm_min``: programmed feed.
+    ``section``, (n,): which move it belongs to, from 1; 0 and the last are in-feed and out-feed.
+    ``section_s``, (n,): time since that move began.
+    ``azimuth_rad``, ``elevation_rad``, (n,): commanded direction of the bar; the azimuth is unwrapped.
+    ``deviation_um``, (n,): measured length minus the nominal one.
     """
 
     feed_mm_min: float
@@ -77,12 +70,8 @@ class SphereRun:
 def sphere_plan(cobot: VirtualCobot, feed_mm_min: float) -> MotionPlan:
     """Return the program: low circle, half turn up, middle circle, half turn up, top circle.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        Gives the place of the bar, acceleration and dwell.
-    feed_mm_min : float
-        Programmed feed.
+    ``cobot``: gives the place of the bar, acceleration and dwell.
+    ``feed_mm_min``: programmed feed.
     """
     motion = cobot.parameters.motion
     tick_s, centre = 1.0 / cobot.parameters.controller.rate_hz, cobot.centre_mm(RADIUS_MM)
@@ -110,10 +99,7 @@ def sphere_plan(cobot: VirtualCobot, feed_mm_min: float) -> MotionPlan:
 def sphere_controller(cobot: VirtualCobot, plan: MotionPlan, feed_mm_min: float) -> CobotController:
     """Return the controller about to run the program, for a closed loop.
 
-    Parameters
-    ----------
-    cobot, plan, feed_mm_min
-        Machine, its program, and the feed that it reports.
+    ``cobot``, ``plan``, ``feed_mm_min``: machine, its program, and the feed that it reports.
     """
     condition = CircleCondition("XY", RADIUS_MM, feed_mm_min, "CW")
     return CobotController(condition, plan, *cobot.at_rest(plan))
@@ -122,18 +108,11 @@ def sphere_controller(cobot: VirtualCobot, plan: MotionPlan, feed_mm_min: float)
 def sphere_run(cobot: VirtualCobot, feed_mm_min: float, ticks: RunTicks, *, setup: str, repeat: int) -> SphereRun:
     """Return what the ball bar makes of a finished run.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The machine, its mountings and what does not repeat.
-    feed_mm_min : float
-        Programmed feed.
-    ticks : RunTicks
-        Every tick of the run.
-    setup : str
-        Mounting of the bar.
-    repeat : int
-        Repeat, which seeds what does not repeat.
+    ``cobot``: the machine, its mountings and what does not repeat.
+    ``feed_mm_min``: programmed feed.
+    ``ticks``: every tick of the run.
+    ``setup``: mounting of the bar.
+    ``repeat``: repeat, which seeds what does not repeat.
     """
     parameters, mounting = cobot.parameters, cobot.setup(setup, "XY")
     bar, rate_hz = parameters.ballbar, parameters.controller.rate_hz

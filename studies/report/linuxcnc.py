@@ -13,10 +13,7 @@ _WAYS = ("none", "live", "table")
 def linuxcnc_text(found: Mapping[str, Any]) -> str:
     """Return the story in three parts.
 
-    Parameters
-    ----------
-    found : mapping
-        What ``linuxcnc_story`` returned.
+    ``found``: what ``linuxcnc_story`` returned.
     """
     return "\n\n".join([_named(found), _corrected(found), _judged(found)])
 

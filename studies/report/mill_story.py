@@ -23,10 +23,7 @@ _LATER_HEAD = (
 def mill_story_text(found: Mapping[str, Any]) -> str:
     """Return the story in four parts, and what the thesis measured.
 
-    Parameters
-    ----------
-    found : mapping
-        What ``mill_story`` returned.
+    ``found``: what ``mill_story`` returned.
     """
     parts = [_learned(found), _refused(found), _told_right(found), _defects(found), _thesis(found)]
     return "\n\n".join(parts)

@@ -25,12 +25,8 @@ WHAT_IT_MEANS = (
 def paper_table(lines: Sequence[Mapping[str, Any]], source: str = "the paper") -> str:
     """Return what, theirs, ours and the answer, with target numbers where there are some.
 
-    Parameters
-    ----------
-    lines : sequence of dict
-        Fields of :class:`studies.paper_line.Line`.
-    source : str
-        Head of the column of theirs.
+    ``lines``: fields of :class:`studies.paper_line.Line`.
+    ``source``: head of the column of theirs.
     """
     numbered = any(line["target"] for line in lines)
     rows = [[line["target"]] * numbered + [line[key] for key in ("what", "paper", "ours", "answer")] for line in lines]
@@ -46,10 +42,7 @@ def counted(lines: Sequence[Mapping[str, Any]]) -> str:
 def summary_text(found: Mapping[str, Mapping[str, Any]]) -> str:
     """Return for each source how many figures have which answer, and what does not follow.
 
-    Parameters
-    ----------
-    found : mapping
-        ``source`` and ``lines`` by name; lines as for :func:`paper_table`.
+    ``found``: ``source`` and ``lines`` by name; lines as for :func:`paper_table`.
     """
     rows = [
         [name, paper["source"], *(sum(x["answer"] == a for x in paper["lines"]) for a in _HEADS)]

@@ -22,10 +22,7 @@ NOT_COMPARABLE = (
 def placement_text(found: Mapping[str, Any]) -> str:
     """Return what was measured and what follows from the published tables.
 
-    Parameters
-    ----------
-    found : mapping
-        What ``placement_story`` returned.
+    ``found``: what ``placement_story`` returned.
     """
     parts = [_sphere(found["sphere"]), _placements(found["placements"])]
     parts += [_verdict(found), _published(found["published"]), "\n".join(NOT_COMPARABLE)]

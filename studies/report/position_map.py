@@ -11,10 +11,7 @@ from dtwin.report.text import table
 def position_map_text(found: Mapping[str, Any]) -> str:
     """Return what decides the equation, and what a map of positions is worth.
 
-    Parameters
-    ----------
-    found : mapping
-        What ``position_map`` returned.
+    ``found``: what ``position_map`` returned.
     """
     influence = [
         (name, f"{low:.3g} to {high:.3g}", f"{100 * found['influence'][name]:.2g} %")

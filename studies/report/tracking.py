@@ -11,10 +11,7 @@ from dtwin.report.text import table
 def tracking_text(found: Mapping[str, Any]) -> str:
     """Return published figures, what was reproduced, and what does not follow.
 
-    Parameters
-    ----------
-    found : mapping
-        ``Chain.as_dict``.
+    ``found``: ``Chain.as_dict``.
     """
     return "\n\n".join([_published(found), _reproduced(found), _does_not_follow(found)])
 
