@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from dtwin.kinds.volumetric._chain import coefficient, design
 from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um, predicted
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.kinds.volumetric._training import serving_bundle
-from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
+from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, Strokes
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import save_bundle
@@ -27,6 +27,27 @@ _UNEXPLAINED_PCT = 40.0
 _HALVED = 0.5
 _SEEN = 4.0
 _SLOTS = 16
+
+
+def with_offered(measured: Session, offered: Sequence[str]) -> Session:
+    """Return a session whose models may use other logged temperatures, too.
+
+    Raises ``InputError`` when one was not logged.
+    """
+    absent = [name for name in offered if name not in measured.offered_c]
+    if absent:
+        raise InputError(
+            "no such temperature was logged beside the thermocouples",
+            code="volumetric.offered",
+            where=measured.campaign,
+            got=", ".join(absent)[:120],
+            allowed=", ".join(measured.offered_c) or "none was",
+        )
+    rises = [measured.offered_rise(name) for name in offered]
+    more = np.column_stack([measured.rise_c, *rises])
+    read = [measured.offered_c[name][:REFERENCE_CYCLES].mean() for name in offered]
+    begun = np.concatenate([measured.begun_c, np.asarray(read, dtype=np.float64)])
+    return replace(measured, sensors=(*measured.sensors, *offered), rise_c=more, begun_c=begun)
 
 
 def models_of(

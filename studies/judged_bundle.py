@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dtwin.errors import InputError
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import require_new, save_bundle
+from dtwin.serve.bundle_file import save_bundle
 from dtwin.train.gates import Verdict
 
 
@@ -41,3 +42,17 @@ class JudgedBundle:
             *lines,
             f"{out} written" + ("" if self.passed else " though it did not pass: for comparison only"),
         ]
+
+
+def require_new(path: Path, *, force: bool = False) -> None:
+    """Refuse to write over a file, before hours are spent on what it would hold.
+
+    Raises ``InputError`` when it is there and ``force`` is not set.
+    """
+    if path.exists() and not force:
+        raise InputError(
+            "the file is there already",
+            code="bundle.exists",
+            where=str(path),
+            hint="another --out, or --force where the command has it",
+        )

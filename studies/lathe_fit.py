@@ -15,12 +15,13 @@ from dtwin.kinds.linear._bundle import deployed_bundle, is_positioning_bundle, p
 from dtwin.kinds.linear._gates import positioning_gates
 from dtwin.kinds.linear._loop import ExactCorrection, looped, measured
 from dtwin.kinds.linear._models import MM_PER_IN, Averages, PositionModel, averages_of
-from dtwin.kinds.linear._plan import LinearPlan, read_linear_plan
+from dtwin.kinds.linear._plan import LinearPlan, linear_plan
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import verification_plan, virtual_lathe
 from dtwin.kinds.linear._training import fit_pair, flanks_from, screw_of, serving_bundle
 from dtwin.machines.lathe import VirtualLathe, Wander
 from dtwin.machines.printed_network import MAPPED_MM, PITCH_IN, read_network
+from dtwin.plan_file import plan_settings, read_plan_file
 from dtwin.positioning.matrix import LinearTest, linear_test
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -145,3 +146,12 @@ def positioning_bundle(path: Path) -> Bundle:
 def plan_or_published(plan: Path | None) -> LinearPlan:
     """Return the plan of a file, that of the published lathe without one."""
     return verification_plan() if plan is None else read_linear_plan(plan)
+
+
+def read_linear_plan(path: Path) -> LinearPlan:
+    """Read a plan file of kind ``linear``.
+
+    ``path``: TOML with one table ``[plan]``: ``kind = "linear"`` and the attributes of a plan.
+    Raises ``InputError`` with the first rule that is broken.
+    """
+    return linear_plan(plan_settings(read_plan_file(path), str(path)), str(path))

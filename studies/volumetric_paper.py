@@ -8,9 +8,9 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.kinds.volumetric._simulate import parameters_of, simulate_volumetric
-from dtwin.kinds.volumetric.session import Session, session, with_offered
+from dtwin.kinds.volumetric.session import Session, session
 from dtwin.progress import Progress
-from studies.heat import judged, models_of
+from studies.heat import judged, models_of, with_offered
 from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no
 
 # Printed pairs before, after, and the printed reduction in per cent.

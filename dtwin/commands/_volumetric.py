@@ -33,9 +33,9 @@ def fit(
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
-    from dtwin.kinds.volumetric.session import session, with_offered
-    from dtwin.serve.bundle_file import require_new
-    from studies.heat import judged, models_of, write_bundle
+    from dtwin.kinds.volumetric.session import session
+    from studies.heat import judged, models_of, with_offered, write_bundle
+    from studies.judged_bundle import require_new
     from studies.report.heat import judged_text, volumetric_page
 
     if out is not None and against is None:

@@ -87,20 +87,6 @@ def replaced(path: Path, sha256: str) -> Path:
     return path.with_name(f"{path.stem}.{sha256[:12]}{path.suffix}")
 
 
-def require_new(path: Path, *, force: bool = False) -> None:
-    """Refuse to write over a file, before hours are spent on what it would hold.
-
-    Raises ``InputError`` when it is there and ``force`` is not set.
-    """
-    if path.exists() and not force:
-        raise InputError(
-            "the file is there already",
-            code="bundle.exists",
-            where=str(path),
-            hint="another --out, or --force where the command has it",
-        )
-
-
 def load_bundle(path: Path, machine: str | None = None, contract: WindowContract | None = None) -> CompiledBundle:
     """Read, check and prove a bundle, and compile it.
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.plan_file import broken_rule, filled, plan_settings, read_plan_file
+from dtwin.plan_file import broken_rule, filled
 from dtwin.positioning.check import beat_of
 from dtwin.schema import Finding, Floats, require_name
 
@@ -82,15 +81,6 @@ class LinearPlan:
     def mm(self, length: float) -> float:
         """Return a length of the plan in mm."""
         return length * _MM_PER[self.unit]
-
-
-def read_linear_plan(path: Path) -> LinearPlan:
-    """Read a plan file of kind ``linear``.
-
-    ``path``: TOML with one table ``[plan]``: ``kind = "linear"`` and the attributes of a plan.
-    Raises ``InputError`` with the first rule that is broken.
-    """
-    return linear_plan(plan_settings(read_plan_file(path), str(path)), str(path))
 
 
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:

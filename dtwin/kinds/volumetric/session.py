@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -138,27 +138,6 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
         {n: t for n, (group, t) in table.items() if group != _SENSORS},
         dropped,
     )
-
-
-def with_offered(measured: Session, offered: Sequence[str]) -> Session:
-    """Return a session whose models may use other logged temperatures, too.
-
-    Raises ``InputError`` when one was not logged.
-    """
-    absent = [name for name in offered if name not in measured.offered_c]
-    if absent:
-        raise InputError(
-            "no such temperature was logged beside the thermocouples",
-            code="volumetric.offered",
-            where=measured.campaign,
-            got=", ".join(absent)[:120],
-            allowed=", ".join(measured.offered_c) or "none was",
-        )
-    rises = [measured.offered_rise(name) for name in offered]
-    more = np.column_stack([measured.rise_c, *rises])
-    read = [measured.offered_c[name][:REFERENCE_CYCLES].mean() for name in offered]
-    begun = np.concatenate([measured.begun_c, np.asarray(read, dtype=np.float64)])
-    return replace(measured, sensors=(*measured.sensors, *offered), rise_c=more, begun_c=begun)
 
 
 def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
