@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -23,7 +23,6 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms, t_quantile
-from dtwin.train.evidence_runs import corrected
 from dtwin.train.measured_ways import MeasuredWays, numbered
 from dtwin.twins.correct import Correction, correct
 from dtwin.twins.verbs import Twins
@@ -186,7 +185,8 @@ def _proof(
             else:
                 turns[way] += run_circles(session, [circle])
             run = run_of(turns[way][-1], "e", 1, "later", started)
-            measured.append(corrected(run, bundle.model_sha256) if way == LIVE else run)
+            under = bundle.model_sha256 if way == LIVE else run.meta.correction
+            measured.append(replace(run, meta=replace(run.meta, correction=under)))
             line(done, len(jobs), named(circle))
     # LinuxCNC reads tables at its start only: they cannot be interleaved inside a session.
     tabled = [circles[i % len(circles)] for i in rng.permutation(len(circles) * repeats)]

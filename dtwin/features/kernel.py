@@ -197,32 +197,3 @@ class WindowKernel:
             np.fft.rfft(self._centred, axis=-1, out=self._spectrum)
             _spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
         np.take(self._all, self.columns, axis=1, out=out, mode="clip")
-
-
-def window_features(
-    block: NDArray[np.floating],
-    rate_hz: float,
-    selection: Sequence[str] = FEATURE_NAMES,
-    band_hz: tuple[float, float] | None = None,
-    remove_mean: bool = False,
-) -> tuple[Floats, Codes]:
-    """Return the features of one window.
-
-    ``block``, (channels, n): samples.
-    ``selection``: features, in the order in which they are wanted.
-    ``band_hz``: band of ``band_power``; required when that is selected.
-    ``remove_mean``: whether the mean is taken out first.
-    Features, always finite, and validity: VALID, CONSTANT or NOT_FINITE (then zeros).
-    """
-    if block.ndim != 2 or block.shape[1] < 2:
-        raise InputError(
-            "a window is an array of channels by samples, at least two samples",
-            code="features.shape",
-            got=str(block.shape),
-        )
-    samples = np.ascontiguousarray(block, dtype=np.float64)
-    channels, n = samples.shape
-    kernel = WindowKernel(channels, n, rate_hz, selection, band_hz, remove_mean)
-    values, codes = np.zeros((channels, len(selection))), np.zeros(channels, dtype=np.int64)
-    kernel.compute(samples.reshape(-1), 0, n, values, codes)
-    return values, codes

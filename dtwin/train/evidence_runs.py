@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
@@ -140,8 +140,3 @@ def _served(runs: Sequence[EvidenceRun], stretches: Sequence[ServedStretch], mod
 def _duration(run: Run) -> timedelta:
     t_s = run.samples["t_s"]
     return timedelta(seconds=float(t_s[-1] - t_s[0]))
-
-
-def corrected(run: Run, model_sha256: str) -> Run:
-    """Return a run of a virtual machine that says under which correction it was measured."""
-    return replace(run, meta=replace(run.meta, correction=model_sha256))

@@ -23,7 +23,6 @@ MACHINE = "machine"
 REPLICATION = "unit of each campaign"
 # The worst verdict is that of all.
 _VERDICTS = ("missing_effect", "ambiguous", "unknown_effect", "variance_effect", "need_repeats", "nothing_missing")
-_PLACES = 5
 
 
 @dataclass(frozen=True)

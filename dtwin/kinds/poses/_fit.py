@@ -14,7 +14,6 @@ from scipy.linalg.lapack import dtrtrs
 from dtwin.kinds.poses._effects import EFFECTS, Term
 from dtwin.kinds.poses._series import Series
 from dtwin.schema import Floats
-from dtwin.statistics import t_quantile
 
 # A parameter is told when more than this of its column is not in those of the others.
 _LEAST_OWN = 0.03
@@ -154,12 +153,6 @@ def with_correlations(grams: Grams, chosen: Sequence[int], covariance: Floats) -
     inverse = np.linalg.pinv(grams.whole[np.ix_(chosen, chosen)], rcond=1e-12, hermitian=True)
     spread = np.sqrt(np.diag(covariance) / np.maximum(np.diag(inverse), 1e-300))
     return np.asarray(inverse * np.outer(spread, spread))
-
-
-def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
-    """Return every parameter of some terms."""
-    value, covariance = solve(grams, grams.told(grams.series.chosen(terms)))
-    return parameters_with(grams, terms, value, t_quantile(0.975, dof_of(grams)) * np.sqrt(np.diag(covariance)))
 
 
 def dof_of(grams: Grams) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -21,7 +22,7 @@ from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
 from dtwin.kinds.poses._check import judge_poses
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
-from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
+from dtwin.kinds.poses._fit import Grams, Parameter, dof_of, held_out_mm, parameters_with, solve
 from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
 from dtwin.kinds.poses._read import is_pose_table, read_poses
@@ -31,6 +32,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Finding, Floats, Run
+from dtwin.statistics import t_quantile
 
 # Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
 _AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
@@ -46,6 +48,11 @@ _POINTS = np.array(
     dtype=float,
 )
 _TOOL = np.array([-1184.3, -163.941 - 92.2 - 80.0, 11.6 + 30.0])
+
+
+def parameters(grams: Grams, terms: Sequence[Term]) -> list[Parameter]:
+    value, covariance = solve(grams, grams.told(grams.series.chosen(terms)))
+    return parameters_with(grams, terms, value, t_quantile(0.975, dof_of(grams)) * np.sqrt(np.diag(covariance)))
 
 
 def _measured(joints: Floats, sag_mrad_m: float = 0.0) -> Floats:
