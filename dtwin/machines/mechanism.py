@@ -277,3 +277,38 @@ def run_kernel(
         received = registers[min(n, registers.shape[0] - 1)]
         tick_kernel(machine, segments, frame, received, memory, states[n], truths[n])
         states[n, 0] = n * machine.control[_TICK_S]
+
+
+@kernel
+def run_joints_kernel(machine: Mechanism, q_rad: Floats, memory: Floats, tool_mm: Floats) -> None:
+    """Follow joint angles, shape (n, 6), tick by tick and write where the tool is, shape (n, 3).
+
+    The same gears, friction and structure as ``tick_kernel``, for programs that move in joint
+    space; the correction registers play no part.
+    """
+    tick_s, tcp = machine.control[_TICK_S], machine.geometry[0]
+    actual, link = np.empty(6), np.empty(6)
+    shaken, jolt = np.empty(3), np.zeros(3)
+    true, flange = np.empty(3), np.empty(3)
+    for n in range(q_rad.shape[0]):
+        _link_angles(q_rad[n], machine, memory, actual, link)
+        rigid, _ = forward_kernel(link, machine.dh[1], tcp)
+        if memory[_STARTED] == 0.0:
+            memory[_STARTED] = 1.0
+            for i in range(3):
+                memory[_RIGID1 + i] = rigid[i]
+                memory[_RIGID2 + i] = rigid[i]
+        for i in range(3):
+            bend = rigid[i] - 2.0 * memory[_RIGID1 + i] + memory[_RIGID2 + i]
+            shaken[i] = bend / tick_s**2
+            true[i] = rigid[i] - machine.geometry[1, i]
+            flange[i] = true[i]
+            memory[_RIGID2 + i] = memory[_RIGID1 + i]
+            memory[_RIGID1 + i] = rigid[i]
+        place = memory[_MODES : _MODES + 8]
+        reach = np.hypot(rigid[0], rigid[1])
+        modes_kernel(machine.modes, tick_s, q_rad[n, 0], reach, shaken, jolt, place, true, flange)
+        for j in range(6):
+            memory[_Q + j] = q_rad[n, j]
+        for i in range(3):
+            tool_mm[n, i] = true[i]

@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinematics import UR10E, forward_kernel, kernel
-from dtwin.machines._structure import modes_kernel
+from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
-from dtwin.machines.mechanism import _MODES, _Q, _RIGID1, _RIGID2, _STARTED, _TICK_S, Mechanism, _link_angles
+from dtwin.machines.mechanism import run_joints_kernel
 from dtwin.machines.motion import (
     COLUMNS,
     DURATION_S,
@@ -78,7 +77,7 @@ def drive_program(
         path.append(np.concatenate([moved, dwell]))
     joints = np.ascontiguousarray(np.concatenate(path))
     tool = np.empty((len(joints), 3))
-    _run_joints(mechanism, joints, memory, tool)
+    run_joints_kernel(mechanism, joints, memory, tool)
     ends = np.cumsum([len(part) for part in path]) - 1
     return tool[ends], len(joints) * tick_s
 
@@ -101,38 +100,3 @@ def _shares(cobot: VirtualCobot, start_mm: Floats, end_mm: Floats, feed_mm_min: 
     shape = row[DURATION_S], row[SPEED], row[RAMP_S], row[JERK_S]
     way = [travelled_kernel(min(t, row[DURATION_S]), *shape) for t in times.tolist()]
     return np.minimum(np.array(way) / row[LENGTH], 1.0)
-
-
-@kernel
-def _run_joints(machine: Mechanism, q_rad: Floats, memory: Floats, tool_mm: Floats) -> None:
-    """Follow joint angles, shape (n, 6), tick by tick and write where the tool is, shape (n, 3).
-
-    The same gears, friction and structure as ``tick_kernel``, for programs that move in joint
-    space; the correction registers play no part.
-    """
-    tick_s, tcp = machine.control[_TICK_S], machine.geometry[0]
-    actual, link = np.empty(6), np.empty(6)
-    shaken, jolt = np.empty(3), np.zeros(3)
-    true, flange = np.empty(3), np.empty(3)
-    for n in range(q_rad.shape[0]):
-        _link_angles(q_rad[n], machine, memory, actual, link)
-        rigid, _ = forward_kernel(link, machine.dh[1], tcp)
-        if memory[_STARTED] == 0.0:
-            memory[_STARTED] = 1.0
-            for i in range(3):
-                memory[_RIGID1 + i] = rigid[i]
-                memory[_RIGID2 + i] = rigid[i]
-        for i in range(3):
-            bend = rigid[i] - 2.0 * memory[_RIGID1 + i] + memory[_RIGID2 + i]
-            shaken[i] = bend / tick_s**2
-            true[i] = rigid[i] - machine.geometry[1, i]
-            flange[i] = true[i]
-            memory[_RIGID2 + i] = memory[_RIGID1 + i]
-            memory[_RIGID1 + i] = rigid[i]
-        place = memory[_MODES : _MODES + 8]
-        reach = np.hypot(rigid[0], rigid[1])
-        modes_kernel(machine.modes, tick_s, q_rad[n, 0], reach, shaken, jolt, place, true, flange)
-        for j in range(6):
-            memory[_Q + j] = q_rad[n, j]
-        for i in range(3):
-            tool_mm[n, i] = true[i]
