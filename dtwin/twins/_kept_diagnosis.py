@@ -82,7 +82,9 @@ def kept_several(path: Path, check_sum: str) -> Diagnosis | None:
     document = _stored(path) if check_sum else {}
     if document.get(MADE_FROM) != check_sum or not check_sum:
         return None
-    found = _diagnosis({**document, "candidates": [_of_none(entry) for entry in document["candidates"]]})
+    # What several say of a candidate is where it was found, too.
+    plain = [{name: value for name, value in one.items() if name != "campaign"} for one in document["candidates"]]
+    found = _diagnosis({**document, "candidates": plain})
     own = {*found.as_dict(), MADE_FROM, ALONE, "twin", "version", "campaign"} - {"candidates"}
     return _Several(**vars(found), more={name: value for name, value in document.items() if name not in own})
 
@@ -170,11 +172,6 @@ class _Several(Diagnosis):
 
     def as_dict(self) -> dict[str, Any]:
         return {**super().as_dict(), **self.more}
-
-
-def _of_none(candidate: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a candidate without the campaign where it was found."""
-    return {name: value for name, value in candidate.items() if name != "campaign"}
 
 
 def _suspect(entry: Mapping[str, Any]) -> Suspect:
