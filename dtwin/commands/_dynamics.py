@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, emit
+from dtwin.commands._papers import paper_of
 from dtwin.config import home
 
 app = typer.Typer(
@@ -78,16 +79,4 @@ def split(
     emit(split.result, text, as_json=as_json)
 
 
-@app.command("paper")
-def paper(
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer machines, feeds and particles.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of vibration, swarm and virtual hexapod.")] = 0,
-    as_json: Json = False,
-) -> None:
-    """Compute the figures of the published filter again: theirs, ours, whether they follow."""
-    from studies.dynamics_paper import FULL, QUICK, dynamics_paper
-    from studies.report.papers import dynamics_paper_text
-
-    size, progress = QUICK if quick else FULL, ProgressLine("dynamics", quiet=as_json)
-    figures = dynamics_paper(size, seed, progress)
-    emit(figures, lambda: dynamics_paper_text(figures), as_json=as_json)
+app.command("paper")(paper_of("dynamics"))

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, emit
+from dtwin.commands._papers import paper_of
 from dtwin.errors import EXIT_GATE, InputError
 
 MODELS = ("flanks", "pair", "printed")
@@ -86,15 +87,4 @@ def compensate(
     emit(compared, lambda: f"{told}\n{compensation_text(compared)}", as_json=as_json)
 
 
-@app.command("paper")
-def paper(
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="First seed of the simulated campaigns.")] = 0,
-    as_json: Json = False,
-) -> None:
-    """Compute the figures of the published lathe again: theirs, ours, whether they follow."""
-    from studies.lathe_paper import FULL, QUICK, lathe_paper
-    from studies.report.papers import lathe_paper_text
-
-    figures = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
-    emit(figures, lambda: lathe_paper_text(figures), as_json=as_json)
+app.command("paper")(paper_of("lathe"))

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.commands._papers import paper_of
 from dtwin.errors import EXIT_GATE, InputError
 
 Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
@@ -105,15 +106,4 @@ def compensate(
     emit(payload, lambda: "\n".join(lines), as_json=as_json)
 
 
-@app.command("paper")
-def paper(
-    quick: Annotated[bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 0,
-    as_json: Json = False,
-) -> None:
-    """Compute the figures of the published slide again: theirs, ours, whether they follow."""
-    from studies.report.papers import turning_paper_text
-    from studies.turning_paper import turning_paper
-
-    figures = turning_paper(quick=quick, seed=seed, progress=ProgressLine("paper", quiet=as_json))
-    emit(figures, lambda: turning_paper_text(figures), as_json=as_json)
+app.command("paper")(paper_of("turning"))

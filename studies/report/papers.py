@@ -112,3 +112,6 @@ def _machines(cases: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[
             ]
         )
     return head, [[round(v, 2) if isinstance(v, float) else v for v in row] for row in rows]
+
+
+TEXTS = {"lathe": lathe_paper_text, "turning": turning_paper_text, "dynamics": dynamics_paper_text}
