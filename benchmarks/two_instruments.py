@@ -223,7 +223,7 @@ FURTHER: dict[str, Callable[..., Tests]] = {
     "drift of the bar, three radii": partial(_drift, radii_mm=ALL_RADII_MM),
     "a scale of X by bars at two feeds": _scale_by_feeds,
     "a mode of X by bars at two feeds": _mode_by_feeds,
-    "lobes of the bar by bars of two radii": _lobes_by_radii,
+    "three lobes by bars of two radii": _lobes_by_radii,
 }
 STORIES: dict[str, Callable[[np.random.Generator, float], Drawn]] = {
     "a scale of X": _scale,

@@ -22,7 +22,10 @@ from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.diagnosis import Diagnosis, Spread, Suspect, Unresolved
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
+from dtwin.physics.joint import MachineTest
 from dtwin.physics.observations import Observations
+from dtwin.physics.several_diagnosis import SeveralDiagnosis
+from dtwin.physics.several_twin import SeveralTwin, started_of
 from dtwin.physics.twin import data_lines
 from dtwin.twins.measured import Loaded
 from dtwin.twins.registration import diagnosis_path
@@ -77,16 +80,27 @@ def kept_diagnosis(path: Path, check_sum: str) -> Diagnosis | None:
     return _diagnosis(document) if document.get(MADE_FROM) == check_sum else None
 
 
-def kept_several(path: Path, check_sum: str) -> Diagnosis | None:
-    """Return the same of a twin of several campaigns: what they say together."""
+def kept_several(
+    path: Path, check_sum: str, twin: SeveralTwin, campaigns: Sequence[Observations], alone: Sequence[Diagnosis | None]
+) -> SeveralDiagnosis | None:
+    """Return the same of a twin of several campaigns: what they say together.
+
+    ``alone``: what is kept of each by itself.
+    """
     document = _stored(path) if check_sum else {}
-    if document.get(MADE_FROM) != check_sum or not check_sum:
+    tests = tuple(
+        MachineTest(obs.campaign.name, started_of(obs), obs, told, twin.on(obs.campaign.name).terms)
+        for obs, told in zip(campaigns, alone, strict=True)
+        if told is not None
+    )
+    if document.get(MADE_FROM) != check_sum or not check_sum or len(tests) < len(campaigns):
         return None
     # What several say of a candidate is where it was found, too.
     plain = [{name: value for name, value in one.items() if name != "campaign"} for one in document["candidates"]]
     found = _diagnosis({**document, "candidates": plain})
     own = {*found.as_dict(), MADE_FROM, ALONE, "twin", "version", "campaign"} - {"candidates"}
-    return _Several(**vars(found), more={name: value for name, value in document.items() if name not in own})
+    more = {name: value for name, value in document.items() if name not in own}
+    return _Several(**vars(found), tests=tests, more=more)
 
 
 def kept_alone(path: Path, check_sums: Sequence[str]) -> list[Diagnosis | None]:
@@ -165,13 +179,13 @@ def _diagnosis(document: Mapping[str, Any]) -> Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Several(Diagnosis):
+class _Several(SeveralDiagnosis):
     """What several campaigns say together, read again; ``more``: what was stored beside what every diagnosis says."""
 
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        return {**super().as_dict(), **self.more}
+        return {**Diagnosis.as_dict(self), **self.more}
 
 
 def _suspect(entry: Mapping[str, Any]) -> Suspect:

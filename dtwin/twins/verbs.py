@@ -163,11 +163,11 @@ class Twins(TwinShelf):
                 time.sleep(_LOOK_EVERY_S)
             if isinstance(twin, SeveralTwin):
                 together = made_from_several(check_sums, twin.contradictions)
-                said = kept_several(path, together)
-                if said is not None:
-                    return twin, said
                 alone = kept_alone(path, check_sums)
                 campaigns = [one.obs for one in loaded]
+                said = kept_several(path, together, twin, campaigns, alone)
+                if said is not None:
+                    return twin, said
                 several = diagnose_several(twin, campaigns, self.library, seed=seed, alone=alone)
                 each = zip(several.tests, check_sums, strict=True)
                 about = {MADE_FROM: together, ALONE: [{MADE_FROM: one, **test.found.as_dict()} for test, one in each]}

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from windows_at_once import window_features
 
 from dtwin.features.catalogue import FEATURE_NAMES, FEATURES
-from dtwin.features.kernel import window_features
 from dtwin.features.windows import StreamingWindow, WindowContract, batch_features
 
 RATE_HZ = 1000.0

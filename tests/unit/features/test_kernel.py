@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from windows_at_once import window_features
 
 from dtwin.errors import InputError
 from dtwin.features.catalogue import FEATURE_NAMES, FEATURES, feature_column, positions
-from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID, WindowKernel
+from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 
 RATE_HZ = 1652.0
 BAND_HZ = (100.0, 400.0)
-
-
-def window_features(
-    block: np.ndarray,
-    rate_hz: float,
-    selection: Sequence[str] = FEATURE_NAMES,
-    band_hz: tuple[float, float] | None = None,
-    remove_mean: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    samples = np.ascontiguousarray(block, dtype=np.float64)
-    channels, n = samples.shape
-    kernel = WindowKernel(channels, n, rate_hz, selection, band_hz, remove_mean)
-    values, codes = np.zeros((channels, len(selection))), np.zeros(channels, dtype=np.int64)
-    kernel.compute(samples.reshape(-1), 0, n, values, codes)
-    return values, codes
 
 
 def signal(n: int, seed: int = 0, channels: int = 3) -> np.ndarray:
