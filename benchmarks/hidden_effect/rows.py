@@ -142,7 +142,7 @@ def _rows() -> list[Row]:
             everyday=True,
         )
     )
-    rows.append(Row("everyday_null", "nothing", 200, base=(), design="both_ways", noise_um=0.1))
+    rows.append(Row("everyday_null", "nothing", 400, base=(), design="both_ways", noise_um=0.1))
     return rows + _of_others() + _of_lines()
 
 
@@ -167,7 +167,7 @@ def _of_others() -> list[Row]:
     ]
     rows += [
         Row("second_null", "nothing", 200, base=(), machine="second"),
-        Row("second_everyday_null", "nothing", 200, base=(), design="both_ways", machine="second"),
+        Row("second_everyday_null", "nothing", 400, base=(), design="both_ways", machine="second"),
         Row(
             "second_everyday_6",
             "every",

@@ -36,7 +36,7 @@ def of_other_sizes(
     # Some are the cause only together with the same on another axis, such as arcs of both axes that make three lobes.
     for name in dict.fromkeys(label.partition(" ")[0] for label in labels):
         alike = [label for label in labels if label.partition(" ")[0] == name]
-        if len(alike) > 1 and not out.intersection(alike) and _differ(alike, beside, same, library):
+        if len(alike) > 1 and not out.issuperset(alike) and _differ(alike, beside, same, library):
             out.update(alike)
     return [label for label in labels if label in out]
 

@@ -98,9 +98,6 @@ def score_test(
     # Columns in different harmonics do not take their degrees of freedom from each other.
     lost = int(np.ceil((z**2).sum(axis=(0, 2)).max() - 1e-6)) if within else 0
     dof = float(_satterthwaite(power, unit, group, count, lost=lost)[0])
-    if _dof_of_few(problem) is not None:
-        # By how much conditions differ in noise is not told by so few; they are taken to be alike.
-        dof = max(dof, float(np.unique(unit).size - np.unique(group).size - lost))
     told = replace(level, prior_dof=_prior_dof(problem, z, level.prior_dof))
     variance, dof = _moderated(variance, dof, _foretold(problem, z), told)
     if level.misfit is not None and not within:
@@ -121,23 +118,17 @@ def score_test(
     return Score(p_value=p_value, gain=max(0.0, explained - expected), expected=expected, dof=dof)
 
 
-def _dof_of_few(problem: Problem) -> int | None:
-    """Return the degrees of freedom of the noise where they are few, else None."""
-    return problem.noise.dof if problem.noise is not None and problem.noise.dof < _FEW_DOF else None
-
-
 def _prior_dof(problem: Problem, z: Floats, most: float) -> float:
     """Return the degrees of freedom that the noise level adds to those of the runs, for columns of shape (rows, n, k).
 
     Where repeats are few, the level of a low harmonic, which is its own, is known by its cosine and its sine alone, and that
     of harmonic 0 by no more than the scores of the runs tell.
     """
-    few = _dof_of_few(problem)
-    if few is None:
+    if problem.noise is None or problem.noise.dof >= _FEW_DOF:
         return most
     power = np.bincount(harmonic_numbers(problem.obs.n_bins), (z**2).sum(axis=(0, 2)))
     weights = np.full(len(power), most)
-    weights[:SEPARATE] = min(most, float(few))
+    weights[:SEPARATE] = min(most, float(problem.noise.dof))
     weights[0] = 0.0
     return float(weights @ power / max(float(power.sum()), 1e-300))
 
