@@ -86,6 +86,9 @@ class InForce:
                 allowed=f"{self._first} to {self.sequence}",
                 hint="end the other program or fieldbus that writes these registers",
             )
+        if self.engaged and behind > self._behind:
+            # Older than what was in force before: so is the state.
+            return False
         self.engaged = behind < self._since
         if self.engaged:
             self._behind = behind

@@ -255,7 +255,7 @@ class ServingLoop:
         sent_um = self._zero if late else self._send(safe)
         done_ns = time.perf_counter_ns()
         row[4], row[5] = done_ns - before_ns, done_ns - start_ns
-        self.timing.applied(self._number_in_force(), stamp_s)
+        self.timing.applied(self._number_in_force() or 0, stamp_s)
         age_s, window_age_s = time.monotonic() - self.link.received_s, self.decision.window_age_s
         self.timing.tick(
             interval_s,
@@ -296,16 +296,16 @@ class ServingLoop:
         """Take what the machine's end reports as in force; tell whether it may leave zero."""
         if self.mode == "shadow":
             return True
-        if self._in_force.report(self._number_in_force()):
-            # Its watchdog, or its program, was faster: it stands at zero, and so do we.
-            self.decision.guard.out_um[:] = 0.0
+        number = self._number_in_force()
+        # What it let go of it takes again only from zero, so that ours may go there in steps: if it only says
+        # that it let go, nothing jumps.
+        if number is not None and self._in_force.report(number):
             self._note("let_go", after=self._in_force.sequence)
         return self._in_force.engaged
 
-    def _number_in_force(self) -> int:
+    def _number_in_force(self) -> int | None:
         number = float(self._newest[layout.APPLIED_SEQUENCE])
-        # What is no number is none.
-        return int(number) if 0.0 < number <= layout.SEQUENCE_LIMIT else 0
+        return int(number) if 0.0 <= number <= layout.SEQUENCE_LIMIT else None
 
     def _room_um(self) -> float:
         """Return how far the next correction may go: one step, less what is not in force yet."""
@@ -324,7 +324,7 @@ class ServingLoop:
         now_s = time.monotonic()
         engaged, room_um = self._heed(), self._room_um()
         # Its watchdog never drops a zero: if what was sent after it got lost, nothing else would come.
-        again = room_um == 0.0 and self._in_force.rests
+        again = engaged and room_um == 0.0 and self._in_force.rests
         if again:
             self.decision.guard.out_um[:] = 0.0
         safe = self.decision.release(
@@ -353,7 +353,7 @@ class ServingLoop:
         return offset_um
 
     def _release(self) -> DeviceError | None:
-        """Lead the correction to zero and send zero, as the last resort at once; return what prevented it."""
+        """Lead the correction to zero and send zero; return what prevented it."""
         limits = self.decision.guard.limits
         patience_s = _RELEASE_PATIENCE * limits.clamp_um / limits.slew_um_s + _RELEASE_MARGIN_S
         until_s = time.monotonic() + patience_s
@@ -362,8 +362,11 @@ class ServingLoop:
                 state = self.link.wait_state(self._period_s)
                 self._newest = self._newest if state is None else state
                 self._without_state(enabled=False)
-        self.decision.guard.out_um[:] = 0.0
         try:
+            # Whatever is reported, as by somebody else's number, or no more at all: in steps from what was sent.
+            while self.mode == "live" and not self.decision.guard.at_rest:
+                time.sleep(self._period_s)
+                self._send(self.decision.release(elapsed_s=self._period_s))
             self._send(self._zero)
         except DeviceError as error:
             return error

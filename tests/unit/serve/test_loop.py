@@ -406,3 +406,82 @@ def test_lost_corrections_neither_jump_nor_end_it(cobot: VirtualCobot, lost: lis
     assert seen[-1] > 19.9
     assert max(link.steps) <= 2000.0 * 0.002 * (1 + 1e-9)
     assert not link.held.any()
+
+
+class MadeTime:
+    """A clock that goes on by what is asked of it."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        self.now_s += 1e-6
+        return self.now_s
+
+    def perf_counter_ns(self) -> int:
+        return int(self.now_s * 1e9)
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+class LyingLink:
+    """A machine's end that holds what arrives, and now and then says something else of it, or of the time."""
+
+    def __init__(self, state: np.ndarray, clock: MadeTime, lies: list[str]) -> None:
+        self.state, self.clock, self.lies = state.copy(), clock, lies
+        self.rng, self.received_s, self.lie = np.random.default_rng(5), 0.0, ""
+        self.held, self.number, self.sent_s, self.too_far_um = np.zeros(3), 0, 0.0, 0.0
+
+    def wait_state(self, timeout_s: float) -> np.ndarray | None:
+        told_before = self.lie in ("foreign", "dies")
+        lies = told_before or (np.linalg.norm(self.held) > 29.0 and self.rng.random() < 0.2)
+        lie = self.lie = str(self.rng.choice(self.lies)) if lies else ""
+        self.clock.sleep(1e-5 if lie == "burst" else self.rng.uniform(0.0, 0.05) if lie == "stall" else 0.01)
+        if lie == "dies":
+            raise DeviceError("no state comes any more", code="states.silent")
+        self.received_s = self.clock.now_s
+        self.state[layout.TIMESTAMP] += {"stands": 0.0, "back": -3.0, "ahead": 1e6, "no time": np.nan}.get(lie, 0.01)
+        told = {"let go": 0.0, "none": np.nan, "huge": 1e12, "older": max(self.number - 25, 1), "foreign": 5e6}
+        state = self.state.copy()
+        state[layout.APPLIED_SEQUENCE] = told.get(lie, self.number)
+        self.state[layout.TIMESTAMP] = np.nan_to_num(self.state[layout.TIMESTAMP])
+        return state
+
+    def send(self, offset_um: np.ndarray, sequence: int) -> None:
+        step_um = float(np.linalg.norm(offset_um - self.held))
+        allowed_um = 2000.0 * min(self.clock.now_s - self.sent_s, 0.01)
+        self.too_far_um = max(self.too_far_um, step_um - allowed_um)
+        self.held, self.number, self.sent_s = offset_um.copy(), sequence, self.clock.now_s
+
+
+@pytest.mark.parametrize(
+    "lies",
+    [
+        ["let go"],
+        ["none", "huge", "older"],
+        ["foreign"],
+        ["dies"],
+        ["stands", "back", "ahead", "no time", "burst", "stall"],
+        ["let go", "none", "huge", "older", "stands", "back", "ahead", "burst", "stall"],
+    ],
+)
+def test_no_step_is_too_long_whatever_is_said(
+    cobot: VirtualCobot, monkeypatch: pytest.MonkeyPatch, lies: list[str]
+) -> None:
+    clock = MadeTime()
+    monkeypatch.setattr("dtwin.serve.loop.time", clock)
+    link = LyingLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), clock, lies)
+    g = GraphBuilder()
+    bundle = path_bundle(
+        safety=SafetyLimits(clamp_um=30.0, slew_um_s=2000.0, stale_s=0.1, trips_to_latch=9999),
+        states=(),
+        tick_graph=g.graph({"radial_error_um": 29.9 + 0.0 * g.input("path_angle_rad")}),
+    )
+    loop = ServingLoop(Decision(CompiledBundle(bundle), TCP_MM), link, period_s=0.01)  # type: ignore[arg-type]
+    status = loop.run(4.0, priority=0)
+    assert status.ended == {"foreign": "serve.other_writer", "dies": "states.silent"}.get(lies[0], "duration")
+    assert status.largest_um == pytest.approx(29.9)
+    assert link.too_far_um < 1e-6
+    assert status.released
+    assert not link.held.any()
