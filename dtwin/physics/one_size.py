@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dtwin.errors import InputError
 from dtwin.physics.contradictions import without_contradictions
 from dtwin.physics.effect import Effect
-from dtwin.physics.machine_terms import machine_terms, seen_by
+from dtwin.physics.machine_terms import key_of, machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
@@ -50,6 +50,7 @@ def _differ(
         terms = [t for label in labels for t in machine_terms([name], library, campaigns, label.partition(" ")[2])]
     except InputError:  # It cannot act in them.
         return False
-    fitted = fit_several(campaigns, [*beside, *terms], library)
+    every = {key_of(term): term for term in (*beside, *terms)}
+    fitted = fit_several(campaigns, list(every.values()), library)
     _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns])
     return any(one.effect == name for one in apart)
