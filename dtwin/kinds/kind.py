@@ -118,17 +118,11 @@ class Planned:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure of one run.
+    """A figure of one run; ``title``: what it shows, for those who do not see it.
 
-    Attributes
-    ----------
-    title : str
-        What it shows, for those who do not see it.
-    draw : callable
-        ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the
-        campaign, NaN when it is not known, by figures that show it.
-    half : bool
-        Whether two such figures stand side by side.
+    ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the campaign, NaN when it is
+    not known, by figures that show it.
+    ``half``: whether two such figures stand side by side.
     """
 
     name: str

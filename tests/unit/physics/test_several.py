@@ -20,6 +20,7 @@ from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
+from dtwin.report.several import settled_lines
 from dtwin.twins.learn import _together
 
 LIBRARY = Library()
@@ -287,3 +288,51 @@ def test_what_circles_cannot_tell_stays_undecided_until_a_laser_decides_it() -> 
     assert same.next_experiment is not None
     tests = [bars[0], laser("X", 25.0, 3.0, 4), laser("Y", 0.0, 0.0, 5)]
     assert diagnose_several(twin_of_all(tests, "backlash:X", "lead_error:X"), tests, LIBRARY).undecided == ()
+
+
+def bars_at(mill: MillParameters, *conditions: tuple[float, float]) -> list[Observations]:
+    """Tests by a ball bar, each at one radius in mm and one feed in mm/min."""
+    return [
+        circles(mill, 100 + n, f"bar-{n}", radii_mm=(radius_mm,), feeds_mm_min=(feed_mm_min,))
+        for n, (radius_mm, feed_mm_min) in enumerate(conditions)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("mill", "conditions", "name", "other"),
+    [
+        (
+            MillParameters().with_axis("X", scale_ppm=20.0),
+            ((100.0, 1000.0), (100.0, 4000.0)),
+            "scale_mismatch XY",
+            "inertial_compliance",
+        ),
+        (
+            MillParameters(cup_lobe_um=1.5, cup_phase_rad=1.0),
+            ((50.0, 2000.0), (150.0, 2000.0)),
+            "instrument_artefact",
+            "straightness X",
+        ),
+    ],
+)
+def test_bars_at_other_conditions_rule_out_what_would_need_another_size(
+    mill: MillParameters, conditions: tuple[tuple[float, float], ...], name: str, other: str
+) -> None:
+    bars = bars_at(mill, *conditions)
+    found = diagnose_several(twin_of_all(bars), bars, LIBRARY)
+    assert all(len(group) > 1 for test in found.tests for group in test.found.found)
+    assert [[s.label for s in group] for group in found.found] == [[name]]
+    assert other in found.ruled_out
+    assert name not in found.ruled_out
+    assert other in settled_lines(found.as_dict())[-1]
+    assert diagnose_several(twin_of_all(bars, name.replace(" ", ":")), bars, LIBRARY).undecided == ()
+
+
+def test_what_two_bars_show_is_one_cause_though_they_begin_with_other_names() -> None:
+    # Where the feed grows with the radius, a scale and what yields have one size each.
+    bars = bars_at(MillParameters().with_axis("X", scale_ppm=20.0), (50.0, 1000.0), (150.0, 3000.0))
+    found = diagnose_several(twin_of_all(bars), bars, LIBRARY)
+    assert len({group[0].label for test in found.tests for group in test.found.found}) == 2
+    (group,) = found.found
+    assert {"scale_mismatch XY", "inertial_compliance"} <= {s.label for s in group}
+    assert found.ruled_out == ()
