@@ -15,6 +15,9 @@ from dtwin.serve._timing import LoopTiming
 from dtwin.serve.decision import Decision
 from dtwin.serve.loop import Mode, ServeStatus
 
+# A step so near the period is one: what is missing is rounding of the stamps.
+_WHOLE = 0.999
+
 
 class Controller(Protocol):
     """What the lock-step loop needs of a virtual controller."""
@@ -73,7 +76,11 @@ def serve_lockstep(
         state = controller.state()
         stopped = stopped or (stop is not None and stop())
         row = timing.stages()
-        safe = decision.decide(state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row)
+        stamp_s = float(state[layout.TIMESTAMP])
+        step_s = stamp_s - last_stamp_s
+        # States that come closer together earn no full step; a stamp that stands or goes back must not keep it from zero.
+        elapsed_s = step_s if 0.0 < step_s < _WHOLE * period_s else period_s
+        safe = decision.decide(state, age_s=0.0, elapsed_s=elapsed_s, enabled=not stopped, stages=row)
         largest = max(largest, float(np.sqrt(safe @ safe)))
         arriving = queue[sequence % len(queue)]
         arriving[layout.REGISTER_SEQUENCE] = 0.0 if mode == "shadow" else sequence + 1
@@ -85,8 +92,6 @@ def serve_lockstep(
             controller.step(queue[sequence % len(queue)])
         except DeviceError as error:
             fault = error
-        stamp_s = float(state[layout.TIMESTAMP])
-        step_s = stamp_s - last_stamp_s
         # It waits for every correction: whatever time it leaves out, no state is missed.
         timing.tick(step_s, period_s, age_s, decision.window_age_s)
         last_stamp_s = stamp_s

@@ -132,6 +132,39 @@ def test_stop_in_lockstep_releases(cobot: VirtualCobot) -> None:
     assert status.reasons["disabled"] > 100
 
 
+class HastyControl:
+    """A control on its own clock whose stamps come closer together than its period, stand still, or go back."""
+
+    def __init__(self, state: np.ndarray, steps_s: list[float]) -> None:
+        self._state, self._steps_s, self.held = state.copy(), steps_s, [0.0]
+
+    @property
+    def done(self) -> bool:
+        return not self._steps_s
+
+    def state(self) -> np.ndarray:
+        self._state[layout.TIMESTAMP] += self._steps_s.pop(0)
+        return self._state
+
+    def step(self, registers: np.ndarray) -> None:
+        self.held.append(float(np.linalg.norm(registers[layout.REGISTER_OFFSET :])))
+
+
+def test_in_lockstep_no_step_is_longer_than_the_stamps_allow(cobot: VirtualCobot) -> None:
+    g = GraphBuilder()
+    bundle = path_bundle(
+        states=(),
+        tick_graph=g.graph({"radial_error_um": 20.0 + 0.0 * g.input("path_angle_rad")}),
+        safety=SafetyLimits(clamp_um=30.0, slew_um_s=500.0),
+    )
+    steps_s = [0.002] * 5 + [1e-4] * 10 + [0.002] * 5 + [0.0, -1.0, 0.002]
+    control = HastyControl(cobot.controller(CONDITION, setup="s1", repeat=1).state(), list(steps_s))
+    serve_lockstep(Decision(CompiledBundle(bundle), TCP_MM), control)
+    # A stamp that stands or goes back earns the step of a period: the way to zero must stay open.
+    allowed_um = [500.0 * (s if 0.0 < s < 0.002 else 0.002) for s in steps_s]
+    assert np.diff(control.held) == pytest.approx(np.minimum(allowed_um, 20.0 - np.array(control.held[:-1])))
+
+
 class Sensors:
     """Newest windows of a made recording."""
 
