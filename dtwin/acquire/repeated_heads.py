@@ -1,4 +1,4 @@
-"""Heads that stand in a text again, that are fewer than the numbers below them, and numbers in heads: what would be read as something else."""
+"""Heads that stand in a text again, rows of more or fewer cells than their table has, and numbers in heads: what would be read as something else."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ _COUNTED = re.compile(
     re.I,
 )
 """What a title says of which there are several on one machine."""
+_NUMERIC = re.compile(r"[+\-\u2212]?[.,]?\d")
 _LOOKED_AT = 5000
 _LEFT_OUT = 5
 """Numbers of repeats that may be left out, beside as many as there are."""
@@ -67,8 +68,9 @@ def require_one_block(
 def require_heads_for_all(text: str, path: Path) -> None:
     """Refuse rows of more numbers than there are heads: cells would be read as their neighbours.
 
-    Of ``37,5`` commas make two cells; some programs number their rows, and write no head above the numbers.
+    Of ``37,5`` commas make two cells; some programs number their rows, and write no head above the numbers. Rows that lack a number are refused, too.
     """
+    _require_cells_for_all(text, path)
     # A log of hours is as wide as its begin.
     lines = list(islice((line for line in text.splitlines() if line.strip() and not is_comment(line)), _LOOKED_AT))
     mark = mark_of(lines)
@@ -92,6 +94,49 @@ def require_heads_for_all(text: str, path: Path) -> None:
             allowed="a head for each column; where commas part the columns, decimal points, or numbers in quotes",
             hint="save the table anew with points, or with semicolons; write a head above numbers of rows, such as No.",
         )
+
+
+def _require_cells_for_all(text: str, path: Path) -> None:
+    """Refuse a row that ends before columns in which most of its table has numbers: which of its cells is missing is not told."""
+    told = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and not is_comment(line)]
+    mark = mark_of([line for _, line in told])
+    mark = mark if any(mark in line for _, line in told) else " "
+    first = [line.lstrip(' "').partition(mark)[0] for _, line in told]
+    often = Counter(first)
+    rows: list[tuple[int, str]] = []
+    for one, begin in zip([*told, (0, "")], [*first, ""], strict=True):
+        # Below other heads, or a title, another table begins.
+        if begin and (_NUMERIC.match(begin) or often[begin] > 1):
+            rows.append(one)
+            continue
+        if len({line.count(mark) for _, line in rows}) > 1:
+            _require_alike(rows, mark, path)
+        rows = []
+
+
+def _require_alike(lines: list[tuple[int, str]], mark: str, path: Path) -> None:
+    try:
+        parsed = (line.split() if mark == " " else next(csv.reader([line], delimiter=mark)) for _, line in lines)
+        cells = [[cell.strip() for cell in row] for row in parsed]
+    except csv.Error:
+        return
+    width, often = Counter(map(len, cells)).most_common(1)[0]
+    whole = [row for row in cells if len(row) == width]
+    known = {row[0] for row in whole}
+    for (n, line), row in zip(lines, cells, strict=True):
+        of_table = 1 < len(row) < width and (_NUMERIC.match(row[0]) or row[0] in known)
+        if not of_table or 2 * often <= len(cells) or not any(_is_number(cell, mark) for cell in row):
+            continue
+        filled = sum(all(_is_number(cell, mark) for cell in full[len(row) :]) for full in whole)
+        if 2 * filled > len(whole):
+            raise InputError(
+                "a row lacks cells: its numbers may stand below the heads of their neighbours",
+                code="table.fewer_cells",
+                where=f"{path} row {n}",
+                got=f"{len(row)} cells of {width}: {line.strip()[:60]}",
+                allowed="a cell for each column, empty where nothing was read",
+                hint="write the marks between empty cells; where the file was cut short, take its last row out",
+            )
 
 
 def _is_of_numbers(row: list[str], mark: str) -> bool:

@@ -32,7 +32,7 @@ from dtwin.acquire.foreign_columns import (
     require_one_table,
     require_usual_sign,
 )
-from dtwin.acquire.repeated_heads import counts_repeats
+from dtwin.acquire.repeated_heads import counts_repeats, require_heads_for_all
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
@@ -120,7 +120,9 @@ def read_circle_runs(
 
     Raises ``InputError`` when a unit or condition is missing, or the rows do not go round.
     """
-    lines = rows_of(decoded(table_bytes(path, _MAX_BYTES)))
+    text = decoded(table_bytes(path, _MAX_BYTES))
+    require_heads_for_all(text, path)
+    lines = rows_of(text)
     columns, body = _table(lines, path)
     form = _form_of(columns)
     above = lines[: len(lines) - len(body)]

@@ -51,3 +51,22 @@ def test_numbers_of_rows_without_a_head_are_refused() -> None:
     assert refused.value.code == "table.more_cells"
     require_one_block("Target [mm];Forward 1 [µm]\n0,0;1,2\n37,5;1,4;3\n", Path("a.csv"))
     require_one_block("Target;Forward\n;1;2\n0,0;1,2;1,3\n37,5;1,4;1,5\n", Path("a.csv"))
+
+
+def test_a_row_that_lacks_a_cell_is_refused_with_its_number() -> None:
+    """Without ``1.4`` behind 100 the reverse reading stood below the head of the forward one."""
+    heads = "Test of axis X\nNo;7\n\nTarget [mm];Forward 1 [µm];Reverse 1 [µm]\n"
+    short = heads + "0;1.2;3.1\n# a remark\n100;3.3\n200;1.5;3.2\n"
+    named = heads.replace("\nT", "\nAxis;T") + "X;0;1.2;3.1\n# a remark\nX;100;3.3\nX;200;1.5;3.2\n"
+    for text in (short, short.replace(";", ","), short.replace(";", "\t"), named):
+        with pytest.raises(InputError) as refused:
+            require_one_block(text, Path("a.csv"))
+        assert (refused.value.code, refused.value.where) == ("table.fewer_cells", "a.csv row 7")
+    # Nothing read at the end, columns that are rarely filled, remarks, other tables.
+    for sound in (
+        "0;1.2;3.1\n100;1.4;\n200;1.5;3.2\n",
+        "0;1.2\n100;1.3;3.3\n200;1.5\n",
+        "0;1.2;ok\n100;1.3\n200;1.5;ok\n",
+        "0;1.2;3.1\n100;1.3;3.3\n200;1.5;3.2\nMean;2.2\nunit;tests\n1;2\n3;4\n",
+    ):
+        require_one_block(heads + sound, Path("a.csv"))
