@@ -16,8 +16,8 @@ EXIT_INTERRUPTED = 130
 _MOST_NAMES, _NEAREST = 60, 12
 # Of a longer place or value, such as a name of thousands of letters in a file, a terminal shows both ends.
 _LONGEST = 400
-# What would steer a terminal: escape sequences out of a file that somebody sent.
-_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+# What would steer a terminal, or turn the order of letters round: out of a file that somebody sent.
+_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 def printable(text: str) -> str:

@@ -90,9 +90,10 @@ def is_parquet_of_a_kind(path: Path) -> bool:
     """Return whether a file of Parquet has the columns of a kind of test, and beside them nothing but numbers; its rows are not read."""
     try:
         schema = pq.read_schema(path)
-    except (pa.ArrowException, OSError) as error:
+        types = [field.type for field in schema if field.name not in _TEXT_COLUMNS]
+    # Damaged names of columns end in UnicodeDecodeError.
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise _malformed(path, error) from error
-    types = [field.type for field in schema if field.name not in _TEXT_COLUMNS]
     numbers = all(t in NUMBERS or pa.types.is_decimal(t) or pa.types.is_temporal(t) for t in types)
     return numbers and any(set(schema.names).issuperset(kind.columns) for kind in kinds())
 

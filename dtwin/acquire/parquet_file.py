@@ -39,10 +39,21 @@ def foreign_table(path: Path, content: pa.BufferReader | None = None) -> pa.Tabl
 
 
 def require_moderate(path: Path, content: pa.BufferReader | None = None, *, most_values: int = _MOST_VALUES) -> None:
-    """Refuse a file whose rows would not fit in memory: what is equal in all rows is packed into next to nothing."""
+    """Refuse a file whose rows would not fit in memory, for what is equal in all rows is packed into next to nothing, or hold lists."""
     told = pq.read_metadata(content or path)
+    # How many values a list holds stands in the records of its column, and one of these that is damaged ends the process.
+    nested = next((field for field in told.schema.to_arrow_schema() if pa.types.is_nested(field.type)), None)
+    if nested is not None:
+        raise InputError(
+            "a column holds more than a value in a cell",
+            code="table.nested",
+            where=f"{path} {nested.name[:60]}",
+            got=str(nested.type)[:80],
+            allowed="numbers, times and words",
+            hint="write a column for each part of it, or leave it out",
+        )
     groups = [told.row_group(n) for n in range(told.num_row_groups)]
-    values = sum(group.column(n).num_values for group in groups for n in range(group.num_columns))
+    values = sum(group.num_rows * group.num_columns for group in groups)
     held = sum(group.total_byte_size for group in groups)
     if values > most_values:
         raise _too_large(path, f"{values} values", f"up to {most_values} values")

@@ -59,7 +59,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
     if is_table_of_signals(path):
         return [_group(_from_text(path), path)]
     # What is wrong with a damaged file is said below.
-    with suppress(pa.ArrowException, OSError):
+    with suppress(pa.ArrowException, OSError, ValueError):
         require_moderate(path, most_values=_MOST_VALUES)
     try:
         table, data = read_encoded(path)

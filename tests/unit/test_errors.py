@@ -31,7 +31,7 @@ def test_of_very_many_names_a_terminal_shows_the_nearest() -> None:
 
 
 def test_what_would_steer_a_terminal_is_not_printed() -> None:
-    shown = InputError("no", got="a\x1b]0;title\x07b\x9b2J", where="one\ttwo").render()
+    shown = InputError("no", got="a\x1b]0;title\x07b\x9b2J\u202e", where="one\ttwo").render()
     assert "a\ufffd]0;title\ufffdb\ufffd2J" in shown
     assert "one\ttwo" in shown
 

@@ -168,6 +168,25 @@ def test_a_file_of_parquet_that_unpacks_to_very_much_is_refused_before(
         assert error.value.got == "120 values"
 
 
+def test_a_file_of_parquet_that_would_end_the_process_is_refused(tmp_path: Path) -> None:
+    """Records of columns that contradict the schema: to look at them aborts in the library of Parquet."""
+    numbers = np.arange(40.0)
+    table = pa.table({"t_s": numbers, "angle_deg": 9.0 * numbers, "deviation_um": numbers})
+    path = tmp_path / "a.parquet"
+    pq.write_table(table, path, store_schema=False)
+    optional, required = b"\x25\x02\x18\x03t_s", b"\x25\x00\x18\x03t_s"
+    whole = path.read_bytes()
+    assert whole.count(optional) == 1
+    path.write_bytes(whole.replace(optional, required))
+    with pytest.raises(InputError) as refused:
+        read_columns(path, "circular")
+    assert refused.value.code == "table.malformed"
+    pq.write_table(table.append_column("x_um", pa.array([[1.0, 2.0]] * 40)), path)
+    with pytest.raises(InputError) as refused:
+        read_columns(path, "circular")
+    assert (refused.value.code, refused.value.where) == ("table.nested", f"{path} x_um")
+
+
 @pytest.mark.parametrize(
     ("text", "name"),
     [("Müller Straße.csv", "mueller-strasse"), ("Mu\u0308hle", "muehle"), ("a.b", "a.b"), ("...", "unnamed")],
