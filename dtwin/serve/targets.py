@@ -25,6 +25,7 @@ from dtwin.serve.safety import REASONS
 HEAD = ("name", "x_mm", "y_mm", "z_mm", "feed_mm_min")
 _STEP_S = 0.02
 _MOST_TARGETS = 100_000
+_FORMULA = ("=", "+", "-", "@")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,17 +178,22 @@ def read_targets(path: Path) -> list[Target]:
     """
     targets = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != HEAD:
                 raise _unusable(path, "columns", ",".join(reader.fieldnames or ()), ",".join(HEAD))
             for number, row in enumerate(reader, start=2):
+                # Of 1,5 commas make two cells: the target would be elsewhere.
+                if None in row:
+                    raise _unusable(path, f"line {number}", "more cells than columns", "decimal points, a cell for each")
                 values = [float(row[name] or "nan") for name in HEAD[1:]]
                 if not all(math.isfinite(v) for v in values) or values[3] <= 0.0:
                     raise _unusable(path, f"line {number}", str(values), "finite, feed above 0")
                 # A name with a line end, which a spreadsheet hides, would be a target of its own in what is written.
                 if not (name := str(row["name"])).isprintable():
                     raise _unusable(path, f"line {number}", repr(name), "a name of printable characters")
+                if name.lstrip().startswith(_FORMULA):
+                    raise _unusable(path, f"line {number}", name, "a name that a spreadsheet does not take for a formula")
                 targets.append(Target(name, np.array(values[:3]), values[3]))
                 if len(targets) > _MOST_TARGETS:
                     raise _unusable(path, "rows", "more", f"{_MOST_TARGETS} targets")

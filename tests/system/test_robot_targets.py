@@ -137,7 +137,7 @@ def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Pa
     target = on_circle(cobot, np.array([0.0]))[0]
     given = tmp_path / "targets.csv"
     place = ",".join(f"{value:.4f}" for value in target)
-    given.write_text(f"name,x_mm,y_mm,z_mm,feed_mm_min\npick,{place},1500\n")
+    given.write_text(f"name,x_mm,y_mm,z_mm,feed_mm_min\npick,{place},1500\n", encoding="utf-8-sig")
     joints = ",".join(f"{value:.6f}" for value in np.degrees(frame(cobot).joints_rad))
     centre = ",".join(f"{value:g}" for value in cobot.centre_mm(RADIUS_MM))
     out = tmp_path / "corrected.csv"
@@ -166,6 +166,8 @@ def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Pa
         "name,x_mm,y_mm,z_mm,feed_mm_min\n",
         "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,2,nan,5\n",
         'name,x_mm,y_mm,z_mm,feed_mm_min\n"a\nb,900,0,0,9",1,2,3,100\n',
+        "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,5,2,3,100\n",
+        "name,x_mm,y_mm,z_mm,feed_mm_min\n=cmd|' /C calc'!A0,1,2,3,100\n",
     ],
 )
 def test_unusable_targets_are_refused_by_name(tmp_path: Path, text: str) -> None:
