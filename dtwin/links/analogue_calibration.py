@@ -58,11 +58,14 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
     """
     rows: dict[str, list[list[float]]] = {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != HEAD:
                 raise _bad(path, "columns", ",".join(reader.fieldnames or ()), ",".join(HEAD))
             for number, row in enumerate(reader, start=2):
+                # Of 1,5 commas make two cells, and all that follows would be of the next column.
+                if None in row:
+                    raise _bad(path, f"line {number}", "more cells than columns", "decimal points, a cell for each")
                 if row["axis"] not in AXES:
                     raise _bad(path, f"line {number}, axis", str(row["axis"]), ", ".join(AXES))
                 values = [float(row[name] or "nan") for name in HEAD[1:]]

@@ -185,7 +185,9 @@ def read_targets(path: Path) -> list[Target]:
             for number, row in enumerate(reader, start=2):
                 # Of 1,5 commas make two cells: the target would be elsewhere.
                 if None in row:
-                    raise _unusable(path, f"line {number}", "more cells than columns", "decimal points, a cell for each")
+                    raise _unusable(
+                        path, f"line {number}", "more cells than columns", "decimal points, a cell for each"
+                    )
                 values = [float(row[name] or "nan") for name in HEAD[1:]]
                 if not all(math.isfinite(v) for v in values) or values[3] <= 0.0:
                     raise _unusable(path, f"line {number}", str(values), "finite, feed above 0")
@@ -193,7 +195,9 @@ def read_targets(path: Path) -> list[Target]:
                 if not (name := str(row["name"])).isprintable():
                     raise _unusable(path, f"line {number}", repr(name), "a name of printable characters")
                 if name.lstrip().startswith(_FORMULA):
-                    raise _unusable(path, f"line {number}", name, "a name that a spreadsheet does not take for a formula")
+                    raise _unusable(
+                        path, f"line {number}", name, "a name that a spreadsheet does not take for a formula"
+                    )
                 targets.append(Target(name, np.array(values[:3]), values[3]))
                 if len(targets) > _MOST_TARGETS:
                     raise _unusable(path, "rows", "more", f"{_MOST_TARGETS} targets")
