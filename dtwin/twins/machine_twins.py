@@ -67,7 +67,7 @@ class MachineTwins(TwinShelf):
         """Return the same, without storing it."""
         members = self.members_of(campaigns)
         terms = self._widened(members, [()] * len(members), effects, "")
-        return self._made(name, members, terms, "fit", robust=robust)
+        return self._made(self._of(name, members, "fit"), members, terms, robust=robust)
 
     def compare(self, name: str, campaign: str | None = None) -> Any:
         """Compare a twin with its campaigns, or with one: of the fit, or another of a kind that it has."""
@@ -104,7 +104,8 @@ class MachineTwins(TwinShelf):
         terms = self._widened(members, _terms(twin), [effect], axis)
         if not _fresh(members, _terms(twin), terms):
             raise effect_there(twin, effect)
-        return self._store(name, members, terms, _added(members, _terms(twin), terms), ahead=True)
+        of = self._after(twin, _added(members, _terms(twin), terms))
+        return self._store(of, members, terms, ahead=True)
 
     def remove(self, name: str, effect: str, axis: str = "") -> MachineTwin:
         """Take a cause out of all campaigns, refit, and store the new version."""
@@ -113,12 +114,14 @@ class MachineTwins(TwinShelf):
         kept = self._without(members, _terms(twin), effect, axis)
         if sum(map(len, kept)) == sum(map(len, _terms(twin))):
             raise effect_absent(twin, effect)
-        return self._store(name, members, kept, f"remove {effect}{f':{axis}' if axis else ''}", ahead=True)
+        of = self._after(twin, f"remove {effect}{f':{axis}' if axis else ''}")
+        return self._store(of, members, kept, ahead=True)
 
     def restore(self, name: str, version: int) -> MachineTwin:
         """Refit with the effects of an older version, and store that as a new one."""
         old = self.newest(name, version)
-        return self._store(name, self.members_of(old.campaigns), _terms(old), f"restore v{version}", ahead=True)
+        members = self.members_of(old.campaigns)
+        return self._store(self._of(name, members, f"restore v{version}"), members, _terms(old), ahead=True)
 
     def discover(
         self, name: str, *, seed: int = 0
@@ -142,7 +145,7 @@ class MachineTwins(TwinShelf):
                 if group[0] in tried or not _fresh(members, _terms(twin), terms):
                     continue
                 tried.add(group[0])
-                new = self._made(name, members, terms, _added(members, _terms(twin), terms))
+                new = self._made(self._after(twin, _added(members, _terms(twin), terms)), members, terms)
                 if _denied(new, twin):
                     denied.append(group[0])
                     continue
@@ -156,7 +159,8 @@ class MachineTwins(TwinShelf):
                     break
                 tried.add(idle)
                 kept = self._without(members, _terms(twin), idle, "")
-                twin = self._store(name, members, kept, f"remove {idle}: it pays nothing beside the others")
+                of = self._after(twin, f"remove {idle}: it pays nothing beside the others")
+                twin = self._store(of, members, kept)
                 made.append(twin)
                 groups = [group for group in groups if group[0] != idle]
             said = self._diagnosed(twin, members, seed)
@@ -308,18 +312,19 @@ class MachineTwins(TwinShelf):
         lake = Lake(self.home.lake)
         return made_from_rows(path, [row for name in member.campaigns for row in lake.runs(name)], seed)
 
-    def _store(
-        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, ahead: bool = False
-    ) -> MachineTwin:
-        twin = self._made(name, members, terms, action)
+    def _of(self, name: str, members: Sequence[Member], action: str) -> Version:
+        return Version(name, self.next_version(name, members[0].machine), action)
+
+    def _after(self, twin: MachineTwin, action: str) -> Version:
+        return Version(twin.name, self.next_version(twin.name, twin.machine, twin.version), action)
+
+    def _store(self, of: Version, members: Sequence[Member], terms: _Terms, *, ahead: bool = False) -> MachineTwin:
+        twin = self._made(of, members, terms)
         self.store(twin.as_dict(), ahead=ahead)
         return twin
 
-    def _made(
-        self, name: str, members: Sequence[Member], terms: _Terms, action: str, *, robust: bool = False
-    ) -> MachineTwin:
+    def _made(self, of: Version, members: Sequence[Member], terms: _Terms, *, robust: bool = False) -> MachineTwin:
         """Fit each kind by itself, and let the fits agree on what they share."""
-        of = Version(name, self.next_version(name, members[0].machine), action)
         fits = [m.fit(mine, robust=robust, refine=True) for m, mine in zip(members, terms, strict=True)]
         alone = [member.sizes(one) for member, one in zip(members, fits, strict=True)]
         groups, apart = contradicting(alone, [member.begun for member in members])
@@ -330,11 +335,11 @@ class MachineTwins(TwinShelf):
         document = {
             "format": FORMAT,
             "kind": MACHINE,
-            "twin": name,
+            "twin": of.name,
             "version": of.version,
             "machine": members[0].machine,
             "campaign": ", ".join(one["campaign"] for one in entries),
-            "action": action,
+            "action": of.action,
             "effects": effects_of(members, terms),
             "shared": shared_of(members, alone, together, groups),
             "parameters": [

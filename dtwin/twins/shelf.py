@@ -117,12 +117,15 @@ class TwinShelf:
             )
         return folder
 
-    def next_version(self, name: str, machine: str) -> int:
+    def next_version(self, name: str, machine: str, base: int | None = None) -> int:
         """Return the number of the version to come.
 
-        Raises ``InputError`` when the twin is of another kind or machine.
+        ``base``: version whose effects it goes on from.
+        Raises ``InputError`` when the twin is of another kind or machine, or has a newer version than ``base``.
         """
         numbers = self._numbers(name)
+        if base is not None and max(numbers, default=0) > base:
+            raise _meanwhile(name, max(numbers))
         its = self.newest_document(name)[0]["machine"] if numbers else machine
         if its != machine:
             raise InputError(
@@ -147,12 +150,7 @@ class TwinShelf:
         unique = {**document, "id": uuid.uuid4().hex}
         with locked(self.home.root / "locks" / f"twin-{name}.lock", wait=True):
             if version in self._numbers(name):
-                raise InputError(
-                    "another process changed the twin meanwhile",
-                    code="twin.meanwhile",
-                    where=f"twin {name} version {version}",
-                    hint="run this again: it takes the new version as its base",
-                )
+                raise _meanwhile(name, version)
             write_document(self._file(document), unique, "the twin")
         self._tell(name, at_once=at_once, ahead=ahead)
 
@@ -230,6 +228,15 @@ class TwinShelf:
         follow_shared(self.home)
         if self.logs:
             log_soon(self.home, name, at_once=at_once, ahead=ahead)
+
+
+def _meanwhile(name: str, version: int) -> InputError:
+    return InputError(
+        "another process changed the twin meanwhile",
+        code="twin.meanwhile",
+        where=f"twin {name} version {version}",
+        hint="run this again: it takes the new version as its base",
+    )
 
 
 def kind_of(home: Home, name: str) -> str:

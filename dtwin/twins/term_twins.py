@@ -173,7 +173,7 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         if not more:
             raise effect_there(twin, effect)
         action = f"add {', '.join(map(self.label, more))}"
-        return self._store(name, loaded, self.joined(loaded, twin.terms, more), action)
+        return self._store(name, loaded, self.joined(loaded, twin.terms, more), action, twin.version)
 
     def remove(self, name: str, effect: str, axis: str = "") -> W:
         """Take an effect out, of one axis or of all, refit, and store the new version."""
@@ -183,7 +183,7 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         kept = [term for term in twin.terms if not any(self.same(term, one) for one in gone)]
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
-        return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}")
+        return self._store(name, loaded, kept, f"remove {effect}{f'@{axis}' if axis else ''}", twin.version)
 
     def restore(self, name: str, version: int) -> W:
         """Refit with the effects of an older version, and store that as a new one."""
@@ -207,8 +207,8 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
         self.store_diagnosis({**named, **diagnosis.as_dict()})
         return diagnosis
 
-    def _store(self, name: str, loaded: L, terms: Sequence[T], action: str) -> W:
-        version = self.next_version(name, loaded.machine)
+    def _store(self, name: str, loaded: L, terms: Sequence[T], action: str, base: int | None = None) -> W:
+        version = self.next_version(name, loaded.machine, base)
         document = self.made(loaded, terms, self.sizes(loaded, terms), name=name, version=version, action=action)
         self.store(document)
         return self.stored(document)

@@ -230,7 +230,7 @@ class Twins(TwinShelf):
             raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)
         terms = [*twin.terms, *fresh]
-        return self._store(twin.name, loaded, terms, f"add {added}", refine=refine, ahead=ahead)
+        return self._store(twin.name, loaded, terms, f"add {added}", twin.version, refine=refine, ahead=ahead)
 
     def remove(self, name: str, effect: str, axis: str = "") -> Twin:
         """Take an effect out, refit, and store the new version; it is refused when the twin does not have it."""
@@ -240,7 +240,7 @@ class Twins(TwinShelf):
         kept = [t for t in twin.terms if t.instance.effect.name != wanted or (where and t.instance.axis != where)]
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
-        return self._store(name, self._load(twin.campaigns), kept, f"remove {effect}")
+        return self._store(name, self._load(twin.campaigns), kept, f"remove {effect}", twin.version)
 
     def restore(self, name: str, version: int) -> Twin:
         """Refit with the effects of an older version, and store that as a new one."""
@@ -314,12 +314,13 @@ class Twins(TwinShelf):
         loaded: Sequence[Loaded],
         terms: Sequence[Term],
         action: str,
+        base: int | None = None,
         *,
         robust: bool = False,
         refine: bool = True,
         ahead: bool = True,
     ) -> Twin:
-        version = self.next_version(name, loaded[0].obs.campaign.machine)
+        version = self.next_version(name, loaded[0].obs.campaign.machine, base)
         if len(loaded) > 1:
             twin: Twin = fitted_together(
                 loaded, terms, self.library, name=name, version=version, action=action, robust=robust, refine=refine

@@ -125,7 +125,7 @@ def twins(home: Home) -> Twins:
     return Twins(home)
 
 
-def test_the_missing_effect_is_named_added_and_the_error_falls(twins: Twins) -> None:
+def test_the_missing_effect_is_named_added_and_the_error_falls(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     first = twins.fit("mill-march", KNOWN, "mill-a")
     assert first.figures["systematic_rms_um"] > 4 * first.figures["noise_floor_um"]
     by_name = {(e.effect, e.axis): e for e in first.estimates}
@@ -157,6 +157,20 @@ def test_the_missing_effect_is_named_added_and_the_error_falls(twins: Twins) -> 
     assert history[0]["group"] == ["backlash X"]
     assert history[0]["found"] == [["backlash X"]]
     assert history[1]["found"] == []
+
+    # What was found of a version is not added to what another process made of it meanwhile.
+    found_out = twins.diagnose
+
+    def while_another_goes_back(name: str, *, seed: int = 0) -> Any:
+        said = found_out(name, seed=seed)
+        twins.restore(name, 1)
+        return said
+
+    twins.remove("mill-a", "backlash")
+    monkeypatch.setattr(twins, "diagnose", while_another_goes_back)
+    with pytest.raises(InputError, match="another process changed the twin"):
+        twins.discover("mill-a")
+    assert twins.newest("mill-a").labels == first.labels
 
 
 def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None:

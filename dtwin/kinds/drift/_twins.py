@@ -126,7 +126,7 @@ class DriftTwins(TermTwins[Term, Loaded, DriftTwin, DriftDiagnosis]):
                 action, group = f"remove {written(gone)}: it pays nothing beside the others", ()
                 groups = [group for group in groups if group[0] != written(gone)]
             terms = rung(twin.terms, said.group[0] if said.group else None, said.idle)
-            twin = self._store(name, loaded, terms, action)
+            twin = self._store(name, loaded, terms, action, twin.version)
             made.append(twin)
             groups += [group] if group else []
             said = self._diagnosed(twin, loaded)

@@ -149,7 +149,7 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         said = self._diagnosed(twin, loaded)
         while said.additions and len(made) < _MOST_RUNGS:
             new = terms_of(said.additions[:1], _joints(loaded))
-            twin = self._store(name, loaded, (*twin.terms, *new), f"add {said.additions[0]}")
+            twin = self._store(name, loaded, (*twin.terms, *new), f"add {said.additions[0]}", twin.version)
             made.append(twin)
             groups.append(said.additions)
             said = self._diagnosed(twin, loaded)
@@ -157,7 +157,8 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
             kept = [term for term in twin.terms if term not in said.idle]
             groups = [still for group in groups if (still := _without(group, said.idle))]
             gone = ", ".join(term.label for term in said.idle)
-            made.append(self._store(name, loaded, kept, f"remove {gone}: they pay nothing beside the others"))
+            action = f"remove {gone}: they pay nothing beside the others"
+            made.append(self._store(name, loaded, kept, action, twin.version))
             said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 

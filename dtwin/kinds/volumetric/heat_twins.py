@@ -147,7 +147,7 @@ class HeatTwins(TwinShelf):
         twin = self.newest(name)
         terms = _joined(twin, heat_terms([effect], axis))
         loaded = load_heat(self.home, twin.campaign, [term.motion for term in terms])
-        return self._store(name, loaded, terms, _added(twin, terms))
+        return self._store(name, loaded, terms, _added(twin, terms), twin.version)
 
     def remove(self, name: str, effect: str, axis: str = "") -> HeatTwin:
         """Take an error motion or a family out, whatever drives it, refit, and store the new version."""
@@ -156,7 +156,7 @@ class HeatTwins(TwinShelf):
         kept = tuple(term for term in twin.terms if term.motion not in gone)
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
-        return self._store(name, self._loaded(twin), kept, f"remove {effect}")
+        return self._store(name, self._loaded(twin), kept, f"remove {effect}", twin.version)
 
     def restore(self, name: str, version: int) -> HeatTwin:
         """Refit with the effects of an older version, and store that as a new one."""
@@ -172,7 +172,7 @@ class HeatTwins(TwinShelf):
         said = self._diagnosed(twin, loaded)
         while said.additions and len(made) < _MOST_RUNGS:
             terms = _joined(twin, heat_terms(said.additions[:1]))
-            twin = self._store(name, loaded, terms, _added(twin, terms))
+            twin = self._store(name, loaded, terms, _added(twin, terms), twin.version)
             made.append(twin)
             # Motions beside it are missing, too, not instead of it: each is added in its turn.
             groups.append(said.additions[:1])
@@ -203,8 +203,10 @@ class HeatTwins(TwinShelf):
         self.store_diagnosis({**named, **diagnosis.as_dict()})
         return diagnosis
 
-    def _store(self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str) -> HeatTwin:
-        version = self.next_version(name, loaded.series.machine)
+    def _store(
+        self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str, base: int | None = None
+    ) -> HeatTwin:
+        version = self.next_version(name, loaded.series.machine, base)
         fitted = fit_heat(loaded.series, terms)
         twin = heat_twin_of(fitted, loaded.series, terms, name=name, version=version, action=action, data=loaded.data)
         self.store(twin.as_dict())

@@ -12,6 +12,7 @@ import pytest
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_drift
+from dtwin.kinds.drift._data import Loaded
 from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose
 from dtwin.kinds.drift._effects import asked, joined, written
 from dtwin.kinds.drift._evidence import drift_errors
@@ -106,7 +107,7 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> DriftTwins:
     return DriftTwins(Home(root / "home"))
 
 
-def test_the_verbs_of_a_twin(twins: DriftTwins) -> None:
+def test_the_verbs_of_a_twin(twins: DriftTwins, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = str(twins.root.parent.parent / "column")
     first = twins.fit(folder, ["follows"], "c")
     late = twins.add("c", "lag", "front")
@@ -127,6 +128,17 @@ def test_the_verbs_of_a_twin(twins: DriftTwins) -> None:
             twins.fit(folder, [wrong], "other")
         assert refused.value.code == code
     assert TwinShelf(twins.home, "drift").names() == ["c"]
+    load = twins.loaded
+
+    def while_another_goes_back(campaign: str) -> Loaded:
+        monkeypatch.undo()
+        twins.restore("c", 1)
+        return load(campaign)
+
+    monkeypatch.setattr(twins, "loaded", while_another_goes_back)
+    with pytest.raises(InputError, match="another process changed the twin"):
+        twins.remove("c", "lag", "front")
+    assert twins.newest("c").labels == first.labels
 
 
 def corrected(moved_um: float, correction: str = "") -> Run:

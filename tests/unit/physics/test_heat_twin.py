@@ -285,8 +285,10 @@ def test_motions_that_are_missing_together_are_findings_of_their_own(
 ) -> None:
     made = series({"EXX1": 2.0 * BED, "EZX2": 3.0 * RAM})
     shelf = HeatTwins(Home(tmp_path))
-    monkeypatch.setattr(HeatTwins, "_store", lambda self, name, loaded, terms, action: SimpleNamespace(terms=terms))
-    monkeypatch.setattr(HeatTwins, "newest", lambda self, name: SimpleNamespace(terms=()))
+    monkeypatch.setattr(
+        HeatTwins, "_store", lambda self, name, loaded, terms, action, base: SimpleNamespace(terms=terms, version=2)
+    )
+    monkeypatch.setattr(HeatTwins, "newest", lambda self, name: SimpleNamespace(terms=(), version=1))
     monkeypatch.setattr(HeatTwins, "_loaded", lambda self, twin: made)
     monkeypatch.setattr(
         HeatTwins, "_diagnosed", lambda self, twin, loaded: diagnose_heat(loaded, fit_heat(loaded, twin.terms), ())
