@@ -29,6 +29,8 @@ _AWAY = "the broker could not be reached"
 _BEHIND_S = 0.5
 # By how much a sender's clock is ahead of the time that has passed before it was set, or never was right.
 _CLOCK_SET_S = 30.0
+# Milliseconds since 1970 have been above it since 1973, seconds are not before the year 5138.
+_LATEST_S = 1e11
 _ABSENT = object()
 
 
@@ -176,11 +178,12 @@ class MqttRecorder(OpenAndClose):
                 self._away_s = time.monotonic()
             silent = math.isnan(self._newest_s) or not math.isnan(self._away_s)
             if silent and time.monotonic() >= until_s:
+                refused = f" that can be used, {self._refused} refused" if self._refused else ""
                 raise DeviceError(
                     "nothing was heard",
                     code="mqtt.silent",
                     where=self.broker,
-                    got=f"{self._patience_s:g} s without a message",
+                    got=f"{self._patience_s:g} s without a message{refused}",
                     hint="mosquitto_sub -v -t '#' shows what is published",
                 )
             time.sleep(min(0.05, 0.5 / self._rate_hz))
@@ -333,10 +336,10 @@ def _time_of(content: Any, path: str, where: str) -> float:
     value = _member(content, path)
     if isinstance(value, str):
         return seconds(value, where)
-    if not is_number(value) or value <= 0.0:
+    # In microseconds, or of no clock at all, it would stand still here: a float tells no seconds then.
+    if not is_number(value) or not 0.0 < value < 1000.0 * _LATEST_S:
         raise ValueError(path)
-    # Milliseconds since 1970 have been above 1e11 since 1973, seconds are not before the year 5138.
-    return float(value) / 1000.0 if value > 1e11 else float(value)
+    return float(value) / 1000.0 if value > _LATEST_S else float(value)
 
 
 def _address(broker: str) -> tuple[str, int]:

@@ -213,6 +213,20 @@ def test_silence_is_said(tmp_path: Path) -> None:
     assert caught.value.code == "mqtt.silent"
 
 
+def test_a_time_in_nanoseconds_is_none(tmp_path: Path) -> None:
+    """A float tells them to a quarter of a minute: no sample would follow on another."""
+    changes = {"columns": {"mill#x": "x_mm"}, "clock": "sender", "time": "at", "patience_s": 0.3}
+    with running_broker(tmp_path) as port, machine(port) as publish, recorder(port, **changes) as device:
+        device.start()
+        publish("mill", {"at": 1e9 * T0_S, "x": 1.5})
+        with pytest.raises(DeviceError) as caught:
+            device.read()
+    assert (caught.value.code, caught.value.got) == (
+        "mqtt.silent",
+        "0.3 s without a message that can be used, 1 refused",
+    )
+
+
 def test_the_command_records_a_run_of_both(tmp_path: Path) -> None:
     agent = Agent()
     agent.now_s = time.time()
