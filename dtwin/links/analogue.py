@@ -25,7 +25,7 @@ from dtwin.links.serial_line import SerialLink
 
 AXES = ("x", "y", "z")
 BAUD = 250_000
-_FULL_SCALE_V = 10.0
+FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
 Output = Literal["dac", "pwm"]
@@ -58,11 +58,11 @@ class AxisCalibration:
         """Return the converter's code for an offset, kept within travel and range."""
         within = max(-TRAVEL_UM, min(TRAVEL_UM, offset_um))
         volts = self.neutral_v + within / self.um_per_v
-        return max(0, min(_CODES - 1, round(volts / _FULL_SCALE_V * _CODES)))
+        return max(0, min(_CODES - 1, round(volts / FULL_SCALE_V * _CODES)))
 
     def offset_um(self, code: int) -> float:
         """Return the offset that a code stands for."""
-        return (code * _FULL_SCALE_V / _CODES - self.neutral_v) * self.um_per_v
+        return (code * FULL_SCALE_V / _CODES - self.neutral_v) * self.um_per_v
 
 
 @dataclass(frozen=True)
@@ -307,4 +307,4 @@ def eight_bits(codes: Codes) -> Codes:
 def step_um(calibration: AxisCalibration, output: Output) -> float:
     """Return the smallest change of the correction that an output can make."""
     steps = _CODES if output == "dac" else _PWM_STEPS
-    return abs(calibration.um_per_v) * _FULL_SCALE_V / steps
+    return abs(calibration.um_per_v) * FULL_SCALE_V / steps

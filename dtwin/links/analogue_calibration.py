@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import GateRefusal, InputError
-from dtwin.links.analogue import AXES, AxisCalibration
+from dtwin.links.analogue import AXES, FULL_SCALE_V, AxisCalibration
+from dtwin.units import is_number
 
 HEAD = ("axis", "voltage_v", "x_um", "y_um", "z_um")
 _LEVELS = 3
@@ -114,13 +115,26 @@ def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]
         document: Any = json.loads(path.read_text(encoding="utf-8"))
         if document["format"] != "dtwin.analogue.1":
             raise _bad(path, "format", str(document["format"])[:40], "dtwin.analogue.1")
-        x, y, z = (
-            AxisCalibration(float(a["um_per_v"]), float(a["neutral_v"]))
-            for a in (document["axes"][axis] for axis in AXES)
-        )
+        told = [(axis, document["axes"][axis]["um_per_v"], document["axes"][axis]["neutral_v"]) for axis in AXES]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise _bad(path, "file", str(error)[:120], "what dtwin analogue calibrate writes") from error
+    for axis, *two in told:
+        if not all(map(is_number, two)) or (wrong := _no_input(float(two[0]), float(two[1]))):
+            got = wrong if all(map(is_number, two)) else str(two)[:80]
+            raise _bad(path, f"axis {axis}", got, "what dtwin analogue calibrate writes")
+    x, y, z = (AxisCalibration(float(um_per_v), float(neutral_v)) for _, um_per_v, neutral_v in told)
     return x, y, z
+
+
+def _no_input(um_per_v: float, neutral_v: float) -> str:
+    """Return why a slope and a neutral voltage are of no correction input; empty when they may be."""
+    if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
+        return f"{um_per_v:.3g} µm per volt is no correction input"
+    return (
+        ""
+        if 0.0 < neutral_v < FULL_SCALE_V
+        else f"at no voltage from 0 to {FULL_SCALE_V:g} is the axis where it belongs"
+    )
 
 
 def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
@@ -133,8 +147,9 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     if largest != own and abs(slopes[largest]) > _SANE_UM_PER_V[0]:
         raise _refused(axis, f"this input moves {AXES[largest]}: wires are swapped", slopes[largest])
     um_per_v = float(slopes[own])
-    if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
-        raise _refused(axis, f"{um_per_v:.3g} µm per volt is no correction input", um_per_v)
+    neutral = -float(offsets[own]) / um_per_v if um_per_v else math.nan
+    if wrong := _no_input(um_per_v, neutral):
+        raise _refused(axis, wrong, f"{um_per_v:.3g} µm/V, neutral {neutral:.3g} V")
     left = moved_um[:, own] - design @ np.array([um_per_v, offsets[own]])
     dof = max(len(volts) - 2, 1)
     noise = float(np.sqrt((left**2).sum() / dof))
@@ -146,7 +161,6 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     if abs(cross[worst]) > _MOST_CROSS_TALK:
         raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:z.0f} %")
     covariance = noise**2 * np.linalg.inv(design.T @ design)
-    neutral = -float(offsets[own]) / um_per_v
     gradient = np.array([-neutral / um_per_v, -1.0 / um_per_v])
     return AxisFit(
         um_per_v=um_per_v,

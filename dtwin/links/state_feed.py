@@ -58,7 +58,7 @@ class StateFeed(StateLines):
             given = json.loads(line)
             values = {layout.INDEX[name]: float(value) for name, value in given.items()}
             whole = all(name in given for name in REQUIRED)
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             values, whole = {}, False
         if not whole or not all(map(math.isfinite, values.values())):
             return False

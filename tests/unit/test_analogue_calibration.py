@@ -56,6 +56,8 @@ def test_a_bent_answer_two_levels_and_a_missing_axis_are_refused() -> None:
     few = volts < 4.5
     with pytest.raises(GateRefusal, match="too few voltages"):
         calibrate({**points, "x": (volts[few], moved[few])})
+    with pytest.raises(GateRefusal, match="at no voltage"):
+        calibrate({**points, "x": (volts, moved + np.array([200.0, 0.0, 0.0]))})
     with pytest.raises(GateRefusal, match="not measured"):
         calibrate({"x": points["x"]})
 
@@ -64,6 +66,14 @@ def test_a_calibration_comes_back_from_its_file(tmp_path: Path) -> None:
     fits = calibrate(measured(25.0 * np.eye(3), (5.0, 5.1, 4.9)))
     path = save(tmp_path / "analogue.json", fits)
     assert load(path) == tuple(fits[axis].calibration for axis in "xyz")
+    whole = path.read_text()
+    slope = str(fits["y"].um_per_v)
+    # Of 0 µm per volt the first correction would be a division by zero, and 1e9 V are the end of the travel.
+    wrong = [(slope, text) for text in ("0.0", "NaN", "1e-300", "1" + "0" * 400, "true")]
+    for old, new in [*wrong, (str(fits["y"].neutral_v), "1e9")]:
+        path.write_text(whole.replace(old, new, 1))
+        with pytest.raises(InputError, match="cannot be used"):
+            load(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="cannot be used"):
         load(path)
