@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 
 _WRITTEN = 2026
 
@@ -23,6 +23,13 @@ def local_time(text: str) -> str:
 def local_day() -> date:
     """Return today, here: in UTC a crash of this morning would be one of yesterday."""
     return datetime.now().astimezone().date()
+
+
+def is_to_come(text: str) -> bool:
+    """Tell whether an ISO 8601 time, which may be empty, lies after today, wherever that is."""
+    # The clock of this computer may not be set.
+    today = max(local_day(), date(_WRITTEN, 12, 31)) + timedelta(days=1)
+    return local_time(text)[:10] > today.isoformat()
 
 
 def was_set(stamp: date) -> bool:

@@ -67,7 +67,7 @@ def iso_time(value: object, name: str, where: str) -> str:
             return str(value) if isinstance(value, str) and _BY_DAY.match(value) else told.isoformat()
     except ValueError:
         pass
-    raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z, after 1980 and not in the future")
+    raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z, after 1980 and of no far year")
 
 
 def covariates(value: object, where: str) -> dict[str, float]:

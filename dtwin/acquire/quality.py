@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from dtwin.kinds.registry import kind_named
+from dtwin.local_time import is_to_come
 from dtwin.schema import Finding, Floats, Run, of_one_way
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
@@ -37,6 +38,13 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
             "figures, repeats and twins are of the rest; dtwin evidence compares the two"
         )
         found.append(Finding("campaign.ways", "info", said, {"runs_1": float(len(runs) - len(told))}))
+    to_come = [run.meta.started for run in runs if is_to_come(run.meta.started)]
+    if to_come:
+        said = (
+            f"{len(to_come)} of {len(runs)} runs were measured on days that are to come, as {to_come[0][:10]}: a wrong year, "
+            "or a clock that is wrong; as long as it stands, this test is the newest of its machine"
+        )
+        found.append(Finding("campaign.to_come", "warning", said, {"runs_1": float(len(to_come))}))
     return found
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,11 @@ def test_a_campaign_without_repeats_or_directions_says_so() -> None:
         for r in (1, 2)
     ]
     assert judge_campaign(runs) == []
+    # A year that was mistyped would be the newest test of the machine for a year.
+    later = f"{max(date.today().year, 2026) + 1}-03-02T08:00:00+00:00"
+    runs[0] = replace(runs[0], meta=replace(runs[0].meta, started=later))
+    (told,) = judge_campaign(runs)
+    assert (told.code, told.numbers) == ("campaign.to_come", {"runs_1": 1.0})
 
 
 @pytest.mark.parametrize(
