@@ -119,7 +119,9 @@ def may_be_gon(column: Column, angle_deg: Floats) -> bool:
 
 
 def stretches(angle: Floats) -> list[slice]:
-    """Return stretches between turning points; shaking by less than ``_BACK_DEG`` is none."""
+    """Return stretches between turning points, none of no angle; shaking by less than ``_BACK_DEG`` is none."""
+    if not angle.size:
+        return []
     begins, end, sign = [0], 0, 0.0
     # Readings at one place, where the machine turns or waits, differ by their last digits.
     least = 0.1 * float(np.median(np.abs(np.diff(angle)))) if angle.size > 1 else 0.0

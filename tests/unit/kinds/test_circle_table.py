@@ -168,6 +168,7 @@ def test_a_control_that_stands_before_and_after_its_circle_is_no_stuck_sensor(tm
         (table("angle [deg],radius [mm]", ANGLE, ANGLE * 0.0 + 150.0), {"radius_mm": 100.0}, "a radius of 150 mm"),
         (table("angle [grad],radius [mm]", ANGLE, ANGLE * 0.0 + 150.0), {}, "1/400 of a turn"),
         (table("x_mm,y_mm", ANGLE[:20], ANGLE[:20]), {}, "20 rows"),
+        (table("cycle,angle_deg,deviation_um", ANGLE, ANGLE * np.nan, ANGLE), {}, "720 rows"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, told: dict[str, Any], got: str) -> None:
