@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +38,8 @@ _NAMELESS = 3.0
 _SAME_PITCH = 1.02
 # Columns from which on an effect may stand for several simpler ones.
 _MANY = 3
+# Between the shapes of the grid one effect may explain more than so much of what two do.
+_NEAR = 0.7
 # Of the targets of an axis: more numbers than this share would draw any curve through them, of the same both ways or not.
 _CARRIED = 2.0 / 3.0
 
@@ -133,7 +136,7 @@ class Hunt:
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
-            other = self._with_one_screw(self._simplified(self._two_replaced(chosen)))
+            other = self._with_one_screw(self._one_for_two(self._simplified(self._two_replaced(chosen))))
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
@@ -257,6 +260,29 @@ class Hunt:
                     break
         return best
 
+    def _one_for_two(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with one effect, its shape fitted, in place of any two of an axis, where that is cheaper.
+
+        Of effects that look alike only: a step and a spike are friction that the drive overcomes in its own time, which no shape of the grid need be.
+        """
+        for first, second in itertools.combinations(chosen, 2):
+            axis, alike = first.term.instance.axis, sorted(_alike(first) & _alike(second))
+            if axis != second.term.instance.axis or not alike:
+                continue
+            rest = [entry for entry in chosen if entry not in (first, second)]
+            explained = self.left(rest) - self.left(chosen)
+            for name in alike:
+                gains = self.dictionary.gains(rest)
+                numbers = [n for n in self.dictionary.numbers_of([f"{name} {axis}"]) if gains[n] > _NEAR * explained]
+                start = self.dictionary.entries[max(numbers, key=gains.__getitem__)] if numbers else None
+                if start is not None and start.term.shape:
+                    beside = self.dictionary.campaign.given(entry.term for entry in rest)
+                    alone = refined(beside, [start.term], self._per_number, bounded=True)
+                    one = [*rest, *self.dictionary.add(alone)]
+                    if self._cost(one) < self._cost(chosen):
+                        return self._one_for_two(one)
+        return chosen
+
     def _with_one_screw(self, chosen: list[Entry]) -> list[Entry]:
         """Return the set with the pitch of one effect for all of its axis that repeat in a pitch, where that is cheaper.
 
@@ -280,6 +306,12 @@ class Hunt:
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]
+
+
+def _alike(entry: Entry) -> set[str]:
+    """Return the names of an effect and of those that look like it."""
+    effect = entry.term.instance.effect
+    return {effect.name, *effect.confusables}
 
 
 def _is_general(entry: Entry) -> bool:

@@ -9,21 +9,30 @@ from dtwin.physics.state import State
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
+_POINTS = 2000
+
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
-    # The drive answers as late as its position loop: what it does now belongs to where the circle was then.
-    per_s = state.feed_mm_s / state.radius_mm
-    cos, sin = np.cos(per_s * shape["response_ms"] / 1e3), np.sin(per_s * shape["response_ms"] / 1e3)
-    position = cos * state.position_mm[axis] - sin * state.velocity_mm_s[axis] / per_s
-    speed = cos * state.velocity_mm_s[axis] + sin * per_s * state.position_mm[axis]
+    rate_rad_s = state.feed_mm_s / state.radius_mm
+    turned_rad, lags = _turn(state.radius_mm, rate_rad_s, shape)
+    at_rad = rate_rad_s * state.since_reversal_s[axis] + np.where(state.last_end[axis] > 0, 0.0, np.pi)
+    return stacked(*(0.5 * np.interp(at_rad, turned_rad, lag) * state.sensitivity[axis] for lag in lags))
+
+
+def _turn(radius_mm: float, rate_rad_s: float, shape: Shape) -> tuple[Floats, Floats]:
+    """Return angles from the reversal at the positive end, (n,), and the drive's answer to friction and to its slow part, (2, n)."""
+    half_rad = 2.0 * np.pi * (np.arange(_POINTS // 2) + 0.5) / _POINTS
     # Before it slides, friction builds up over some micrometres of travel since the last reversal.
-    travelled_um = UM_PER_MM * (state.radius_mm + np.sign(speed) * position)
-    sliding = 1.0 - 2.0 * np.exp(-travelled_um / shape["presliding_um"])
-    slow = np.exp(-((speed / shape["stribeck_mm_s"]) ** 2))
-    lag = -0.5 * np.sign(speed) * sliding * state.sensitivity[axis]
-    return stacked(lag, lag * slow)
+    travelled_um = UM_PER_MM * radius_mm * (1.0 - np.cos(half_rad))
+    force = 1.0 - 2.0 * np.exp(-travelled_um / shape["presliding_um"])
+    slow = np.exp(-((rate_rad_s * radius_mm * np.sin(half_rad) / shape["stribeck_mm_s"]) ** 2))
+    half = np.stack([force, force * slow])
+    # The position loop answers with its time constant, harmonic by harmonic.
+    late = 1.0 + 1j * np.arange(_POINTS // 2 + 1) * rate_rad_s * shape["response_ms"] / 1e3
+    answer = np.fft.irfft(np.fft.rfft(np.concatenate([half, -half], axis=1)) / late, _POINTS)
+    return np.concatenate([half_rad, half_rad + np.pi]), answer
 
 
 EFFECT = Effect(
@@ -35,9 +44,9 @@ EFFECT = Effect(
     law=Law(None, None, "odd"),
     meaning=(
         "The drive lags by what it takes to overcome friction: like backlash once it slides, but "
-        "built up over some travel, larger at low speed (Stribeck), and late by the time of the position loop."
+        "built up over some travel, larger at low speed (Stribeck), and followed with the time constant of the position loop."
     ),
-    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis, as it was a time T before",
+    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) for the X axis, through a first-order lag of time constant T, times cos(t)",
     looks_like="Rounded steps at the reversals, with humps at low feed.",
     separate_by=(
         "Lower the feed and measure with more samples: a step that is rounded over tens of "
@@ -46,7 +55,7 @@ EFFECT = Effect(
     remedy="Lubrication, loop gain, friction compensation.",
     reference="Canudas de Wit et al. 1995 (LuGre); JSME quadrant glitch measurements",
     shapes=(
-        ShapeParameter("presliding_um", "um", 30.0, (15.0, 60.0, 300.0)),
+        ShapeParameter("presliding_um", "um", 30.0, (10.0, 50.0, 300.0)),
         ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (2.0, 8.0)),
         ShapeParameter("response_ms", "ms", 0.1, (3.0, 30.0), (0.0, 200.0), by_speed=True),
     ),

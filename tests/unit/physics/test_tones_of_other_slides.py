@@ -13,6 +13,7 @@ from dtwin.physics.observations import observe
 from dtwin.schema import Campaign, Run, RunMeta
 
 LIBRARY = Library()
+FINER = 5
 
 
 def named(
@@ -27,10 +28,13 @@ def named(
     runs: list[Run] = []
     for repeat in (1, 2, 3):
         for frequency_hz in frequencies_hz:
-            t_s = np.arange(8 * 80) / (80.0 * frequency_hz)
+            # A solver that draws the command as straight lines between 80 points loses 0.05 % of it, which diagnosis finds.
+            every_s = np.arange(8 * 80 * FINER) / (80.0 * FINER * frequency_hz)
+            t_s = every_s[::FINER]
             for amplitude_um in amplitudes_um:
-                command = amplitude_um * np.sin(2.0 * np.pi * frequency_hz * t_s)
-                _, tool, _ = scipy.signal.lsim((numerator, denominator), command, t_s)
+                wanted = amplitude_um * np.sin(2.0 * np.pi * frequency_hz * every_s)
+                _, answer, _ = scipy.signal.lsim((numerator, denominator), wanted, every_s)
+                command, tool = wanted[::FINER], answer[::FINER]
                 wander = 1.0 + 0.002 * rng.standard_normal()
                 read = command + wander * (tool - command) + noise_um * rng.standard_normal(len(t_s))
                 stated: dict[str, float | str] = {
