@@ -265,6 +265,8 @@ class Hunt:
 
         Of effects that look alike only: a step and a spike are friction that the drive overcomes in its own time, which no shape of the grid need be.
         """
+        if not self.dictionary.problem.obs.several_speeds:
+            return chosen
         for first, second in itertools.combinations(chosen, 2):
             axis, alike = first.term.instance.axis, sorted(_alike(first) & _alike(second))
             if axis != second.term.instance.axis or not alike:

@@ -55,7 +55,7 @@ EFFECT = Effect(
     remedy="Lubrication, loop gain, friction compensation.",
     reference="Canudas de Wit et al. 1995 (LuGre); JSME quadrant glitch measurements",
     shapes=(
-        ShapeParameter("presliding_um", "um", 30.0, (10.0, 50.0, 300.0)),
+        ShapeParameter("presliding_um", "um", 30.0, (15.0, 60.0, 300.0)),
         ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (2.0, 8.0)),
         ShapeParameter("response_ms", "ms", 0.1, (3.0, 30.0), (0.0, 200.0), by_speed=True),
     ),
