@@ -1,152 +1,73 @@
-"""German words and phrases of a test certificate."""
+"""German of a certificate, from its catalogue ``german.toml``."""
 
 from __future__ import annotations
 
-GERMAN = {
-    "Test certificate": "Prüfprotokoll",
-    "Decision": "Entscheidung",
-    "after ISO 14253-1": "nach ISO 14253-1",
-    "inside": "innerhalb",
-    "outside": "außerhalb",
-    "cannot say": "nicht entscheidbar",
-    "no tolerance is stated": "keine Toleranz angegeben",
-    "machine": "Maschine",
-    "type": "Typ",
-    "serial": "Seriennummer",
-    "controller": "Steuerung",
-    "instrument": "Messgerät",
-    "certificate": "Kalibrierschein",
-    "calibrated": "kalibriert am",
-    "operator": "Prüfer",
-    "temperature": "Temperatur",
-    "measured": "gemessen am",
-    "test": "Messung",
-    "run": "Lauf",
-    "runs": "Läufe",
-    "evaluated by": "ausgewertet mit",
-    "figure": "Kenngröße",
-    "value": "Wert",
-    "limit": "Grenzwert",
-    "decision": "Entscheidung",
-    "before": "zuvor",
-    "change": "Änderung",
-    "Quality of the data": "Güte der Daten",
-    "Nothing is wrong with the data.": "An den Daten ist nichts auszusetzen.",
-    "error:": "Fehler:",
-    "warning:": "Warnung:",
-    "info:": "Hinweis:",
-    "compared with": "verglichen mit",
-    "not stated": "nicht angegeben",
-    "date and signature": "Datum und Unterschrift",
-    "Print, or save as PDF": "Drucken oder als PDF sichern",
-    "Uncertainty budget": "Messunsicherheitsbilanz",
-    "contribution": "Beitrag",
-    "from": "Herkunft",
-    "repeatability": "Wiederholpräzision",
-    "expansion": "Ausdehnungskoeffizient",
-    "environment": "Umgebung (EVE)",
-    "set-up": "Ausrichtung",
-    "instrument's scale": "Maßstab des Messgeräts",
-    "calibrated length": "kalibrierte Länge",
-    "probe's sensitivity": "Empfindlichkeit des Tasters",
-    "combined": "zusammen",
-    "range of the drift": "Spanne der Verlagerung",
-    "range in one hour": "Spanne in einer Stunde",
-    "distance accuracy, largest": "Abstandsgenauigkeit, größte",
-    "distance accuracy, RMS": "Abstandsgenauigkeit, Effektivwert",
-    "pose accuracy, largest": "Pose-Genauigkeit, größte",
-    "pose accuracy, mean": "Pose-Genauigkeit, Mittel",
-    "pose repeatability, largest": "Pose-Wiederholgenauigkeit, größte",
-    "drift of pose accuracy, largest": "Drift der Pose-Genauigkeit, größte",
-    "drift of pose repeatability, largest": "Drift der Pose-Wiederholgenauigkeit, größte",
-    "Notes are in English.": "Manche Anmerkungen sind englisch.",
-    "circular deviation, counter-clockwise": "Kreisformabweichung, gegen den Uhrzeigersinn",
-    "circular deviation, clockwise": "Kreisformabweichung, im Uhrzeigersinn",
-    "largest radial deviation": "größte Radialabweichung",
-    "smallest radial deviation": "kleinste Radialabweichung",
-    "bi-directional circular deviation": "bidirektionale Kreisformabweichung",
-    "radial hysteresis": "radiale Hysterese",
-    "mean bi-directional radial deviation": "mittlere bidirektionale Radialabweichung",
-    "bi-directional accuracy": "bidirektionale Positioniergenauigkeit",
-    "bi-directional repeatability": "bidirektionale Wiederholpräzision",
-    "accuracy, forward": "Positioniergenauigkeit, vorwärts",
-    "accuracy, reverse": "Positioniergenauigkeit, rückwärts",
-    "repeatability, forward": "Wiederholpräzision, vorwärts",
-    "repeatability, reverse": "Wiederholpräzision, rückwärts",
-    "systematic deviation, forward": "systematische Positionsabweichung, vorwärts",
-    "systematic deviation, reverse": "systematische Positionsabweichung, rückwärts",
-    "reversal error": "Umkehrspanne",
-    "mean reversal error": "mittlere Umkehrspanne",
-    "bi-directional systematic deviation": "bidirektionale systematische Positionsabweichung",
-    "mean bi-directional deviation": "mittlere bidirektionale Positionsabweichung",
-    # Standards, pictures and where numbers come from.
-    "circular test": "Kreisformtest",
-    "positioning": "Positionierung",
-    "thermal drift": "thermische Verlagerung",
-    "poses": "Posen",
-    "axes of rotation": "Drehachsen",
-    "total run-out": "Gesamtausschlag",
-    "run-out": "Laufabweichung",
-    "total error motion": "gesamte Bewegungsabweichung",
-    "once per turn": "einmal je Umdrehung",
-    "once per turn, of the target": "einmal je Umdrehung, des Messkörpers",
-    "axial once per turn, amplitude": "axial, einmal je Umdrehung, Amplitude",
-    "synchronous error motion": "synchrone Bewegungsabweichung",
-    "residual synchronous error motion": "restliche synchrone Bewegungsabweichung",
-    "asynchronous error motion": "asynchrone Bewegungsabweichung",
-    "turns, and their mean": "Umdrehungen und ihr Mittel",
-    "turns": "Umdrehungen",
-    "synchronous": "synchron",
-    "no whole turn": "keine ganze Umdrehung",
-    "Run-out over speed, mean of repeats": "Laufabweichung über der Drehzahl, Mittel der Wiederholungen",
-    "Error motion over speed, mean of repeats": "Bewegungsabweichung über der Drehzahl, Mittel der Wiederholungen",
-    "speed": "Drehzahl",
-    "rpm": "1/min",
-    "speed, rpm": "Drehzahl, 1/min",
-    "pose": "Pose",
-    "targets": "Zielpositionen",
-    "target": "Zielposition",
-    "forward only": "nur vorwärts",
-    "reverse only": "nur rückwärts",
-    "to": "bis",
-    "mean of": "Mittel von",
-    "axis": "Achse",
-    "Radial deviation about one centre": "Radialabweichung um eine gemeinsame Mitte",
-    "Radial deviation, centre removed": "Radialabweichung ohne Mittenversatz",
-    "per division": "je Teilstrich",
-    "nominal": "Sollkreis",
-    "Deviation of axis": "Abweichung der Achse",
-    "position": "Position",
-    "deviation": "Abweichung",
-    "forward": "vorwärts",
-    "reverse": "rückwärts",
-    "Displacement": "Verlagerung",
-    "displacement": "Verlagerung",
-    "Distance from the commanded pose, as the set-up leaves it": "Abstand von der Sollpose, ohne den Anteil der Aufstellung",
-    "distance": "Abstand",
-    "reading": "Ablesung",
-    "time": "Zeit",
-    "standard deviation": "Standardabweichung",
-    "degrees of freedom": "Freiheitsgrade",
-    "root of the sum of squares": "Wurzel aus der Summe der Quadrate",
-    "assumed, for none is stated": "angenommen, da nicht angegeben",
-    "assumed, for none was written": "angenommen, da nicht notiert",
-    "stated": "angegeben",
-    "at most": "höchstens",
-    "at": "bei",
-    "within": "innerhalb von",
-    "drift test": "Driftmessung",
-    "K from 20 °C": "K von 20 °C entfernt",
-    "what goes beyond the repeatability": "soweit über die Wiederholpräzision hinaus",
-    "height difference of the balls": "Höhenunterschied der Kugeln",
-    "beam off the axis by": "Strahl neben der Achse um",
-    "U covers 95 % (k = 2, more where repeats are few); repeatability:": "U überdeckt 95 % (k = 2, mehr bei wenigen Wiederholungen); Wiederholpräzision:",
-    "U is not known, for no sound run was repeated: no limit can be decided.": "U ist nicht bekannt, da kein brauchbarer Lauf wiederholt wurde: über keine Grenze kann entschieden werden.",
-    "what runs of one condition differ by (unit of replication: the run, pooled over conditions)": "Streuung der Läufe einer Bedingung (Wiederholeinheit: der Lauf, über die Bedingungen zusammengefasst)",
-    "what readings of one sample differ by (unit of replication: the reading)": "Streuung der Ablesungen eines Messzeitpunkts (Wiederholeinheit: die Ablesung)",
-    "what blocks of neighbouring turns differ by (unit of replication: the block, of six or fewer turns the turn)": "Streuung von Blöcken benachbarter Umdrehungen (Wiederholeinheit: der Block, bei sechs oder weniger die Umdrehung)",
-    "what run-outs at one speed differ by (unit of replication: the row, pooled over speeds)": "Streuung der Werte einer Drehzahl (Wiederholeinheit: die Zeile, über die Drehzahlen zusammengefasst)",
-    "the figures of tests made again from what runs differ by as wholes and at each target (unit of replication: the run)": "Kenngrößen von Tests, die aus den Unterschieden der Läufe im Ganzen und an jeder Zielposition neu gezogen sind (Wiederholeinheit: der Lauf)",
-    "the figures of tests made again from what repeats of a pose differ by (unit of replication: the reading)": "Kenngrößen von Tests, die aus der Streuung der Wiederholungen einer Pose neu gezogen sind (Wiederholeinheit: die Ablesung)",
-    "Assumed, for nobody stated it": "Angenommen, da nicht angegeben",
-}
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+
+_CATALOGUE = tomllib.loads(files("dtwin.report").joinpath("german.toml").read_text("utf-8"))
+GERMAN: Mapping[str, str] = _CATALOGUE["phrases"]
+"""Words and phrases."""
+CLAUSES: Mapping[str, str] = _CATALOGUE["clauses"]
+"""Clauses of findings and notes."""
+_WORDS: Mapping[str, str] = _CATALOGUE["words"]
+_PIECES = [(clause.split("{}"), german) for clause, german in CLAUSES.items()]
+# A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
+_LONGEST, _MOST_SPACES = 1500, 2
+_WORD = re.compile("[A-Za-z]{3}")
+
+
+def german_of(text: str, tell: Callable[[object], str]) -> str | None:
+    """Return a finding or note in German; None when a clause of it is not known. ``tell``: writes names and numbers."""
+
+    # Names of files and machines stand in a finding: each part is looked at once, however they are written.
+    @cache
+    def clause(part: str) -> str | None:
+        for pieces, german in _PIECES:
+            if (between := _between(pieces, part)) is not None:
+                words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
+                if None not in words:
+                    return german.format(*words)
+        named, colon, rest = part.partition(": ")
+        said = clause(rest) if colon and _are_names(named) else None
+        return None if said is None else f"{tell(named)}: {said}"
+
+    if len(text) > _LONGEST:
+        return None
+    parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))
+    told = [clause(part) if n % 2 == 0 else part for n, part in enumerate(parts)]
+    return None if None in told else "".join(map(str, told)) + "." * text.endswith(".")
+
+
+def _worded(text: str) -> str | None:
+    words = [_WORDS.get(word) for word in re.split("(?<!,) or ", text)]
+    return None if None in words else " oder ".join(map(str, words))
+
+
+def _between(pieces: Sequence[str], text: str) -> list[str] | None:
+    """Return what stands between the pieces of a clause, each piece at its first place; None for another text."""
+    first, *middle = pieces
+    if not middle:
+        return [] if text == first else None
+    *middle, last = middle
+    at, end, found = len(first), len(text) - len(last), []
+    if at > end or not text.startswith(first) or not text.endswith(last):
+        return None
+    for piece in middle:
+        after = text.find(piece, at, end)
+        if after < 0:
+            return None
+        found.append(text[at:after])
+        at = after + len(piece)
+    return [*found, text[at:end]]
+
+
+def _name(text: str, tell: Callable[[object], str]) -> str | None:
+    return tell(text) if _are_names(text) or not _WORD.search(text) else None
+
+
+def _are_names(text: str) -> bool:
+    return all(name.count(" ") <= _MOST_SPACES for name in text.split(", "))

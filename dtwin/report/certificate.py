@@ -9,8 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 from jinja2 import Environment
 
-from dtwin.report._german import GERMAN
-from dtwin.report._german_sentences import german_of
+from dtwin.report._german import GERMAN, german_of
 from dtwin.report.html import drawing, figure_html
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit

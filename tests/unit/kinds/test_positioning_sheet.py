@@ -177,7 +177,11 @@ def test_the_axes_of_one_campaign_are_not_taken_together() -> None:
 
 def test_what_is_computed_beside_the_sheet_is_of_the_same_runs() -> None:
     runs = sweeps(6, TARGETS)
-    missed = Finding("linear.missed_targets", "error", "a reading is missing")
+    missed = Finding(
+        "linear.missed_targets",
+        "error",
+        "1 readings of 16 are missing, the first at 0 mm: window too small, or the dwell too short",
+    )
     short = {name: values[1:] for name, values in runs[2].samples.items()}
     runs[2] = replace(runs[2], samples=short, findings=(missed,))
     figures = positioning_result(runs)
