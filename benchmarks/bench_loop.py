@@ -210,7 +210,7 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
 
 
 def start_controller(host: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]
+    command = [sys.executable, "-m", "studies.machines.rtde_server", f"--host={host}"]
     options = ["--repeat-forever", "--control", "--realtime"]
     return subprocess.Popen([*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 

@@ -100,7 +100,7 @@ def _virtual_controller(
         sys.executable,
         "-P",
         "-m",
-        "dtwin.machines.rtde_server",
+        "studies.machines.rtde_server",
         f"--host={host}",
         f"--plane={plane}",
         f"--radius-mm={radius_mm}",

@@ -192,7 +192,7 @@ def robot_end(home: Home) -> Iterator[End]:
         [
             sys.executable,
             "-m",
-            "dtwin.machines.rtde_server",
+            "studies.machines.rtde_server",
             f"--host={host}",
             "--control",
             "--repeat-forever",

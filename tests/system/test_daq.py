@@ -16,8 +16,8 @@ from dtwin.acquire._recovery import seal
 from dtwin.acquire.instrument import record
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import EXIT_DEVICE, DeviceError
-from dtwin.machines._daq_sensors import Sensors
 from dtwin.schema import SignalGroup
+from studies.machines._daq_sensors import Sensors
 
 pytestmark = pytest.mark.system
 

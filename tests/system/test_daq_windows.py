@@ -15,7 +15,7 @@ from dtwin.acquire._daq import AccelerometerChannel
 from dtwin.acquire._daq_windows import DaqWindows
 from dtwin.errors import DeviceError, InputError
 from dtwin.features.windows import WindowContract
-from dtwin.machines._daq_sensors import Sensors
+from studies.machines._daq_sensors import Sensors
 
 pytestmark = pytest.mark.system
 

@@ -23,12 +23,12 @@ from dtwin.acquire.signal_files import read_signals
 from dtwin.config import home as dtwin_home
 from dtwin.features.windows import WindowContract
 from dtwin.lake.store import Lake
-from dtwin.machines._daq_sensors import Sensors
 from dtwin.serve._machine_file import write_machine
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_pointer
+from studies.machines._daq_sensors import Sensors
 
 pytestmark = pytest.mark.system
 PHYSICAL = tuple(f"cDAQ1Mod{m}/ai{n}" for m in (1, 2) for n in range(4))

@@ -157,7 +157,7 @@ def test_recording_of_a_finished_run_and_unknown_commands(
 
 
 def test_other_than_loopback_is_refused() -> None:
-    command = [sys.executable, "-m", "dtwin.machines.rtde_server", "--host=192.0.2.1", "--port=0"]
+    command = [sys.executable, "-m", "studies.machines.rtde_server", "--host=192.0.2.1", "--port=0"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 1
     assert "error[rtde.host]" in done.stderr

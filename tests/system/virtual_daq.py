@@ -28,7 +28,7 @@ class VirtualDaq:
 @contextmanager
 def virtual_daq(*options: str) -> Iterator[VirtualDaq]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "dtwin.machines.daq_server", "--port=0", "--control", *options],
+        [sys.executable, "-m", "studies.machines.daq_server", "--port=0", "--control", *options],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -47,7 +47,7 @@ class VirtualRobot:
 def virtual_robot(*options: str, watchdog_s: float | None = 0.05, host: str = "") -> Iterator[VirtualRobot]:
     """Run one; its watchdog is patient with a busy test computer, None leaves its own."""
     host = host or free_address()
-    command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]
+    command = [sys.executable, "-m", "studies.machines.rtde_server", f"--host={host}"]
     process = subprocess.Popen(
         [
             *command,

@@ -10,9 +10,22 @@ import pytest
 from dtwin.report._german import german_of
 from dtwin.schema import Finding
 
-_OF_CERTIFICATES = (
-    "angle circle_table circular drift laser linear poses radius reading rotary rotation rtl run vendor".split()
-)
+_OF_CERTIFICATES = [
+    "angle",
+    "circle_table",
+    "circular",
+    "drift",
+    "laser",
+    "linear",
+    "poses",
+    "radius",
+    "reading",
+    "rotary",
+    "rotation",
+    "rtl",
+    "run",
+    "vendor",
+]
 
 
 @pytest.fixture(autouse=True)

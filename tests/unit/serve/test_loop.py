@@ -230,7 +230,7 @@ def robot() -> Iterator[tuple[str, Callable[..., dict[str, Any]]]]:
     """A virtual robot behind its real RTDE server, in a process of its own."""
     host = f"127.{20 + os.getpid() % 200}.{os.getpid() // 200 % 250}.250"
     process = subprocess.Popen(
-        [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}", "--repeat-forever", "--control"],
+        [sys.executable, "-m", "studies.machines.rtde_server", f"--host={host}", "--repeat-forever", "--control"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

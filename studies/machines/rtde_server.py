@@ -1,6 +1,6 @@
 """The virtual cobot on the wall clock, behind a real RTDE server in a process of its own.
 
-``python -m dtwin.machines.rtde_server --port 0`` prints one JSON line with the port when it is
+``python -m studies.machines.rtde_server --port 0`` prints one JSON line with the port when it is
 ready. With ``--control`` it takes JSON lines on standard input, each answered by one on
 standard output, and ends when its input ends::
 
@@ -43,12 +43,12 @@ import numpy as np
 from dtwin.errors import DtwinError, InputError
 from dtwin.links import state as layout
 from dtwin.links import ur_registers as registers
-from dtwin.machines._offset_log import OffsetLog
-from dtwin.machines._rtde_session import Session
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CircleController
 from dtwin.machines.motion import CircleCondition
 from dtwin.machines.parameters import load_parameters
+from studies.machines._offset_log import OffsetLog
+from studies.machines._rtde_session import Session
 
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250

@@ -1,6 +1,6 @@
 """A stand-in for NI's gRPC device server, so that the real ``nidaqmx`` client can be used.
 
-``python -m dtwin.machines.daq_server --port 0`` prints one JSON line with the port when it is
+``python -m studies.machines.daq_server --port 0`` prints one JSON line with the port when it is
 ready. With ``--control`` it takes JSON lines on standard input, each answered by one on
 standard output, and ends when its input ends::
 
@@ -47,8 +47,8 @@ from nidaqmx.constants import (
 
 from dtwin.errors import DtwinError, InputError
 from dtwin.lake.parquet import columns_of, read_parquet
-from dtwin.machines import _daq_device as device
-from dtwin.machines._daq_sensors import Sensors
+from studies.machines import _daq_device as device
+from studies.machines._daq_sensors import Sensors
 
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 0, 0x2F22: 0}
 _READ_POSITION, _TOTAL_ACQUIRED, _AVAILABLE, _N_CHANNELS = 0x1221, 0x192A, 0x1223, 0x217B
@@ -296,7 +296,7 @@ def _recorded(path: Path, channels: tuple[str, ...]) -> dict[str, Any]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Serve until the input ends (with ``--control``) or the process is ended."""
-    parser = argparse.ArgumentParser(prog="python -m dtwin.machines.daq_server")
+    parser = argparse.ArgumentParser(prog="python -m studies.machines.daq_server")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, default=0)
     parser.add_argument("--modules", default="cDAQ1Mod1,cDAQ1Mod2")

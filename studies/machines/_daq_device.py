@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dtwin.machines._daq_sensors import Sensors, Wiring
 from dtwin.schema import Floats
+from studies.machines._daq_sensors import Sensors, Wiring
 
 _FASTEST_HZ = 13_107_200.0 / 256.0
 _SLOWEST_DIVISOR = 31

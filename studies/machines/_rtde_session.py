@@ -7,8 +7,8 @@ import socket
 import struct
 from collections.abc import Callable
 
-from dtwin.machines import _rtde_protocol as rtde
 from dtwin.schema import Floats
+from studies.machines import _rtde_protocol as rtde
 
 _BACKLOG_LIMIT = 1 << 20
 
