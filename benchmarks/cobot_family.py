@@ -98,14 +98,10 @@ MEMBERS: dict[str, Change] = {
 def tried(name: str, seed: int, repeats: int) -> dict[str, Any]:
     """Return before, after, oracle and held-out R2 of a member.
 
-    Parameters
-    ----------
-    name : str
-        Key of ``MEMBERS``.
-    seed : int
-        Of the machine.
-    repeats : int
-        Runs of each condition, direction and way.
+    Args:
+        name: Key of ``MEMBERS``.
+        seed: Of the machine.
+        repeats: Runs of each condition, direction and way.
     """
     cobot = VirtualCobot(MEMBERS[name](load_parameters()), seed=seed)
     bench = VirtualCobotBench(seed)

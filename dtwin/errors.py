@@ -28,14 +28,10 @@ def printable(text: str) -> str:
 class DtwinError(Exception):
     """A problem that the user can understand and mend.
 
-    Parameters
-    ----------
-    code : str
-        Stable dotted identifier, for example ``"b5r.truncated"``.
-    where : str, optional
-        File, line, column, run or setting that is wrong.
-    hint : str, optional
-        What to try next; may be a command.
+    Args:
+        code: Stable dotted identifier, for example ``"b5r.truncated"``.
+        where: File, line, column, run or setting that is wrong.
+        hint: What to try next; may be a command.
     """
 
     exit_code = EXIT_USER

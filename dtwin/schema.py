@@ -35,17 +35,12 @@ _DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
 def require_name(name: object, what: str) -> str:
     """Return ``name`` when it is safe as an identifier and as a file name.
 
-    Parameters
-    ----------
-    name : object
-        The proposed campaign, run, machine or twin name.
-    what : str
-        What is being named, for the error message.
+    Args:
+        name: The proposed campaign, run, machine or twin name.
+        what: What is being named, for the error message.
 
-    Raises
-    ------
-    InputError
-        When the name could leave its folder or be misread.
+    Raises:
+        InputError: When the name could leave its folder or be misread.
     """
     if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name and not _DEVICE.fullmatch(name):
         return name
@@ -80,12 +75,9 @@ def of_one_way(runs: Sequence[_R]) -> list[_R]:
 def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:
     """Return the plane as XY, YZ or ZX, flipping the direction when the axes are swapped.
 
-    Parameters
-    ----------
-    plane : str
-        Two axis letters in any order and case.
-    direction : {"CCW", "CW"}
-        Sense of motion seen from the positive side of the named plane.
+    Args:
+        plane: Two axis letters in any order and case.
+        direction: Sense of motion seen from the positive side of the named plane. One of "CCW", "CW".
     """
     wanted = plane.upper()
     if wanted in PLANES:
@@ -101,16 +93,11 @@ def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:
 class Finding:
     """One thing that is noteworthy or wrong with the data of a run.
 
-    Attributes
-    ----------
-    code : str
-        Stable identifier, for example ``"arc.window_short"``.
-    severity : {"info", "warning", "error"}
-        ``error`` keeps the run out of training unless the user insists.
-    message : str
-        One sentence with the numbers in it.
-    numbers : dict of str to float
-        The figures behind the message, named with their units.
+    Attributes:
+        code: Stable identifier, for example ``"arc.window_short"``.
+        severity: ``error`` keeps the run out of training unless the user insists. One of "info", "warning", "error".
+        message: One sentence with the numbers in it.
+        numbers: The figures behind the message, named with their units.
     """
 
     code: str
@@ -127,10 +114,8 @@ class Finding:
 class Encoded:
     """A Parquet file whose pages were verified, and the columns that were read from it.
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray
-        What it holds: the object itself, by which its owner knows that nothing was replaced.
+    Attributes:
+        columns: What it holds: the object itself, by which its owner knows that nothing was replaced.
     """
 
     data: bytes | memoryview
@@ -141,16 +126,11 @@ class Encoded:
 class SignalGroup:
     """High-rate signals of one device during a run, on that device's own clock.
 
-    Attributes
-    ----------
-    name : str
-        Device group, for example ``"accelerometers"`` or ``"controller"``.
-    columns : dict of str to ndarray, shape (n,)
-        Signals by column name; names carry the unit.
-    start_s : float
-        Time of the first sample on the device's own clock.
-    encoded : Encoded, optional
-        The file that the columns come from; the lake keeps it instead of encoding them again.
+    Attributes:
+        name: Device group, for example ``"accelerometers"`` or ``"controller"``.
+        columns: Signals by column name; names carry the unit. Shape (n,) each.
+        start_s: Time of the first sample on the device's own clock.
+        encoded: The file that the columns come from; the lake keeps it instead of encoding them again.
     """
 
     name: str
@@ -174,29 +154,17 @@ class SignalGroup:
 class RunMeta:
     """What is known of a run besides its samples.
 
-    Attributes
-    ----------
-    run_id : str
-        Unique inside the campaign.
-    kind : str
-        Kind of campaign that the run belongs to.
-    plane, direction, radius_mm, feed_mm_min
-        Condition of a circular run; None for other kinds.
-    condition : dict
-        Conditions of the other kinds (axis, amplitude, frequency ...), names with units.
-    repeat : int
-        Counts repeats of the same condition from 1.
-    setup : str
-        One mounting of the instrument; centre and zero belong to it.
-    started : str
-        ISO 8601 time, empty when unknown.
-    covariates : dict of str to float
-        Numbers logged once per run.
-    vendor : dict of str to float
-        Figures that the vendor's file itself states for this run, names with units.
-    correction : str
-        Checksum of the model (``Bundle.model_sha256``) whose correction was in force, empty when
-        none was.
+    Attributes:
+        run_id: Unique inside the campaign.
+        kind: Kind of campaign that the run belongs to.
+        plane, direction, radius_mm, feed_mm_min: Condition of a circular run; None for other kinds.
+        condition: Conditions of the other kinds (axis, amplitude, frequency ...), names with units.
+        repeat: Counts repeats of the same condition from 1.
+        setup: One mounting of the instrument; centre and zero belong to it.
+        started: ISO 8601 time, empty when unknown.
+        covariates: Numbers logged once per run.
+        vendor: Figures that the vendor's file itself states for this run, names with units.
+        correction: Checksum of the model (``Bundle.model_sha256``) whose correction was in force, empty when none was.
     """
 
     run_id: str
@@ -219,17 +187,12 @@ class RunMeta:
 class Run:
     """One pass of the machine under one condition, as measured.
 
-    Attributes
-    ----------
-    samples : dict of str to ndarray, shape (n,)
-        Samples of the reference instrument. A circular run has ``t_s``, ``angle_deg`` and
-        ``deviation_um``; optional ``cmd_x_mm`` ... ``act_z_mm`` and covariate columns.
-    window : tuple of (int, int), optional
-        First and one-past-last sample of the part that the vendor's file marks as the test.
-    signals : tuple of SignalGroup
-        High-rate signals, each group on its own clock.
-    source : str
-        File that the run was read from.
+    Attributes:
+        samples: Samples of the reference instrument. A circular run has ``t_s``, ``angle_deg`` and ``deviation_um``;
+            optional ``cmd_x_mm`` ... ``act_z_mm`` and covariate columns. Shape (n,) each.
+        window: First and one-past-last sample of the part that the vendor's file marks as the test.
+        signals: High-rate signals, each group on its own clock.
+        source: File that the run was read from.
     """
 
     meta: RunMeta
@@ -259,16 +222,11 @@ class Run:
 class Campaign:
     """A plan of runs over a grid of conditions, done on one machine.
 
-    Attributes
-    ----------
-    name, machine : str
-        Identifiers; both are safe as file names.
-    started : str
-        ISO 8601 time, empty when unknown.
-    machine_geometry : dict
-        What joint, lag and Abbe effects need: type, chain, centre_mm, tcp_mm, joint_branch.
-    instrument : dict
-        model, nominal_mm, calibrated_mm, sample_rate_hz, offset_mm.
+    Attributes:
+        name, machine: Identifiers; both are safe as file names.
+        started: ISO 8601 time, empty when unknown.
+        machine_geometry: What joint, lag and Abbe effects need: type, chain, centre_mm, tcp_mm, joint_branch.
+        instrument: model, nominal_mm, calibrated_mm, sample_rate_hz, offset_mm.
     """
 
     name: str

@@ -20,10 +20,8 @@ _AT_ONCE = 2
 def main(arguments: list[str] | None = None) -> None:
     """Serve all deployments until told to stop.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Command line; ``--cron LINE`` sets the schedule.
+    Args:
+        arguments: Command line; ``--cron LINE`` sets the schedule.
     """
     parser = argparse.ArgumentParser(prog="python -m flows")
     parser.add_argument("--cron", help="when to train; without it only on request")

@@ -18,16 +18,11 @@ from flows.reach import running
 def publish_table(key: str, head: Sequence[str], rows: Sequence[Sequence[object]], description: str) -> None:
     """Leave a table.
 
-    Parameters
-    ----------
-    key : str
-        Tables of one key are versions of each other on the page.
-    head : sequence of str
-        Column titles.
-    rows : sequence of sequences
-        Cells.
-    description : str
-        What it shows, in Markdown.
+    Args:
+        key: Tables of one key are versions of each other on the page.
+        head: Column titles.
+        rows: Cells.
+        description: What it shows, in Markdown.
     """
     table = [{title: _cell(cell) for title, cell in zip(head, row, strict=True)} for row in rows]
     create_table_artifact(table or [{head[0]: "none"}], key=slug(key), description=description)
@@ -36,12 +31,9 @@ def publish_table(key: str, head: Sequence[str], rows: Sequence[Sequence[object]
 def publish_markdown(key: str, text: str, description: str) -> None:
     """Leave a page of Markdown.
 
-    Parameters
-    ----------
-    key, description : str
-        As in :func:`publish_table`.
-    text : str
-        The page.
+    Args:
+        key, description: As in :func:`publish_table`.
+        text: The page.
     """
     create_markdown_artifact(text, key=slug(key), description=description)
 
@@ -49,12 +41,9 @@ def publish_markdown(key: str, text: str, description: str) -> None:
 def publish_findings(campaign: str, findings: Sequence[tuple[str, Mapping[str, Any]]], description: str) -> None:
     """Leave data-quality findings as a table, worst first.
 
-    Parameters
-    ----------
-    campaign, description : str
-        What they belong to.
-    findings : sequence of (run id, finding)
-        Findings as ``Finding.as_dict`` gives them.
+    Args:
+        campaign, description: What they belong to.
+        findings: Findings as ``Finding.as_dict`` gives them.
     """
     order = ("error", "warning", "info")
     rows = sorted(
@@ -67,10 +56,8 @@ def publish_findings(campaign: str, findings: Sequence[tuple[str, Mapping[str, A
 def publish_held_out_error(report: TrainingReport) -> None:
     """Leave a plot of every candidate's held-out error.
 
-    Parameters
-    ----------
-    report : TrainingReport
-        A training.
+    Args:
+        report: A training.
     """
     rows = [(c.name, {"held-out RMS": c.held_out.rms_um}) for c in report.candidates]
     svg = _plots.bars(
@@ -83,12 +70,9 @@ def publish_held_out_error(report: TrainingReport) -> None:
 def publish_version(machine: str, version: str, verdicts: Sequence[Verdict]) -> None:
     """Leave what the gates say of a version, and where to read more.
 
-    Parameters
-    ----------
-    machine, version : str
-        The version.
-    verdicts : sequence of Verdict
-        What the gates say.
+    Args:
+        machine, version: The version.
+        verdicts: What the gates say.
     """
     lines = [f"## Version {version} of {machine}", "", model_link(machine, version), ""]
     lines += [f"- {'pass' if v.passed else '**FAIL**'} {v.gate}: {v.reason}" for v in verdicts]
@@ -98,12 +82,9 @@ def publish_version(machine: str, version: str, verdicts: Sequence[Verdict]) -> 
 def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) -> None:
     """Leave a plot of compensated against uncompensated circles.
 
-    Parameters
-    ----------
-    machine, version : str
-        The version.
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
+    Args:
+        machine, version: The version.
+        evidence: As ``Evidence.as_dict`` gives it.
     """
     rows = [
         (
@@ -123,10 +104,8 @@ def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) ->
 def model_link(machine: str, version: str) -> str:
     """Return a Markdown link to a version's page in MLflow, or how to get one.
 
-    Parameters
-    ----------
-    machine, version : str
-        The version.
+    Args:
+        machine, version: The version.
     """
     page = running(home()).get("mlflow")
     if page is None:
@@ -142,9 +121,7 @@ def _cell(value: object) -> str:
 def slug(text: str) -> str:
     """Return a key as Prefect wants it: lower-case letters, digits and dashes.
 
-    Parameters
-    ----------
-    text : str
-        Any text.
+    Args:
+        text: Any text.
     """
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

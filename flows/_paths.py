@@ -20,10 +20,8 @@ def confined(path: Path) -> Path:
     started on the page or by a schedule keeps to ``DTWIN_HOME`` and the folders that the user
     allowed.
 
-    Raises
-    ------
-    InputError
-        When the path lies elsewhere.
+    Raises:
+        InputError: When the path lies elsewhere.
     """
     if not deployment.id:
         return path

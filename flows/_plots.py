@@ -21,12 +21,9 @@ _POINTS = 360
 def markdown(title: str, svg: str) -> str:
     """Return a plot as a Markdown image that holds its own content.
 
-    Parameters
-    ----------
-    title : str
-        Shown where images are not.
-    svg : str
-        The plot.
+    Args:
+        title: Shown where images are not.
+        svg: The plot.
     """
     data = base64.b64encode(svg.encode()).decode()
     return f"![{title}](data:image/svg+xml;base64,{data})"
@@ -41,16 +38,11 @@ def bars(
 ) -> str:
     """Return horizontal bars, one group per row and one colour per series.
 
-    Parameters
-    ----------
-    title : str
-        With the unit.
-    rows : sequence of (str, dict of str to float)
-        Label, and value by series.
-    floor : float, optional
-        Noise floor, drawn as a line.
-    longest : float, optional
-        Where bars are cut; a value beyond it is written out beside its bar.
+    Args:
+        title: With the unit.
+        rows: Label, and value by series.
+        floor: Noise floor, drawn as a line.
+        longest: Where bars are cut; a value beyond it is written out beside its bar.
     """
     series = list(dict.fromkeys(name for _, values in rows for name in values))
     finite = [v for _, values in rows for v in values.values() if math.isfinite(v)]
@@ -82,12 +74,9 @@ def bars(
 def polar(title: str, curves: Mapping[str, tuple[Floats, Floats]]) -> str:
     """Return errors over the path angle as deviations from a circle.
 
-    Parameters
-    ----------
-    title : str
-        What it shows.
-    curves : dict of str to (angle, error)
-        Angles in degrees and errors in um, each of shape (n,).
+    Args:
+        title: What it shows.
+        curves: Angles in degrees and errors in um, each of shape (n,).
     """
     largest = max([float(np.max(np.abs(e))) for _, e in curves.values() if e.size] or [1.0])
     step = _round_up(largest)

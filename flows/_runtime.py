@@ -38,17 +38,12 @@ for _name in ("prefect.flow_runs", "prefect.task_runs"):
 def run(flow: Flow[..., Any], **parameters: Any) -> Any:
     """Run a flow in this process and return its result.
 
-    Parameters
-    ----------
-    flow : Flow
-        The flow.
-    **parameters
-        Its parameters.
+    Args:
+        flow: The flow.
+        **parameters: Its parameters.
 
-    Raises
-    ------
-    InputError
-        When ``PREFECT_API_URL`` names a server that does not answer.
+    Raises:
+        InputError: When ``PREFECT_API_URL`` names a server that does not answer.
     """
     with runtime(home()):
         return flow(**parameters)
@@ -61,10 +56,8 @@ def runtime(state: Home) -> Iterator[str | None]:
     Without a server Prefect starts one of its own for this process, which takes seconds. The
     heartbeat is switched off: its thread costs every synchronous flow a second.
 
-    Parameters
-    ----------
-    state : Home
-        Where ``dtwin up`` says what is running.
+    Args:
+        state: Where ``dtwin up`` says what is running.
     """
     url = running_server(state)
     updates: dict[str, Any] = {"flows.heartbeat_frequency": None, "server.ephemeral.startup_timeout_seconds": _START_S}

@@ -191,10 +191,8 @@ def look_at_twins(machine: str, campaign: str) -> list[TwinView]:
 def watched(progress: ProgressOf) -> Iterator[None]:
     """Show the progress of tasks elsewhere too while the body runs.
 
-    Parameters
-    ----------
-    progress : callable
-        Returns a progress callback for a title.
+    Args:
+        progress: Returns a progress callback for a title.
     """
     before = _watching.set(progress)
     try:
@@ -206,10 +204,8 @@ def watched(progress: ProgressOf) -> Iterator[None]:
 def logged(title: str) -> Progress:
     """Return a progress callback that writes to the run's log, five times in all.
 
-    Parameters
-    ----------
-    title : str
-        What is being done.
+    Args:
+        title: What is being done.
     """
     logger = get_run_logger()
     watching = _watching.get()

@@ -32,23 +32,15 @@ def campaign_flow(
     What to do next stands in the run's log, in an artifact and on the workbench's page
     *Measuring*, where it is answered; a file that arrives in the inbox is an answer, too.
 
-    Parameters
-    ----------
-    plan_file : Path
-        Plan of circles.
-    inbox : Path
-        Folder that the ball bar's program saves its files in.
-    out : Path, optional
-        Campaign folder; by default below ``DTWIN_HOME/campaigns``.
-    sensors : Path, optional
-        Channel file of accelerometers to record meanwhile.
-    robot : str, optional
-        Address of a UR controller to record meanwhile.
-    with_version : str, optional
-        Version on trial, or champion: every test is measured without and with it, by turns, and
-        its evidence computed.
-    settle_s : float
-        Seconds for which a file must stand still before it is taken.
+    Args:
+        plan_file: Plan of circles.
+        inbox: Folder that the ball bar's program saves its files in.
+        out: Campaign folder; by default below ``DTWIN_HOME/campaigns``.
+        sensors: Channel file of accelerometers to record meanwhile.
+        robot: Address of a UR controller to record meanwhile.
+        with_version: Version on trial, or champion: every test is measured without and with it, by turns, and its
+            evidence computed.
+        settle_s: Seconds for which a file must stand still before it is taken.
     """
     plan = read_plan(confined(plan_file))
     moving_s, total_s = duration_s(plan)

@@ -23,16 +23,11 @@ def cell_flow(
     Every step is a task, and only its machine's twin is live. The run ends as ``Stopped`` when
     somebody asked for it; with ``resume`` a later run goes on with the first step not done.
 
-    Parameters
-    ----------
-    cell : str
-        Name of the cell; its state is below ``DTWIN_HOME/cells``.
-    parts : int
-        Parts of a new job.
-    seed : int
-        Of both virtual machines.
-    resume : bool
-        Go on with the job that is there.
+    Args:
+        cell: Name of the cell; its state is below ``DTWIN_HOME/cells``.
+        parts: Parts of a new job.
+        seed: Of both virtual machines.
+        resume: Go on with the job that is there.
     """
     file = CellFile(home(), cell)
     if not resume:

@@ -13,15 +13,11 @@ HOURLY = "0 * * * *"
 def require_cron(cron: str) -> str:
     """Return a cron line that Prefect accepts.
 
-    Parameters
-    ----------
-    cron : str
-        Five fields: minute, hour, day, month, weekday.
+    Args:
+        cron: Five fields: minute, hour, day, month, weekday.
 
-    Raises
-    ------
-    InputError
-        When it is none.
+    Raises:
+        InputError: When it is none.
     """
     try:
         return CronSchedule(cron=cron).cron

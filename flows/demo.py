@@ -32,16 +32,11 @@ class FlowSteps:
 
     A server that dies on the way does not end the demo: the step is done again without it.
 
-    Parameters
-    ----------
-    home : Home
-        Where everything is kept.
-    api : str
-        Address of the server that the runs are reported to.
-    progress : callable
-        Returns a progress callback for a title.
-    say : callable
-        Shows a line.
+    Args:
+        home: Where everything is kept.
+        api: Address of the server that the runs are reported to.
+        progress: Returns a progress callback for a title.
+        say: Shows a line.
     """
 
     def __init__(self, home: Home, api: str, progress: ProgressOf, say: Callable[[str], None]) -> None:

@@ -30,10 +30,8 @@ _FIGURES = (
 def diagnose_flow(campaign: str) -> dict[str, Any]:
     """Publish findings, figures and curves of a campaign, and judge the champion on it.
 
-    Parameters
-    ----------
-    campaign : str
-        Campaign in the lake.
+    Args:
+        campaign: Campaign in the lake.
     """
     figures, curves = _tasks.campaign_figures(campaign)
     findings = publish_figures(campaign, figures, f"Data quality of {campaign}. {WHAT_IT_IS}")
@@ -66,14 +64,10 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
 def publish_figures(campaign: str, figures: Mapping[str, Any], description: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Leave findings and standard figures, and return the findings with their runs.
 
-    Parameters
-    ----------
-    campaign : str
-        Name of the campaign or file.
-    figures : mapping
-        As ``check_source`` or ``campaign_figures`` gives them.
-    description : str
-        What to say of the findings.
+    Args:
+        campaign: Name of the campaign or file.
+        figures: As ``check_source`` or ``campaign_figures`` gives them.
+        description: What to say of the findings.
     """
     findings = [("", f) for f in figures.get("findings", ())]
     findings += [(run["run"], f) for run in figures["runs"] for f in run["findings"]]
@@ -90,12 +84,9 @@ def publish_figures(campaign: str, figures: Mapping[str, Any], description: str)
 def publish_twins(campaign: str, views: Sequence[TwinView]) -> None:
     """Leave what each twin says of a campaign.
 
-    Parameters
-    ----------
-    campaign : str
-        Name of the campaign.
-    views : sequence of TwinView
-        One for each twin of the machine.
+    Args:
+        campaign: Name of the campaign.
+        views: One for each twin of the machine.
     """
     for view in views:
         done = "lacks" if view.diagnosed else "against these runs"
@@ -106,10 +97,8 @@ def publish_twins(campaign: str, views: Sequence[TwinView]) -> None:
 def publish_drift(check: DriftCheck | None) -> None:
     """Leave the diagnosis of a champion on a campaign.
 
-    Parameters
-    ----------
-    check : DriftCheck or None
-        None leaves nothing.
+    Args:
+        check: None leaves nothing.
     """
     if check is None:
         return

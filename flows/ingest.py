@@ -17,10 +17,8 @@ from flows._paths import confined
 def ingest_flow(sources: list[Path]) -> dict[str, Any]:
     """Ingest campaign folders and ball-bar files, one task each; safe to repeat.
 
-    Parameters
-    ----------
-    sources : list of Path
-        Campaign folders, their ``campaign.toml``, or ``.b5r`` files.
+    Args:
+        sources: Campaign folders, their ``campaign.toml``, or ``.b5r`` files.
     """
     reports = [_tasks.ingest(source) for source in map(confined, sources)]
     publish_ingest(reports)
@@ -37,10 +35,8 @@ def ingest_flow(sources: list[Path]) -> dict[str, Any]:
 def publish_ingest(reports: Sequence[IngestReport]) -> None:
     """Leave what was ingested and what is wrong with it.
 
-    Parameters
-    ----------
-    reports : sequence of IngestReport
-        One per source.
+    Args:
+        reports: One per source.
     """
     _artifacts.publish_table(
         "ingested",

@@ -40,14 +40,10 @@ _ABSENT = (
 class Secret:
     """An application that answers who says a secret.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    token : str
-        The secret.
-    port : int
-        Part of the cookie's name: cookies do not tell ports apart.
+    Args:
+        app: What is guarded.
+        token: The secret.
+        port: Part of the cookie's name: cookies do not tell ports apart.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:

@@ -19,12 +19,9 @@ def nightly_flow(folder: Path | None = None, seed: int = 0) -> dict[str, Any]:
 
     The work is done where ``DTWIN_ENGINE`` says. Nothing is promoted; a champion that harms is withdrawn.
 
-    Parameters
-    ----------
-    folder : Path, optional
-        Where new measurements arrive.
-    seed : int
-        Seed of virtual machines and of what is drawn.
+    Args:
+        folder: Where new measurements arrive.
+        seed: Seed of virtual machines and of what is drawn.
     """
     night = _tasks.night(None if folder is None else confined(folder), seed)
     _artifacts.publish_table(

@@ -26,14 +26,10 @@ Say = Callable[[str], None]
 def shown_steps(home: Home, progress: ProgressOf, say: Say) -> Iterator[Steps]:
     """Give what does the steps of a job: flows when there can be a page, else plain functions.
 
-    Parameters
-    ----------
-    home : Home
-        Where everything is kept.
-    progress : callable
-        Returns a progress callback for a title.
-    say : callable
-        Shows a line: where the page is, or why there is none.
+    Args:
+        home: Where everything is kept.
+        progress: Returns a progress callback for a title.
+        say: Shows a line: where the page is, or why there is none.
     """
     with ExitStack() as held:
         try:

@@ -31,10 +31,8 @@ _ENTER_PAGE = (
 class OwnPagesOnly:
     """An application that answers this computer's own names and its own pages only.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
+    Args:
+        app: What is guarded.
     """
 
     def __init__(self, app: ASGIApp) -> None:

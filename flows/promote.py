@@ -30,20 +30,13 @@ def promote_flow(
 
     A gate's no is an answer, not a failure: the run then ends as ``Refused`` with the reasons.
 
-    Parameters
-    ----------
-    version : str
-        Version number, or ``candidate``.
-    machine : str, optional
-        Required when several machines have models.
-    only_trial : bool
-        Stop after the trial, for evidence that is measured on a real machine.
-    seed : int
-        Seed of the virtual machine.
-    comment : str
-        Why; kept in the history.
-    despite : list of str, optional
-        Names of all evidence on record that speaks against the version.
+    Args:
+        version: Version number, or ``candidate``.
+        machine: Required when several machines have models.
+        only_trial: Stop after the trial, for evidence that is measured on a real machine.
+        seed: Seed of the virtual machine.
+        comment: Why; kept in the history.
+        despite: Names of all evidence on record that speaks against the version.
     """
     registry = Registry(home())
     found = registry.version(machine or _only_machine(registry), version)
@@ -65,12 +58,9 @@ def promote_flow(
 def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> None:
     """Leave table and plot of what was measured with and without a version.
 
-    Parameters
-    ----------
-    version : RegisteredVersion
-        The version.
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
+    Args:
+        version: The version.
+        evidence: As ``Evidence.as_dict`` gives it.
     """
     _artifacts.publish_table(
         f"evidence-{version.machine}",
@@ -83,12 +73,9 @@ def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> 
 def publish_champion(version: RegisteredVersion, bundle: Path) -> None:
     """Leave which version is served from now on.
 
-    Parameters
-    ----------
-    version : RegisteredVersion
-        The version.
-    bundle : Path
-        What is served.
+    Args:
+        version: The version.
+        bundle: What is served.
     """
     _artifacts.publish_markdown(
         f"promotion-{version.machine}",
@@ -101,10 +88,8 @@ def publish_champion(version: RegisteredVersion, bundle: Path) -> None:
 def publish_refusal(machine: str, reason: str) -> None:
     """Leave why a version was not promoted.
 
-    Parameters
-    ----------
-    machine, reason : str
-        Machine of the version, and the gates' reasons.
+    Args:
+        machine, reason: Machine of the version, and the gates' reasons.
     """
     _artifacts.publish_markdown(f"promotion-{machine}", f"```\n{reason}\n```", "Not promoted")
 

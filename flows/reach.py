@@ -22,10 +22,8 @@ _SHORTEST = 24
 def running(state: Home) -> Mapping[str, str]:
     """Return what ``dtwin up`` wrote about its servers, empty when nothing is up.
 
-    Parameters
-    ----------
-    state : Home
-        Gives the file.
+    Args:
+        state: Gives the file.
     """
     try:
         found = json.loads((state.root / SERVERS_FILE).read_text(encoding="utf-8"))
@@ -39,10 +37,8 @@ def running(state: Home) -> Mapping[str, str]:
 def auth_string(state: Home) -> str:
     """Return what clients and pages say to this home's Prefect server; made at the first start.
 
-    Parameters
-    ----------
-    state : Home
-        Gives the file, which its owner alone can read.
+    Args:
+        state: Gives the file, which its owner alone can read.
     """
     path = state.root / AUTH_FILE
     try:
@@ -59,10 +55,8 @@ def auth_string(state: Home) -> str:
 def mlflow_token(state: Home) -> str:
     """Return what clients and pages say to this home's MLflow server: the part of the auth string after its colon.
 
-    Parameters
-    ----------
-    state : Home
-        Gives the file.
+    Args:
+        state: Gives the file.
     """
     return auth_string(state).partition(":")[2]
 
@@ -70,12 +64,9 @@ def mlflow_token(state: Home) -> str:
 def answers(url: str, timeout_s: float = 2.0) -> bool:
     """Tell whether an address answers with success.
 
-    Parameters
-    ----------
-    url : str
-        An http address.
-    timeout_s : float
-        How long to wait.
+    Args:
+        url: An http address.
+        timeout_s: How long to wait.
     """
     # No proxy: what is asked for here runs on this computer or is named by the user.
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -89,15 +80,11 @@ def answers(url: str, timeout_s: float = 2.0) -> bool:
 def running_server(state: Home) -> str | None:
     """Return the API address of the server to report to, None when there is none.
 
-    Parameters
-    ----------
-    state : Home
-        Where ``dtwin up`` says what is running.
+    Args:
+        state: Where ``dtwin up`` says what is running.
 
-    Raises
-    ------
-    InputError
-        When ``PREFECT_API_URL`` names a server that does not answer.
+    Raises:
+        InputError: When ``PREFECT_API_URL`` names a server that does not answer.
     """
     named = os.environ.get("PREFECT_API_URL")
     if named:

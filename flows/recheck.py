@@ -22,14 +22,10 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
     A real machine has to be measured itself: it is left out here, with that reason.
     The run ends as ``Withdrawn`` when a champion was taken away.
 
-    Parameters
-    ----------
-    machine : str, optional
-        Only this one.
-    seed : int
-        Seed of the virtual machine, of order and noise.
-    blocks : int
-        Passes over all circles of the cobot.
+    Args:
+        machine: Only this one.
+        seed: Seed of the virtual machine, of order and noise.
+        blocks: Passes over all circles of the cobot.
     """
     registry = Registry(home())
     machines = [machine] if machine is not None else registry.machines()
@@ -57,10 +53,8 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
 def publish_recheck(done: Rechecked) -> None:
     """Leave the table of a check, and what came of it.
 
-    Parameters
-    ----------
-    done : Rechecked
-        The check.
+    Args:
+        done: The check.
     """
     name = done.version.machine
     now = f"version {done.restored} is champion again" if done.restored else "nothing is served"

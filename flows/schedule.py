@@ -31,10 +31,8 @@ def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, A
 
     Without new runs the run ends as ``Skipped`` with the reason.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of everything random.
+    Args:
+        seed: Seed of everything random.
     """
     done = _tasks.scheduled_training(seed)
     result = done.as_dict()
@@ -58,10 +56,8 @@ def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, A
 def deployments(cron: str | None) -> list[RunnerDeployment]:
     """Return every flow as a deployment; scheduled training, recheck and the night with their times.
 
-    Parameters
-    ----------
-    cron : str or None
-        When to train and to check champions; the night is at two. None for only when somebody starts them.
+    Args:
+        cron: When to train and to check champions; the night is at two. None for only when somebody starts them.
     """
     scheduled = RunnerDeployment.from_flow(
         scheduled_training_flow,

@@ -36,14 +36,10 @@ _TAIL = 400
 class UpRequest:
     """What to start.
 
-    Attributes
-    ----------
-    prefect_port, mlflow_port : int or None
-        Ports on loopback; None for any free one.
-    cron : str or None
-        When to train; None for only on request.
-    folders : tuple of Path
-        Folders besides the home that flows started on the page may use.
+    Attributes:
+        prefect_port, mlflow_port: Ports on loopback; None for any free one.
+        cron: When to train; None for only on request.
+        folders: Folders besides the home that flows started on the page may use.
     """
 
     prefect_port: int | None = None
@@ -55,18 +51,12 @@ class UpRequest:
 class Child:
     """A server or runner that was started, with its log.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    command : list of str
-        What to run.
-    env : mapping
-        Its whole environment.
-    log : Path
-        Receives what it prints.
-    stops_its_own : bool
-        Whether it ends its own children when it is interrupted.
+    Args:
+        name: For messages.
+        command: What to run.
+        env: Its whole environment.
+        log: Receives what it prints.
+        stops_its_own: Whether it ends its own children when it is interrupted.
     """
 
     def __init__(
@@ -90,10 +80,8 @@ class Child:
     def require_alive(self) -> None:
         """Raise when the process has ended.
 
-        Raises
-        ------
-        StoreError
-            With the end of its log.
+        Raises:
+            StoreError: With the end of its log.
         """
         code = self.process.poll()
         if code is not None:
@@ -124,13 +112,10 @@ class Child:
 class Servers:
     """What is up.
 
-    Attributes
-    ----------
-    addresses : dict of str to str
-        ``prefect``, ``prefect_api`` and ``mlflow``; ``prefect_enter`` and ``mlflow_enter``, addresses that also
-        tell the page the auth string, where the server was started here.
-    children : list of Child
-        In the order in which they were started.
+    Attributes:
+        addresses (dict of str to str): ``prefect``, ``prefect_api`` and ``mlflow``; ``prefect_enter`` and
+            ``mlflow_enter``, addresses that also tell the page the auth string, where the server was started here.
+        children (list of Child): In the order in which they were started.
     """
 
     def __init__(self) -> None:
@@ -140,10 +125,8 @@ class Servers:
     def watch(self) -> None:
         """Return never; raise when a child ends, or what a signal raises.
 
-        Raises
-        ------
-        StoreError
-            When a child has ended by itself.
+        Raises:
+            StoreError: When a child has ended by itself.
         """
         while True:
             for child in self.children:
@@ -158,21 +141,14 @@ def servers(home: Home, request: UpRequest) -> Iterator[Servers]:
     A server that the user names with ``PREFECT_API_URL`` or an http ``MLFLOW_TRACKING_URI`` is
     used as it is and not started.
 
-    Parameters
-    ----------
-    home : Home
-        Stores, logs and ``servers.json``.
-    request : UpRequest
-        What to start.
+    Args:
+        home: Stores, logs and ``servers.json``.
+        request: What to start.
 
-    Raises
-    ------
-    InputError
-        When a port is in use, or the servers of this home are up already.
-    MissingPart
-        When Prefect or MLflow is not installed.
-    StoreError
-        When a server does not come up.
+    Raises:
+        InputError: When a port is in use, or the servers of this home are up already.
+        MissingPart: When Prefect or MLflow is not installed.
+        StoreError: When a server does not come up.
     """
     _require_installed()
     with _only_one(home):
@@ -195,15 +171,11 @@ def prefect_alone(home: Home) -> Iterator[Servers]:
 
     It writes to the same database as the one of ``dtwin up``, which shows the runs afterwards.
 
-    Parameters
-    ----------
-    home : Home
-        Its state, log and ``servers.json``.
+    Args:
+        home: Its state, log and ``servers.json``.
 
-    Raises
-    ------
-    InputError
-        When the servers of this home are up already, or are just being started.
+    Raises:
+        InputError: When the servers of this home are up already, or are just being started.
     """
     with _only_one(home):
         found = Servers()
@@ -219,17 +191,12 @@ def prefect_alone(home: Home) -> Iterator[Servers]:
 def await_healthy(home: Home, found: Servers) -> None:
     """Wait until servers answer, then tell other processes where they are.
 
-    Parameters
-    ----------
-    home : Home
-        Gets the file ``servers.json``.
-    found : Servers
-        What was started.
+    Args:
+        home: Gets the file ``servers.json``.
+        found: What was started.
 
-    Raises
-    ------
-    StoreError
-        When a server does not come up.
+    Raises:
+        StoreError: When a server does not come up.
     """
     _await_answers(found)
     _write_addresses(home, found)

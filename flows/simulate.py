@@ -34,22 +34,15 @@ def simulate_flow(
 ) -> dict[str, Any]:
     """Measure a campaign on a virtual machine; run it again to continue.
 
-    Parameters
-    ----------
-    plan_file : Path, optional
-        Plan; without it the 81-test plan of the cobot.
-    quick : bool
-        Without a plan file: twelve tests instead.
-    out : Path, optional
-        Campaign folder; by default below ``DTWIN_HOME/campaigns``.
-    seed : int
-        Seed of the machine.
-    to_lake : bool
-        Whether to ingest it afterwards; then its figures are compared with those of the last such test, where there is one.
-    machine : str
-        Virtual machine, as ``dtwin simulate --machine`` names it; another than the cobot needs a plan file.
-    options : dict of str to str, optional
-        Of the machine, as ``dtwin simulate`` takes them; the usual ones without.
+    Args:
+        plan_file: Plan; without it the 81-test plan of the cobot.
+        quick: Without a plan file: twelve tests instead.
+        out: Campaign folder; by default below ``DTWIN_HOME/campaigns``.
+        seed: Seed of the machine.
+        to_lake: Whether to ingest it afterwards; then its figures are compared with those of the last such test, where
+            there is one.
+        machine: Virtual machine, as ``dtwin simulate --machine`` names it; another than the cobot needs a plan file.
+        options: Of the machine, as ``dtwin simulate`` takes them; the usual ones without.
     """
     found = machine_named(machine)
     if plan_file is None and machine != "cobot":

@@ -15,12 +15,9 @@ from flows import _artifacts, _tasks
 def train_flow(campaign: str, seed: int = 1) -> dict[str, Any]:
     """Compute features, train every candidate, register the proposed one.
 
-    Parameters
-    ----------
-    campaign : str
-        Campaign in the lake.
-    seed : int
-        Seed of everything random.
+    Args:
+        campaign: Campaign in the lake.
+        seed: Seed of everything random.
     """
     features = _tasks.compute_features(campaign)
     registered = _tasks.train(campaign, seed)
@@ -43,10 +40,8 @@ def train_flow(campaign: str, seed: int = 1) -> dict[str, Any]:
 def publish_training(registered: Registered) -> None:
     """Leave comparison, plot and gates of a training.
 
-    Parameters
-    ----------
-    registered : Registered
-        The training.
+    Args:
+        registered: The training.
     """
     report = registered.training.report
     _artifacts.publish_table(

@@ -26,14 +26,11 @@ def write_tests(
 ) -> list[Path]:
     """Write campaign folders, one for each test, each of two circles either way.
 
-    Parameters
-    ----------
-    backlash_um, squareness_um : callable
-        Of the number of the test: steps of X after its reversals, and amplitude of the ellipse at 45 degrees.
-    serial : callable
-        Serial number of the ball bar.
-    first : int
-        Number of the first test; ``named``: what stands before the number.
+    Args:
+        backlash_um, squareness_um: Of the number of the test: steps of X after its reversals, and amplitude of the
+            ellipse at 45 degrees.
+        serial: Serial number of the ball bar.
+        first: Number of the first test; ``named``: what stands before the number.
     """
     rng = np.random.default_rng(seed)
     made = []

@@ -55,16 +55,11 @@ _RUN = str(Path(__file__).with_name("run.py"))
 class Held:
     """What a machine's end held.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        Its own clock.
-    value_um : ndarray, shape (n, 3)
-        The correction in force.
-    own : ndarray of bool, shape (n,)
-        Whether its own watchdog was leading it to zero.
-    zeros : ndarray of bool, shape (n,)
-        Whether zero was asked for, or nothing.
+    Attributes:
+        t_s: Its own clock. Shape (n,).
+        value_um: The correction in force. Shape (n, 3).
+        own: Whether its own watchdog was leading it to zero. Shape (n,).
+        zeros: Whether zero was asked for, or nothing. Shape (n,).
     """
 
     t_s: Floats

@@ -44,14 +44,10 @@ _COMES_BACK_S, _AFTER_S = 60.0, 0.3
 def jumps(held: Held, step_um: float, lost: bool) -> tuple[int, float]:
     """Return how many changes were longer than a step, and the longest of those not of the end's own.
 
-    Parameters
-    ----------
-    held : Held
-        What the machine's end held.
-    step_um : float
-        What the slew limit allows in one period, with what the output can resolve.
-    lost : bool
-        Whether the link was lost: then the machine's end, or the driver's last word, releases at once.
+    Args:
+        held: What the machine's end held.
+        step_um: What the slew limit allows in one period, with what the output can resolve.
+        lost: Whether the link was lost: then the machine's end, or the driver's last word, releases at once.
     """
     if len(held.value_um) < 2:
         return 0, 0.0

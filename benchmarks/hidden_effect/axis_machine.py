@@ -28,20 +28,13 @@ _ROUGH = 0.05
 class Stand:
     """Where and when the axis was measured; arrays broadcast to (runs, 2, targets).
 
-    Attributes
-    ----------
-    at_mm : ndarray, shape (1, 1, targets)
-        Targets, from the near end of the travel.
-    side : ndarray, shape (1, 2, 1)
-        Flank that the nut bears on: +1 forward, -1 reverse.
-    travel_mm, pitch_mm : float
-        Length of the travel; way of a turn of the screw.
-    hours, warmth_k : ndarray, shape (runs, 2, targets)
-        Time since the first run, and rise of temperature over its mean.
-    channels : dict of str to ndarray, shape (runs, 1, 1)
-        What else was logged, of mean zero and size one.
-    rng : Generator
-        What a mechanism draws of its own.
+    Attributes:
+        at_mm: Targets, from the near end of the travel. Shape (1, 1, targets).
+        side: Flank that the nut bears on: +1 forward, -1 reverse. Shape (1, 2, 1).
+        travel_mm, pitch_mm: Length of the travel; way of a turn of the screw.
+        hours, warmth_k: Time since the first run, and rise of temperature over its mean. Shape (runs, 2, targets).
+        channels: What else was logged, of mean zero and size one. Shape (runs, 1, 1) each.
+        rng: What a mechanism draws of its own.
     """
 
     at_mm: Floats
@@ -193,16 +186,11 @@ def measured(
 ) -> tuple[Campaign, list[Run]]:
     """Return a campaign of positioning runs.
 
-    Parameters
-    ----------
-    acting : sequence of callable
-        What is wrong.
-    sizes_um : sequence of float
-        RMS of what each alone shows once the datum is taken out.
-    noise_um : float
-        RMS of a run about the mean of all runs.
-    rng : Generator
-        Draws the axis, what the mechanisms draw, and the noise.
+    Args:
+        acting: What is wrong.
+        sizes_um: RMS of what each alone shows once the datum is taken out.
+        noise_um: RMS of a run about the mean of all runs.
+        rng: Draws the axis, what the mechanisms draw, and the noise.
     """
     stand = _stand(rng)
     error_um = _noise(stand, noise_um)

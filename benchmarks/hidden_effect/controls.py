@@ -26,14 +26,11 @@ _THIN = 4
 class Matrix:
     """Residual and what every candidate could do about it, scaled to unit RMS.
 
-    Attributes
-    ----------
-    y, x : ndarray, shapes (rows, 360) and (rows, 360, columns)
-        Residual with known effects and set-up taken out, and candidates likewise.
-    owner : ndarray of int, shape (columns,)
-        Candidate of each column.
-    labels : tuple of str
-        Candidates.
+    Attributes:
+        y, x: Residual with known effects and set-up taken out, and candidates likewise. Shapes (rows, 360) and (rows,
+            360, columns).
+        owner: Candidate of each column. Shape (columns,).
+        labels: Candidates.
     """
 
     y: Floats

@@ -36,16 +36,11 @@ class Bench:
     def size_of(self, cause: Cause, mill: MillParameters, hides: Floats, wanted_um: float) -> float:
         """Return the size whose visible part has an RMS of ``wanted_um``.
 
-        Parameters
-        ----------
-        cause : Cause
-            What is hidden.
-        mill : MillParameters
-            The machine without it.
-        hides : ndarray, shape (tests * 360, k)
-            Orthonormal columns of set-up and known effects.
-        wanted_um : float
-            Wanted RMS.
+        Args:
+            cause: What is hidden.
+            mill: The machine without it.
+            hides: Orthonormal columns of set-up and known effects. Shape (tests * 360, k).
+            wanted_um: Wanted RMS.
         """
         without = self.response(mill)
         size = cause.start

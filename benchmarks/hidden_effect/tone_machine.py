@@ -138,16 +138,11 @@ _MACHINE_WIDE = ("inertial_compliance",)
 class Fault:
     """One thing that is wrong, of any size.
 
-    Attributes
-    ----------
-    label : str
-        The name that is right.
-    drawn : dict of str to float
-        What goes with it.
-    sized : str
-        Number that the size sets.
-    unit : float
-        Its value at a size of one.
+    Attributes:
+        label: The name that is right.
+        drawn: What goes with it.
+        sized: Number that the size sets.
+        unit: Its value at a size of one.
     """
 
     label: str
@@ -179,18 +174,12 @@ def measured(
 ) -> tuple[Campaign, list[Run]]:
     """Return a campaign of tones.
 
-    Parameters
-    ----------
-    faults : sequence of Fault
-        What is wrong.
-    sizes_um : sequence of float
-        RMS of what each alone shows over all tones.
-    noise_um : float
-        RMS of what repeats disagree by.
-    rng : Generator
-        Order, noise, what is logged.
-    channel : tuple of (str, float), optional
-        A channel that the scale of the probe moves with, and the RMS of that.
+    Args:
+        faults: What is wrong.
+        sizes_um: RMS of what each alone shows over all tones.
+        noise_um: RMS of what repeats disagree by.
+        rng: Order, noise, what is logged.
+        channel: A channel that the scale of the probe moves with, and the RMS of that.
     """
     told: dict[str, float] = {}
     for one, size_um in zip(faults, sizes_um, strict=True):

@@ -22,18 +22,12 @@ _STEEL_N_MM2, _SHEAR_N_MM2, _GROWTH_UM_MM_K = 210e3, 81e3, 11.5e-3
 class Visits:
     """When and where the laser was read; arrays have the shape (n,), in the order of time.
 
-    Attributes
-    ----------
-    side : ndarray
-        +1 forward, -1 reverse.
-    run : ndarray of int
-        Counts from 0; a run goes there and back.
-    since_mm : ndarray
-        Way since the axis turned round.
-    start_mm : float
-        Place of the first target, from which the travel goes on.
-    thermometer : bool
-        Whether a temperature is logged.
+    Attributes:
+        side: +1 forward, -1 reverse.
+        run: Counts from 0; a run goes there and back.
+        since_mm: Way since the axis turned round.
+        start_mm: Place of the first target, from which the travel goes on.
+        thermometer: Whether a temperature is logged.
     """
 
     time_s: Floats
@@ -66,16 +60,11 @@ class Visits:
 class Fault:
     """One thing that is wrong.
 
-    Attributes
-    ----------
-    um : ndarray, shape (n,)
-        What it adds to the error at each visit.
-    names, consequences : frozenset of str
-        Effects of dtwin that name it, and those that are true of the axis because of it.
-    temperature_c : ndarray, shape (n,), optional
-        What a thermometer reads that is beside it.
-    spoils : int, optional
-        The run that it spoils.
+    Attributes:
+        um: What it adds to the error at each visit. Shape (n,).
+        names, consequences: Effects of dtwin that name it, and those that are true of the axis because of it.
+        temperature_c: What a thermometer reads that is beside it. Shape (n,).
+        spoils: The run that it spoils.
     """
 
     kind: str

@@ -37,14 +37,10 @@ _OVER_MM, _TURNING_S = 5.0, 3.0
 class Axis:
     """A measured axis.
 
-    Attributes
-    ----------
-    read_um : ndarray, shape (n,)
-        What the laser shows at each visit.
-    temperature_c : ndarray, shape (n,), optional
-        What a thermometer shows; logged at each visit, or once a run.
-    air : bool
-        Whether temperature and humidity of the air are logged.
+    Attributes:
+        read_um: What the laser shows at each visit. Shape (n,).
+        temperature_c: What a thermometer shows; logged at each visit, or once a run. Shape (n,).
+        air: Whether temperature and humidity of the air are logged.
     """
 
     name: str

@@ -61,12 +61,9 @@ def moved(
 ) -> tuple[Floats, Floats]:
     """Return place about the centre (mm) and speed (mm/s) of an axis at each step of a circle, shape (n,).
 
-    Parameters
-    ----------
-    sense : float
-        +1 counter-clockwise, -1 clockwise.
-    upright : bool
-        Whether it is the second axis of the plane, which follows the sine.
+    Args:
+        sense: +1 counter-clockwise, -1 clockwise.
+        upright: Whether it is the second axis of the plane, which follows the sine.
     """
     angle = path(radius_mm, feed_mm_min, sense)
     turned = angle if upright else angle + 0.5 * np.pi

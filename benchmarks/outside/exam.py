@@ -39,12 +39,9 @@ class Fault(Protocol):
 class Case:
     """A measured machine, and what is true of it.
 
-    Attributes
-    ----------
-    makes_um : sequence of float
-        What each fault makes, RMS.
-    spoilt : tuple of str
-        Runs that are to be left out.
+    Attributes:
+        makes_um: What each fault makes, RMS.
+        spoilt: Runs that are to be left out.
     """
 
     campaign: Campaign
@@ -59,16 +56,11 @@ class Case:
 class Mark:
     """What was said of one machine.
 
-    Attributes
-    ----------
-    shown, missed : tuple of str
-        Faults that show, and those of them that have no name.
-    false : tuple of tuple of str
-        Groups of names none of which is true.
-    spoilt, left_out : tuple of str
-        Runs that are to be left out, and those that were.
-    spent_s, simulated_s : float
-        Processor time of the diagnosis and of the machine.
+    Attributes:
+        shown, missed: Faults that show, and those of them that have no name.
+        false: Groups of names none of which is true.
+        spoilt, left_out: Runs that are to be left out, and those that were.
+        spent_s, simulated_s: Processor time of the diagnosis and of the machine.
     """
 
     shown: tuple[str, ...]
@@ -99,14 +91,10 @@ def _label(suspect: Suspect) -> str:
 class Exam:
     """An exam of some rows of machines.
 
-    Attributes
-    ----------
-    drawn : callable
-        Returns the machine of a row with a number.
-    is_small : callable
-        Returns whether a group of a row names something.
-    label : callable
-        Returns what faults call a suspect.
+    Attributes:
+        drawn: Returns the machine of a row with a number.
+        is_small: Returns whether a group of a row names something.
+        label: Returns what faults call a suspect.
     """
 
     drawn: Callable[[str, int], Case]

@@ -26,12 +26,9 @@ _HOLDING_N = 45.0
 class Motion:
     """How the machine moved on a circle.
 
-    Attributes
-    ----------
-    place_mm, speed_mm_s : mapping of str to ndarray, shape (n,)
-        Of each axis that moved; places about the middle of the circle.
-    minute : ndarray, shape (n,)
-        Since the session began.
+    Attributes:
+        place_mm, speed_mm_s: Of each axis that moved; places about the middle of the circle. Shape (n,) each.
+        minute: Since the session began. Shape (n,).
     """
 
     place_mm: Mapping[str, Floats]
@@ -67,16 +64,11 @@ def _pushes_nothing(motion: Motion) -> dict[str, Floats]:
 class Fault:
     """One thing that is wrong.
 
-    Attributes
-    ----------
-    axis : str
-        Letter of the axis, a plane, or empty for all axes.
-    names, consequences : frozenset of str
-        Labels of dtwin that name it, and those that are true of the machine because of it.
-    drive : callable
-        Returns the drive at the start of a run, from the drive without the fault and the minute.
-    push : callable
-        Returns what is added along axes, µm, shape (n,).
+    Attributes:
+        axis: Letter of the axis, a plane, or empty for all axes.
+        names, consequences: Labels of dtwin that name it, and those that are true of the machine because of it.
+        drive: Returns the drive at the start of a run, from the drive without the fault and the minute.
+        push: Returns what is added along axes, µm, shape (n,).
     """
 
     kind: str

@@ -91,12 +91,9 @@ def read(
 ) -> tuple[Floats, Floats, Floats]:
     """Return times (s), signed nominal angles (deg) and readings without noise (µm), each of shape (n,).
 
-    Parameters
-    ----------
-    centre_um : sequence of float
-        How far the middle of the bar lies off that of the circle, in the two axes of the plane.
-    late : float
-        How late the first reading comes, as a share of the time between two.
+    Args:
+        centre_um: How far the middle of the bar lies off that of the circle, in the two axes of the plane.
+        late: How late the first reading comes, as a share of the time between two.
     """
     letters = PLANES[circle.plane]
     radius, sense = circle.radius_mm, circle.sense

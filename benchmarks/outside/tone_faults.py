@@ -34,16 +34,11 @@ Stage = Callable[[Floats], Floats]
 class Design:
     """Which tones are told, and how they are sampled.
 
-    Attributes
-    ----------
-    frequency_hz, amplitude_um : ndarray
-        Every frequency is told with every amplitude.
-    loop_hz : float
-        Rate at which the machine is followed.
-    rate_hz : float
-        Rate at which it is recorded.
-    warm_s : float
-        Before the record begins; the tone grows in the first half of it.
+    Attributes:
+        frequency_hz, amplitude_um: Every frequency is told with every amplitude.
+        loop_hz: Rate at which the machine is followed.
+        rate_hz: Rate at which it is recorded.
+        warm_s: Before the record begins; the tone grows in the first half of it.
     """
 
     frequency_hz: Floats

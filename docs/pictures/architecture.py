@@ -54,10 +54,8 @@ def imports() -> dict[str, set[str]]:
 def levels(edges: Edges) -> dict[str, int]:
     """Return how many floors each box stands above the lowest.
 
-    Raises
-    ------
-    ValueError
-        When boxes import each other in a circle.
+    Raises:
+        ValueError: When boxes import each other in a circle.
     """
     found: dict[str, int] = {}
     while len(found) < len(edges):

@@ -62,10 +62,8 @@ def filled(home: Path) -> None:
 def photographed(home: Path, folder: Path, pictures: tuple[Picture, ...] = PICTURES) -> list[Path]:
     """Write a picture of each page of the workbench on a home, and return the files.
 
-    Raises
-    ------
-    ValueError
-        When a page is not drawn, or its picture is too large.
+    Raises:
+        ValueError: When a page is not drawn, or its picture is too large.
     """
     made = []
     with _workbench(home) as address, sync_playwright() as playwright:

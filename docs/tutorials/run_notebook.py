@@ -36,12 +36,9 @@ class _Cells(code.InteractiveInterpreter):
 def shown(cells: list[dict[str, Any]], folder: Path) -> list[str]:
     """Run the code cells in a folder and return what each shows.
 
-    Parameters
-    ----------
-    cells : list of dict
-        Cells of a notebook.
-    folder : Path
-        Where they run.
+    Args:
+        cells: Cells of a notebook.
+        folder: Where they run.
     """
     interpreter = _Cells({"__name__": "__main__"})
     out = []

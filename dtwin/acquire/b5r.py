@@ -35,17 +35,13 @@ _WHOLE_DEG = 359.0
 class BallbarTest:
     """Content of a ``.b5r`` file.
 
-    Attributes
-    ----------
-    name, machine, operator, started : str
-        As stated by the file; ``started`` is ISO 8601.
-    runs : tuple of Run
-        One per direction; ids are ``ccw`` and ``cw`` (with a counter when there are several).
-    instrument : dict
-        model, serial, certificate, calibrated_on, operator, nominal_mm, calibrated_mm, sample_rate_hz;
-        expansion_um_per_m_k of the machine and calibrator_temperature_c; ``tolerances`` by the symbol of a test sheet, in µm.
-    diagnostics : dict of str to float
-        The vendor's own diagnosis of the test, feature names as in the file.
+    Attributes:
+        name, machine, operator, started: As stated by the file; ``started`` is ISO 8601.
+        runs: One per direction; ids are ``ccw`` and ``cw`` (with a counter when there are several).
+        instrument: model, serial, certificate, calibrated_on, operator, nominal_mm, calibrated_mm, sample_rate_hz;
+            expansion_um_per_m_k of the machine and calibrator_temperature_c; ``tolerances`` by the symbol of a test sheet, in
+            µm.
+        diagnostics: The vendor's own diagnosis of the test, feature names as in the file.
     """
 
     name: str
@@ -63,10 +59,8 @@ def read_b5r(path: Path) -> BallbarTest:
     Angles are assigned as the file's indices say: START to END is the marked arc, or CW from END to START, evenly
     divided. Whether that is true is for the quality gates to judge, not for the reader.
 
-    Raises
-    ------
-    InputError
-        When the file is hostile, truncated, or lacks what a test must have.
+    Raises:
+        InputError: When the file is hostile, truncated, or lacks what a test must have.
     """
     root = parse_vendor_xml(read_bounded(path), str(path))
     if root.tag != "TEST_DOCUMENT":
@@ -168,21 +162,15 @@ def marked_angle_deg(
 ) -> Floats:
     """Return the angle of every sample when the marked window is taken as the arc.
 
-    Parameters
-    ----------
-    n_samples : int
-        Number of samples of the whole recording.
-    window : tuple of (int, int)
-        First and one-past-last sample of the marked arc.
-    direction : {"CCW", "CW"}
-        CCW angles rise, CW angles fall.
-    arc_start_deg, arc_deg : float
-        Start and length of the arc that the window stands for.
+    Args:
+        n_samples: Number of samples of the whole recording.
+        window: First and one-past-last sample of the marked arc.
+        direction: CCW angles rise, CW angles fall. One of "CCW", "CW".
+        arc_start_deg: Start of the arc that the window stands for.
+        arc_deg: Its length.
 
-    Returns
-    -------
-    ndarray, shape (n_samples,)
-        Unwrapped angle, outside the window continued at the same speed.
+    Returns:
+        Unwrapped angle, outside the window continued at the same speed. Shape (n_samples,).
     """
     start, end = window
     turned = (np.arange(n_samples) - start) * (arc_deg / (end - start))
@@ -197,19 +185,14 @@ def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str) -> No
     Readings have 10 nm resolution, as the vendor's have. The run's window becomes the marked
     arc; its length is taken from the angles at its ends.
 
-    Parameters
-    ----------
-    path : Path
-        File to write; replaced in one step.
-    runs : sequence of Run
-        Runs that share plane, radius and feed.
-    name, machine : str
-        Titles to state in the file.
+    Args:
+        path: File to write; replaced in one step.
+        runs: Runs that share plane, radius and feed.
+        name: Title to state in the file.
+        machine: Machine to state in the file.
 
-    Raises
-    ------
-    InputError
-        When a run has no window or the runs do not belong to one test.
+    Raises:
+        InputError: When a run has no window or the runs do not belong to one test.
     """
     first = runs[0].meta
     if len({(r.meta.plane, r.meta.radius_mm, r.meta.feed_mm_min) for r in runs}) != 1:

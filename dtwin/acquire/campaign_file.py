@@ -12,14 +12,10 @@ from dtwin.atomic import write_toml
 def write_campaign_file(folder: Path, campaign: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> Path:
     """Write the campaign file of a folder in one step and return its path.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder, whose other files are there.
-    campaign : mapping of str to object
-        The table ``[campaign]``, with its own tables.
-    runs : sequence of mapping of str to object
-        A table ``[[run]]`` each.
+    Args:
+        folder: Campaign folder, whose other files are there.
+        campaign: The table ``[campaign]``, with its own tables.
+        runs: A table ``[[run]]`` each.
     """
     content = {"campaign": campaign, "run": list(runs)}
     return write_toml(folder / "campaign.toml", content, "the campaign file")

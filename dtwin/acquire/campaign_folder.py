@@ -59,12 +59,9 @@ RUN_KEYS = frozenset(
 class FolderEntry:
     """One ``[[run]]`` of a campaign file, checked but not yet read.
 
-    Attributes
-    ----------
-    run_id : str
-        As stated; a ``.b5r`` becomes ``id-ccw`` and ``id-cw``.
-    file : Path
-        Samples of the reference instrument.
+    Attributes:
+        run_id: As stated; a ``.b5r`` becomes ``id-ccw`` and ``id-cw``.
+        file: Samples of the reference instrument.
     """
 
     run_id: str
@@ -83,14 +80,10 @@ class CampaignFolder:
     def read(self, entry: FolderEntry) -> tuple[list[Run], list[RejectedRows]]:
         """Read the runs of one entry.
 
-        Parameters
-        ----------
-        entry : FolderEntry
-            One of ``entries``.
+        Args:
+            entry: One of ``entries``.
 
-        Returns
-        -------
-        runs, rejected : tuple
+        Returns:
             Usually one run, two for a bidirectional file; and rows that were left out.
         """
         runs, rejected = _read_entry(entry, self.campaign)
@@ -114,15 +107,11 @@ class CampaignFolder:
 def open_campaign(folder: Path) -> CampaignFolder:
     """Read and check ``campaign.toml`` without reading the measurements.
 
-    Parameters
-    ----------
-    folder : Path
-        The campaign folder, or the toml itself.
+    Args:
+        folder: The campaign folder, or the toml itself.
 
-    Raises
-    ------
-    InputError
-        With the place of the first thing that is wrong.
+    Raises:
+        InputError: With the place of the first thing that is wrong.
     """
     path = folder / "campaign.toml" if folder.is_dir() else folder
     if folder.is_dir() and not path.exists():

@@ -53,14 +53,10 @@ class Bench(Protocol):
 class CampaignRun:
     """What a campaign left in its folder.
 
-    Attributes
-    ----------
-    folder : Path
-        Campaign folder, complete with ``campaign.toml``.
-    measured, kept : int
-        Tests measured now, and tests that an earlier process had measured.
-    raw_bytes : int
-        Size of all measured files.
+    Attributes:
+        folder: Campaign folder, complete with ``campaign.toml``.
+        measured, kept: Tests measured now, and tests that an earlier process had measured.
+        raw_bytes: Size of all measured files.
     """
 
     folder: Path
@@ -75,19 +71,13 @@ def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | No
     A test is done when its files are there with the checksums of the manifest, so the same
     call continues after an interruption or a killed process.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder; created.
-    progress : callable, optional
-        Called with (done, total, test id).
+    Args:
+        folder: Campaign folder; created.
+        progress: Called with (done, total, test id).
 
-    Raises
-    ------
-    Interrupted
-        On Ctrl-C; everything measured so far can be ingested or continued.
-    StoreError
-        When the folder belongs to another plan or cannot be written.
+    Raises:
+        Interrupted: On Ctrl-C; everything measured so far can be ingested or continued.
+        StoreError: When the folder belongs to another plan or cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     _claim(folder, plan)

@@ -25,17 +25,12 @@ _LEAST_SHARED, _PEAK_S = 0.6, 0.5
 class Alignment:
     """How one stream's clock stands to a reference clock.
 
-    Attributes
-    ----------
-    lag_s : float
-        Reference time = stream time + ``lag_s``.
-    correlation : float
-        Of the two records at that lag.
-    residual : float
-        RMS of the difference of the two standardised records; 0 is perfect, sqrt(2) unrelated.
-    sharpness : float
-        Peak correlation minus the best one outside the peak's own width; near 0 the lag is
-        ambiguous, as between two like half turns.
+    Attributes:
+        lag_s: Reference time = stream time + ``lag_s``.
+        correlation: Of the two records at that lag.
+        residual: RMS of the difference of the two standardised records; 0 is perfect, sqrt(2) unrelated.
+        sharpness: Peak correlation minus the best one outside the peak's own width; near 0 the lag is ambiguous, as
+            between two like half turns.
     """
 
     lag_s: float
@@ -55,19 +50,16 @@ def align_envelopes(
 ) -> Alignment:
     """Align two records by normalised cross-correlation with a sub-sample peak.
 
-    Parameters
-    ----------
-    stream, reference : ndarray, shapes (n,) and (m,)
-        Envelopes or other records of one motion, each starting at time 0 of its own clock.
-    stream_rate_hz, reference_rate_hz : float
-        Sample rates; both are brought to the higher one.
-    max_lag_s, around_s : float
-        The lag is searched within ``around_s`` ± ``max_lag_s``.
+    Args:
+        stream: Envelope or other record of a motion, from time 0 of its own clock. Shape (n,).
+        reference: The same of the other stream. Shape (m,).
+        stream_rate_hz: Sample rate.
+        reference_rate_hz: Sample rate; both are brought to the higher one.
+        max_lag_s: How far from ``around_s`` the lag is searched.
+        around_s: Middle of the lags that are searched.
 
-    Raises
-    ------
-    InputError
-        When no lag leaves enough overlap, or a record is constant.
+    Raises:
+        InputError: When no lag leaves enough overlap, or a record is constant.
     """
     rate_hz = max(stream_rate_hz, reference_rate_hz)
     a = _resampled(stream, stream_rate_hz, rate_hz)
@@ -103,19 +95,13 @@ def align_stops(
 ) -> Alignment:
     """Align a measured stream to the controller by the stops between arcs.
 
-    Parameters
-    ----------
-    stream : ndarray, shape (n,)
-        Measured deviation or acceleration, any unit; its bursts are used.
-    acceleration : ndarray, shape (m,)
-        Size of the controller's commanded acceleration along the path, any unit.
-    max_lag_s : float
-        As in ``align_envelopes``.
+    Args:
+        stream: Measured deviation or acceleration, any unit; its bursts are used. Shape (n,).
+        acceleration: Size of the controller's commanded acceleration along the path, any unit. Shape (m,).
+        max_lag_s: As in ``align_envelopes``.
 
-    Raises
-    ------
-    InputError
-        When the records cannot be aligned.
+    Raises:
+        InputError: When the records cannot be aligned.
     """
     envelope = stop_envelope(stream, stream_rate_hz)
     # The root brings tall and short bursts nearer, so that one stop does not decide alone.

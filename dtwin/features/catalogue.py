@@ -17,14 +17,10 @@ _SPECTRUM = "Welch, IEEE Trans. Audio Electroacoust. 15 (1967), one segment, no 
 class Feature:
     """Definition of one feature of one channel over one window x[0..n-1].
 
-    Attributes
-    ----------
-    unit : {"channel", "channel^2", "1", "Hz"}
-        Unit in terms of the channel's unit.
-    formula : str
-        Definition; mu is the mean, P[k] the one-sided power of bin k >= 1 in channel^2.
-    spectral : bool
-        Whether a Fourier transform is needed.
+    Attributes:
+        unit: Unit in terms of the channel's unit. One of "channel", "channel^2", "1", "Hz".
+        formula: Definition; mu is the mean, P[k] the one-sided power of bin k >= 1 in channel^2.
+        spectral: Whether a Fourier transform is needed.
     """
 
     name: str
@@ -71,22 +67,15 @@ def positions(names: Sequence[str]) -> list[int]:
 def feature_column(channel: str, name: str) -> str:
     """Return the column name of a feature, its unit at the end.
 
-    Parameters
-    ----------
-    channel : str
-        Channel column, for example ``"wrist_x_g"``.
-    name : str
-        Feature, for example ``"rms"``.
+    Args:
+        channel: Channel column, for example ``"wrist_x_g"``.
+        name: Feature, for example ``"rms"``.
 
-    Returns
-    -------
-    str
+    Returns:
         For example ``"wrist_x_rms_g"`` or ``"wrist_x_variance_g2"``.
 
-    Raises
-    ------
-    InputError
-        When the channel's name ends with no known unit, or the feature is unknown.
+    Raises:
+        InputError: When the channel's name ends with no known unit, or the feature is unknown.
     """
     channel_unit = unit_of(channel)
     suffix = next((s for s in UNITS if channel.endswith("_" + s)), None)

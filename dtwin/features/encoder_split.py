@@ -169,17 +169,12 @@ def split(
 ) -> Split:
     """Split measured circles into what the controller saw, quasi-static and dynamic error.
 
-    Parameters
-    ----------
-    measured_um, controller_um : ndarray, shape (rows, bins)
-        Reference instrument, and the controller's following error along the radius; what belongs
-        to the mounting of the instrument is out of both.
-    known : ndarray of bool, shape (rows, bins)
-        Where something was measured.
-    condition_of : ndarray of int, shape (rows,)
-        Condition of each row.
-    cycles_per_rev : ndarray, shape (rows,)
-        Where quasi-static ends, for each row.
+    Args:
+        measured_um: Reference instrument, what belongs to its mounting taken out. Shape (rows, bins).
+        controller_um: The controller's following error along the radius, the same taken out. Shape (rows, bins).
+        known: Where something was measured. Shape (rows, bins).
+        condition_of: Condition of each row. Shape (rows,).
+        cycles_per_rev: Where quasi-static ends, for each row. Shape (rows,).
     """
     unseen = np.where(known, measured_um - controller_um, 0.0)
     rows = zip(unseen, known, cycles_per_rev.tolist(), strict=True)

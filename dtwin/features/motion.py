@@ -77,18 +77,13 @@ def path_inputs_kernel(
     frame as well. A correction that the controller reports as applied is taken out of position
     and velocity first: the path is what was commanded, not what was added to it.
 
-    Parameters
-    ----------
-    state : ndarray, shape (any,)
-        Newest state of the controller.
-    index : ndarray of int64, shape (29,)
-        Where each of ``STATE_FIELDS`` is in ``state``.
-    dh, tcp_mm : ndarray, shapes (6, 4) and (3,)
-        Chain and tool centre point, as in ``dtwin.kinematics``.
-    carry : ndarray, shape (14,)
-        What is remembered from the sample before; zeros at the start of a run. Overwritten.
-    out : ndarray, shape (34,)
-        Receives the inputs in the order of ``PATH_INPUTS``.
+    Args:
+        state: Newest state of the controller. Shape (any,).
+        index: Where each of ``STATE_FIELDS`` is in ``state``. Shape (29,).
+        dh: Chain, as in ``dtwin.kinematics``. Shape (6, 4).
+        tcp_mm: Tool centre point. Shape (3,).
+        carry: What is remembered from the sample before; zeros at the start of a run. Overwritten. Shape (14,).
+        out: Receives the inputs in the order of ``PATH_INPUTS``. Shape (34,).
     """
     now_s = state[index[0]]
     plane = int(state[index[22]])
@@ -171,17 +166,12 @@ def _path_inputs_many(
 class PathInputs:
     """Path inputs sample by sample, or over a whole record with the same bits.
 
-    Parameters
-    ----------
-    field_index : dict of str to int
-        Where each of ``STATE_FIELDS`` is in a state vector.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point in the flange frame.
+    Args:
+        field_index: Where each of ``STATE_FIELDS`` is in a state vector.
+        tcp_mm: Tool centre point in the flange frame. Shape (3,).
 
-    Raises
-    ------
-    InputError
-        When a field is missing.
+    Raises:
+        InputError: When a field is missing.
     """
 
     def __init__(self, field_index: dict[str, int], tcp_mm: Floats) -> None:
@@ -211,15 +201,11 @@ class PathInputs:
     def batch(self, states: Floats) -> Floats:
         """Return the inputs of a run from its first sample, shape (n, 34).
 
-        Parameters
-        ----------
-        states : ndarray, shape (n, n_fields)
-            States in order of time. What ``update`` remembers is not touched.
+        Args:
+            states: States in order of time. What ``update`` remembers is not touched. Shape (n, n_fields).
 
-        Raises
-        ------
-        InputError
-            When the plane is not one of XY, YZ, ZX.
+        Raises:
+            InputError: When the plane is not one of XY, YZ, ZX.
         """
         states = np.ascontiguousarray(states, dtype=np.float64)
         if states.ndim != 2 or states.shape[1] <= self._index.max():

@@ -25,16 +25,11 @@ _AT_ONCE = 512
 class WindowContract:
     """What a model was trained on and must be served with.
 
-    Attributes
-    ----------
-    n_samples, hop : int
-        Samples per window, and samples from one window's end to the next one's.
-    channels : tuple of str
-        Channel columns, units at their ends; the order is part of the contract.
-    band_hz : tuple of float or None
-        Band of ``band_power``.
-    detrend : {"none", "mean"}
-        What is taken out of a window first.
+    Attributes:
+        n_samples, hop: Samples per window, and samples from one window's end to the next one's.
+        channels: Channel columns, units at their ends; the order is part of the contract.
+        band_hz: Band of ``band_power``.
+        detrend: What is taken out of a window first. One of "none", "mean".
     """
 
     rate_hz: float
@@ -125,14 +120,10 @@ class WindowContract:
 class WindowFeatures:
     """Features of successive windows.
 
-    Attributes
-    ----------
-    values : ndarray, shape (windows, channels, features)
-        Always finite.
-    codes : ndarray of int64, shape (windows, channels)
-        VALID, CONSTANT or NOT_FINITE.
-    end_s : ndarray, shape (windows,)
-        Time of the last sample of each window on the clock of the recording.
+    Attributes:
+        values: Always finite. Shape (windows, channels, features).
+        codes: VALID, CONSTANT or NOT_FINITE. Shape (windows, channels).
+        end_s: Time of the last sample of each window on the clock of the recording. Shape (windows,).
     """
 
     values: Floats
@@ -148,17 +139,12 @@ def window_count(n_samples: int, contract: WindowContract) -> int:
 def batch_features(signals: NDArray[np.floating], contract: WindowContract, start_s: float = 0.0) -> WindowFeatures:
     """Return the features of every window of a recording.
 
-    Parameters
-    ----------
-    signals : ndarray, shape (channels, n)
-        Samples, channels in the order of the contract.
-    start_s : float
-        Time of the first sample.
+    Args:
+        signals: Samples, channels in the order of the contract. Shape (channels, n).
+        start_s: Time of the first sample.
 
-    Raises
-    ------
-    InputError
-        When the channels are not those of the contract.
+    Raises:
+        InputError: When the channels are not those of the contract.
     """
     _require_channels(signals.shape, contract)
     samples = np.ascontiguousarray(signals, dtype=np.float64)

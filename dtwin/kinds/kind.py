@@ -86,22 +86,14 @@ class FileReader(Protocol):
 class Planned:
     """A campaign before anything moves, as its plan file states it.
 
-    Attributes
-    ----------
-    summary : mapping
-        JSON-ready: names and counts.
-    findings : sequence of Finding
-        What may go wrong, and what the campaign cannot tell.
-    lines : tuple of str
-        The same as text, without the findings.
-    order : tuple of mapping
-        Conditions in the order of measurement, JSON-ready; empty when the kind has one order only.
-    order_text : str
-        The order as text, when it is long.
-    mounting_s : float
-        Usual time to mount and align the instrument, which ``duration_s`` does not hold.
-    noise_um : float
-        RMS by which repeats of a usual instrument disagree.
+    Attributes:
+        summary: JSON-ready: names and counts.
+        findings: What may go wrong, and what the campaign cannot tell.
+        lines: The same as text, without the findings.
+        order: Conditions in the order of measurement, JSON-ready; empty when the kind has one order only.
+        order_text: The order as text, when it is long.
+        mounting_s: Usual time to mount and align the instrument, which ``duration_s`` does not hold.
+        noise_um: RMS by which repeats of a usual instrument disagree.
     """
 
     kind: str
@@ -136,49 +128,31 @@ class Drawing:
 class Kind:
     """A kind of campaign; a verb that it lacks raises :class:`NotOffered`.
 
-    Attributes
-    ----------
-    name : str
-        As in ``campaign.toml`` and in the lake.
-    columns : tuple of str
-        What a table of samples must have.
-    stated : tuple of str or None
-        What must be told of a table that lies alone; None when it takes a ``campaign.toml``.
-    examples : mapping of str to str
-        Of these, what a hint proposes where it is not what it is for other kinds.
-    goes_round : bool
-        Whether a run has a plane and a direction, CCW or CW, that must be told.
-    in_one_table : bool
-        Whether a check tells the figures of all runs in one table, not run by run.
-    laws : bool
-        Whether a law is searched for what a twin leaves.
-    told_as : str
-        What a check calls the figures of a campaign; empty: as the kind.
-    campaign_columns : tuple of str
-        Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for all such names.
-    sheet_columns : tuple of str
-        Columns of samples that a test sheet needs.
-    figures : tuple of str
-        Symbols of every figure that its test sheet may have.
-    unit : str
-        Of those figures and their tolerances, ``um`` or ``arcsec``.
-    prefixed : tuple of str
-        Those that another kind has, too: a tolerance of a machine is of these where it is stated as ``NAME:SYMBOL``.
-    read_with : tuple of str
-        What a file is read with, as ``dtwin amend`` names it: stated anew, it would change nothing.
-    settings : tuple of str
-        What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside every kind; others are notes.
-    always_fitted : str
-        What every twin has beside its effects, as a sentence; empty when there is no twin.
-    controls : tuple of str
-        Dialects of its programs, the usual first; empty when they are alike for all controls.
-    export_forms : tuple of str
-        Forms of ``dtwin export`` that a twin is written in without a registered correction.
-    instead : mapping of str to str
-        What serves in place of a verb that the kind lacks.
-    places : mapping of str to str
-        What does a verb, ``module:name``, imported when it is asked for; a module of the kind's own folder begins with
-        an underscore. It takes what the method of that name takes; what is no method is an object.
+    Attributes:
+        name: As in ``campaign.toml`` and in the lake.
+        columns: What a table of samples must have.
+        stated: What must be told of a table that lies alone; None when it takes a ``campaign.toml``.
+        examples: Of these, what a hint proposes where it is not what it is for other kinds.
+        goes_round: Whether a run has a plane and a direction, CCW or CW, that must be told.
+        in_one_table: Whether a check tells the figures of all runs in one table, not run by run.
+        laws: Whether a law is searched for what a twin leaves.
+        told_as: What a check calls the figures of a campaign; empty: as the kind.
+        campaign_columns: Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for
+            all such names.
+        sheet_columns: Columns of samples that a test sheet needs.
+        figures: Symbols of every figure that its test sheet may have.
+        unit: Of those figures and their tolerances, ``um`` or ``arcsec``.
+        prefixed: Those that another kind has, too: a tolerance of a machine is of these where it is stated as
+            ``NAME:SYMBOL``.
+        read_with: What a file is read with, as ``dtwin amend`` names it: stated anew, it would change nothing.
+        settings: What it reads of ``instrument``, ``machine_geometry`` and ``condition`` beside every kind; others are
+            notes.
+        always_fitted: What every twin has beside its effects, as a sentence; empty when there is no twin.
+        controls: Dialects of its programs, the usual first; empty when they are alike for all controls.
+        export_forms: Forms of ``dtwin export`` that a twin is written in without a registered correction.
+        instead: What serves in place of a verb that the kind lacks.
+        places: What does a verb, ``module:name``, imported when it is asked for; a module of the kind's own folder begins
+            with an underscore. It takes what the method of that name takes; what is no method is an object.
     """
 
     name: ClassVar[str]

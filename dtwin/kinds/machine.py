@@ -34,14 +34,10 @@ PLAN = "plan"
 class Request:
     """What is to be measured on a virtual machine.
 
-    Attributes
-    ----------
-    quick : bool
-        A small campaign; never beside a plan.
-    plan : object
-        Plan of the machine's kind; None for its own campaign.
-    options : mapping of str to str
-        A value for each of the machine's options.
+    Attributes:
+        quick: A small campaign; never beside a plan.
+        plan: Plan of the machine's kind; None for its own campaign.
+        options: A value for each of the machine's options.
     """
 
     out: Path
@@ -63,12 +59,9 @@ class Simulated:
 class EvidenceRequest:
     """What closed-loop evidence is asked for.
 
-    Attributes
-    ----------
-    geometry : mapping
-        ``machine_geometry`` that it was trained with.
-    plan : object
-        What the machine is measured by, in the form of its kind; None when it chooses.
+    Attributes:
+        geometry: ``machine_geometry`` that it was trained with.
+        plan: What the machine is measured by, in the form of its kind; None when it chooses.
     """
 
     registry: Registry
@@ -91,20 +84,14 @@ def require_no_campaign(folder: Path) -> None:
 class VirtualMachine(ABC):
     """A machine that exists only as equations; what it lacks is refused by name.
 
-    Attributes
-    ----------
-    name : str
-        As in ``dtwin simulate --machine``.
-    type : str
-        As in ``machine_geometry`` of its campaigns.
-    options : mapping of str to tuple of str
-        Options of ``dtwin simulate`` that it has, with their values, the usual first.
-    clocks : tuple of str
-        On which it can be corrected while it is measured, the usual first.
-    seeds_measuring : bool
-        Whether a seed is of noise and set-ups alone, so that another one is another test of the same machine.
-    robot : bool
-        Whether what serves it must know a kinematic chain and a tool.
+    Attributes:
+        name: As in ``dtwin simulate --machine``.
+        type: As in ``machine_geometry`` of its campaigns.
+        options: Options of ``dtwin simulate`` that it has, with their values, the usual first.
+        clocks: On which it can be corrected while it is measured, the usual first.
+        seeds_measuring: Whether a seed is of noise and set-ups alone, so that another one is another test of the same
+            machine.
+        robot: Whether what serves it must know a kinematic chain and a tool.
     """
 
     name: ClassVar[str]
@@ -148,15 +135,11 @@ class VirtualMachine(ABC):
     def chosen(self, given: Mapping[str, str | None]) -> dict[str, str]:
         """Return a value for each option but the plan, the usual where none is given.
 
-        Parameters
-        ----------
-        given : mapping
-            Options by name, ``plan`` among them; None when it was not given.
+        Args:
+            given: Options by name, ``plan`` among them; None when it was not given.
 
-        Raises
-        ------
-        InputError
-            When the machine has no such option, or the option no such value.
+        Raises:
+            InputError: When the machine has no such option, or the option no such value.
         """
         for name, value in given.items():
             if value is not None and name not in self.options:

@@ -73,17 +73,12 @@ class Lake:
         kill at any moment leaves a run whole or invisible. A run with a finding
         ``recording.incomplete`` is marked incomplete.
 
-        Parameters
-        ----------
-        rejected : sequence of RejectedRows
-            Rows that were left out of their samples.
+        Args:
+            rejected: Rows that were left out of their samples.
 
-        Raises
-        ------
-        InputError
-            When a run id is there with other content.
-        StoreError
-            When the lake cannot be written.
+        Raises:
+            InputError: When a run id is there with other content.
+            StoreError: When the lake cannot be written.
         """
         rows = accepted(campaign, runs)
         with self._writing():
@@ -119,11 +114,8 @@ class Lake:
 
         The runs themselves are not touched.
 
-        Parameters
-        ----------
-        records : sequence of mapping
-            ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row,
-            or ``left_out``.
+        Args:
+            records: ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row, or ``left_out``.
         """
         with self._lock():
             while True:
@@ -158,19 +150,14 @@ class Lake:
         Every row was compared with its hash, and carries its amendments. Files of other campaigns, and of other machines,
         are not read.
 
-        Parameters
-        ----------
-        campaign, machine : str or collection of str, optional
-            Only this campaign, or these; only this machine, or these.
-        left_out : bool
-            Whether runs that a user left out are returned too.
-        at : mapping of str to int, optional
-            Table versions to read, as :meth:`versions` returned them; the newest by default.
+        Args:
+            campaign: Only this campaign, or these.
+            machine: Only this machine, or these.
+            left_out: Whether runs that a user left out are returned too.
+            at: Table versions to read, as :meth:`versions` returned them; the newest by default.
 
-        Raises
-        ------
-        StoreError
-            When the log, a file or a row is not what was written.
+        Raises:
+            StoreError: When the log, a file or a row is not what was written.
         """
         wanted, machines = names_of(campaign), names_of(machine)
 
@@ -252,16 +239,11 @@ class Lake:
     def write_table(self, table_name: str, key: str, table: pa.Table) -> int:
         """Add one file of derived rows, for example features of a campaign.
 
-        Parameters
-        ----------
-        table_name : str
-            One of ``TABLES``.
-        key : str
-            What the rows are derived from; the same key is written once.
+        Args:
+            table_name: One of ``TABLES``.
+            key: What the rows are derived from; the same key is written once.
 
-        Returns
-        -------
-        int
+        Returns:
             Version of the table.
         """
         with self._lock():
@@ -285,9 +267,7 @@ class Lake:
     def repair(self) -> dict[str, Any]:
         """Drop what a killed ingest or a power cut left behind.
 
-        Returns
-        -------
-        dict
+        Returns:
             Files dropped per table, and ``log``: empty log entries that were set aside.
         """
         with self.at_rest():

@@ -40,18 +40,12 @@ Samples = Callable[[Floats], None]
 class Greeting:
     """What a control says of itself.
 
-    Attributes
-    ----------
-    period_s : float
-        From state to state.
-    clock : {"wall", "machine"}
-        On the machine clock a state waits for its correction.
-    watchdog_s : float
-        Silence after which the control goes back to zero by itself.
-    axes : tuple of str
-        Axes that take an offset.
-    proof : str
-        Answer to the nonce; see :mod:`dtwin.links.virtual_key`.
+    Attributes:
+        period_s: From state to state.
+        clock: On the machine clock a state waits for its correction. One of "wall", "machine".
+        watchdog_s: Silence after which the control goes back to zero by itself.
+        axes: Axes that take an offset.
+        proof: Answer to the nonce; see :mod:`dtwin.links.virtual_key`.
     """
 
     control: str
@@ -65,29 +59,18 @@ class Greeting:
 class AxisLink(StateLines):
     """What the serving loop needs, over one connection to a control's bridge.
 
-    Parameters
-    ----------
-    address : str
-        ``HOST:PORT`` of the bridge.
-    live : LiveValues
-        The inputs that the control must provide.
-    axes : sequence of str
-        Axes that will be corrected.
-    channels : sequence of str
-        Signals that it must sample, at one rate.
-    samples : callable, optional
-        Takes each sample of the channels, shape (channels,).
-    writes : bool
-        Whether corrections may be sent; on the machine clock zeros go out without.
-    lost_after_s : float
-        Silence after which the control counts as dead.
+    Args:
+        address: ``HOST:PORT`` of the bridge.
+        live: The inputs that the control must provide.
+        axes: Axes that will be corrected.
+        channels: Signals that it must sample, at one rate.
+        samples: Takes each sample of the channels, shape (channels,).
+        writes: Whether corrections may be sent; on the machine clock zeros go out without.
+        lost_after_s: Silence after which the control counts as dead.
 
-    Attributes
-    ----------
-    greeting : Greeting
-        What the control said when the link was opened.
-    finished : bool
-        Whether the control said that its program has ended.
+    Attributes:
+        greeting: What the control said when the link was opened.
+        finished (bool): Whether the control said that its program has ended.
     """
 
     realtime = False

@@ -93,14 +93,10 @@ class Bridge(OpenAndClose):
 class LinuxcncLink:
     """State and correction of a running LinuxCNC, as the serving loop wants them.
 
-    Attributes
-    ----------
-    trips : int
-        How often the component dropped a correction since it was loaded.
-    circles_seen : int
-        How many circles have begun since the link was made.
-    in_circle : bool
-        Whether one is being run.
+    Attributes:
+        trips (int): How often the component dropped a correction since it was loaded.
+        circles_seen (int): How many circles have begun since the link was made.
+        in_circle (bool): Whether one is being run.
     """
 
     def __init__(self, bridge: Bridge) -> None:
@@ -149,12 +145,9 @@ class LinuxcncLink:
     def send(self, offset_um: Floats, sequence: int) -> None:
         """Send a correction (3,) in um along x, y, z.
 
-        Parameters
-        ----------
-        offset_um : ndarray, shape (3,)
-            Correction.
-        sequence : int
-            Differs from the one before.
+        Args:
+            offset_um: Correction. Shape (3,).
+            sequence: Differs from the one before.
         """
         x, y, z = offset_um.tolist()
         self.bridge.tell(do="send", offset_um=[x, y, z], sequence=sequence)

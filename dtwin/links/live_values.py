@@ -16,17 +16,12 @@ _GOOD_FOR = 3.0
 class LiveValues:
     """Newest values of the inputs that a control provides.
 
-    Parameters
-    ----------
-    rates_hz : mapping of str to float
-        Rate at which each is renewed, by name.
+    Args:
+        rates_hz: Rate at which each is renewed, by name.
 
-    Attributes
-    ----------
-    names : tuple of str
-        In the order of ``values``.
-    values : ndarray, shape (n,)
-        NaN while there is none, or only an old one. Overwritten in place.
+    Attributes:
+        names (tuple of str): In the order of ``values``.
+        values (ndarray, shape (n,)): NaN while there is none, or only an old one. Overwritten in place. Shape (n,).
     """
 
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
@@ -39,12 +34,9 @@ class LiveValues:
     def take(self, given: Mapping[str, float], stamp_s: float) -> None:
         """Take what came with a state, and drop what is too old.
 
-        Parameters
-        ----------
-        given : mapping of str to float
-            Finite numbers; names that were not asked for are left alone.
-        stamp_s : float
-            The control's stamp of the state.
+        Args:
+            given: Finite numbers; names that were not asked for are left alone.
+            stamp_s: The control's stamp of the state.
         """
         for name, value in given.items():
             place = self._place.get(name)

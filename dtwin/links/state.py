@@ -98,12 +98,9 @@ def empty_state() -> RobotState:
 def correction_registers(sequence: int = 0, offset_um: Floats | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:
     """Return correction registers, shape (4,): sequence number, then offset in um.
 
-    Parameters
-    ----------
-    sequence : int
-        Changes with every new offset; 0 means that none was ever sent.
-    offset_um : ndarray or tuple, shape (3,)
-        Offset along base x, y and z.
+    Args:
+        sequence: Changes with every new offset; 0 means that none was ever sent.
+        offset_um: Offset along base x, y and z. Shape (3,).
     """
     registers = np.empty(REGISTERS_N)
     registers[REGISTER_SEQUENCE] = sequence

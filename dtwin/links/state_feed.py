@@ -34,12 +34,9 @@ _LONGEST_LINE = 8192
 class StateFeed(StateLines):
     """The newest state that a bridge sends.
 
-    Parameters
-    ----------
-    address : str
-        ``HOST:PORT`` of the bridge.
-    lost_after_s : float
-        Silence after which the feed counts as dead, as behind a half-open connection.
+    Args:
+        address: ``HOST:PORT`` of the bridge.
+        lost_after_s: Silence after which the feed counts as dead, as behind a half-open connection.
     """
 
     def __init__(self, address: str, *, lost_after_s: float = 2.0) -> None:

@@ -43,23 +43,15 @@ _HINTS = {
 class UrLink(Closed):
     """States from a robot controller, corrections to it.
 
-    Parameters
-    ----------
-    connect_timeout_s : float
-        How long to wait for the controller.
-    lost_after_s : float
-        Silence after which the link counts as broken.
-    realtime : bool
-        Ask for real-time priority of the driver; ``self.realtime`` tells whether it was given.
-    writes : bool
-        Claim the input registers; false for a link that only listens.
+    Args:
+        connect_timeout_s: How long to wait for the controller.
+        lost_after_s: Silence after which the link counts as broken.
+        realtime: Ask for real-time priority of the driver; ``self.realtime`` tells whether it was given.
+        writes: Claim the input registers; false for a link that only listens.
 
-    Raises
-    ------
-    DeviceError
-        When no controller answers in time.
-    InputError
-        When the frequency makes no sense.
+    Raises:
+        DeviceError: When no controller answers in time.
+        InputError: When the frequency makes no sense.
     """
 
     def __init__(
@@ -138,15 +130,11 @@ class UrLink(Closed):
     def wait_state(self, timeout_s: float) -> layout.RobotState | None:
         """Return the newest state that was not returned before.
 
-        Returns
-        -------
-        ndarray, shape (N,), or None
+        Returns:
             The state, in a buffer that the next call overwrites; None when none came in time.
 
-        Raises
-        ------
-        DeviceError
-            When the link is broken, the driver died, or the link was closed.
+        Raises:
+            DeviceError: When the link is broken, the driver died, or the link was closed.
         """
         self._require_open()
         deadline_s = time.monotonic() + timeout_s
@@ -172,19 +160,13 @@ class UrLink(Closed):
     def send(self, offset_um: layout.Floats, sequence: int) -> None:
         """Hand a correction to the driver, which sends it at once.
 
-        Parameters
-        ----------
-        offset_um : ndarray, shape (3,)
-            Offset of the path along base x, y, z.
-        sequence : int
-            Must differ from the last one; 1 to ``SEQUENCE_LIMIT``.
+        Args:
+            offset_um: Offset of the path along base x, y, z. Shape (3,).
+            sequence: Must differ from the last one; 1 to ``SEQUENCE_LIMIT``.
 
-        Raises
-        ------
-        DeviceError
-            When the link is broken or closed.
-        InputError
-            When an offset is not finite or the sequence number does not fit its register.
+        Raises:
+            DeviceError: When the link is broken or closed.
+            InputError: When an offset is not finite or the sequence number does not fit its register.
         """
         self._require_open()
         if not (np.isfinite(offset_um).all() and 0 < sequence <= layout.SEQUENCE_LIMIT):

@@ -27,15 +27,11 @@ def new_nonce() -> str:
 def proof(home: Home, nonce: str) -> str:
     """Return what only a program of this ``DTWIN_HOME`` can answer to a nonce.
 
-    Parameters
-    ----------
-    home : Home
-        Where the key lies; it is made when there is none.
+    Args:
+        home: Where the key lies; it is made when there is none.
 
-    Raises
-    ------
-    StoreError
-        When the key can be neither read nor made.
+    Raises:
+        StoreError: When the key can be neither read nor made.
     """
     path = home.root / _FILE
     try:

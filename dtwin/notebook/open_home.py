@@ -94,17 +94,14 @@ class OpenHome:
     ) -> Path:
         """Measure the usual campaign of a virtual machine and return its folder.
 
-        Parameters
-        ----------
-        machine : str
-            Such as ``mill``; the page "Kinds of campaign" lists them with their options.
-        hidden, truth, schedule : str, optional
-            Options of some machines.
+        Args:
+            machine: Such as ``mill``; the page "Kinds of campaign" lists them with their options.
+            hidden: Option of some machines.
+            truth: Option of some machines.
+            schedule: Option of some machines.
 
-        Raises
-        ------
-        InputError
-            When there is no such machine, or it has no such option.
+        Raises:
+            InputError: When there is no such machine, or it has no such option.
         """
         require_text(machine, "a virtual machine")
         folder = path_of(out, "the folder of a campaign")
@@ -117,16 +114,12 @@ class OpenHome:
     def ingest(self, path: str | Path, **told: str | float) -> IngestResult:
         """Bring a campaign folder, a ``.b5r`` or a table into the lake; safe to repeat.
 
-        Parameters
-        ----------
-        **told
-            Of a table that lies alone: ``plane``, ``radius_mm``, ``feed_mm_min``, ``direction``,
-            ``axis``, ``setup``, ``repeat``, ``machine``, ``campaign``.
+        Args:
+            **told: Of a table that lies alone: ``plane``, ``radius_mm``, ``feed_mm_min``, ``direction``, ``axis``,
+                ``setup``, ``repeat``, ``machine``, ``campaign``.
 
-        Raises
-        ------
-        InputError
-            When the files cannot be used, or something is told that nobody asked for.
+        Raises:
+            InputError: When the files cannot be used, or something is told that nobody asked for.
         """
         unknown = sorted(set(told) - set(_TOLD))
         if unknown:
@@ -154,15 +147,11 @@ class OpenHome:
         A covariate that has the name of another column, such as a measured ``feed_mm_min``, is
         ``covariate_feed_mm_min``.
 
-        Parameters
-        ----------
-        campaign : str, optional
-            Only this one.
+        Args:
+            campaign: Only this one.
 
-        Raises
-        ------
-        InputError
-            When there is no such campaign.
+        Raises:
+            InputError: When there is no such campaign.
         """
         if campaign is not None:
             require_text(campaign, "a campaign")
@@ -179,32 +168,25 @@ class OpenHome:
     def samples(self, campaign: str, run: str) -> pd.DataFrame:
         """Return the samples of a run's reference instrument.
 
-        Parameters
-        ----------
-        campaign, run : str
-            As :meth:`runs` names them.
+        Args:
+            campaign: As :meth:`runs` names it.
+            run: As :meth:`runs` names it.
 
-        Raises
-        ------
-        InputError
-            When there is no such run.
+        Raises:
+            InputError: When there is no such run.
         """
         return pd.DataFrame(dict(self._run(campaign, run).samples))
 
     def signals(self, campaign: str, run: str, group: str | None = None) -> pd.DataFrame:
         """Return the high-rate signals of one device during a run, with its own clock ``t_s``.
 
-        Parameters
-        ----------
-        campaign, run : str
-            As :meth:`runs` names them.
-        group : str, optional
-            The device, such as ``accelerometers``; may be left away when there is one.
+        Args:
+            campaign: As :meth:`runs` names it.
+            run: As :meth:`runs` names it.
+            group: The device, such as ``accelerometers``; may be left away when there is one.
 
-        Raises
-        ------
-        InputError
-            When the run has no such signals, or several and none was named.
+        Raises:
+            InputError: When the run has no such signals, or several and none was named.
         """
         groups = {found.name: found for found in self._run(campaign, run, signals=True).signals}
         if group is None and len(groups) == 1:
@@ -226,19 +208,13 @@ class OpenHome:
     ) -> TwinResult:
         """Fit effects to a campaign, or to several of one machine; an existing twin of that name gets a new version.
 
-        Parameters
-        ----------
-        campaign : str or sequence of str
-            Name in the lake, or a path, which is ingested first.
-        effects : str or sequence of str
-            Names; ``backlash:X`` takes one axis.
-        robust : bool
-            Give runs that are far off less weight.
+        Args:
+            campaign: Name in the lake, or a path, which is ingested first.
+            effects: Names; ``backlash:X`` takes one axis.
+            robust: Give runs that are far off less weight.
 
-        Raises
-        ------
-        InputError
-            When the campaign, an effect or the name cannot be used.
+        Raises:
+            InputError: When the campaign, an effect or the name cannot be used.
         """
         names = effects.split(",") if isinstance(effects, str) else texts_of(effects, "effects")
         wanted = [part.strip() for part in names if part.strip()]
@@ -295,19 +271,14 @@ class OpenHome:
     def plot(self, campaign: str, run: str, drawing: str | None = None) -> go.Figure:
         """Return a figure of a run, as the page of the run shows it.
 
-        Parameters
-        ----------
-        campaign, run : str
-            As :meth:`runs` names them.
-        drawing : str, optional
-            Such as ``polar`` or ``spectrum``; the first of the kind without.
+        Args:
+            campaign: As :meth:`runs` names it.
+            run: As :meth:`runs` names it.
+            drawing: Such as ``polar`` or ``spectrum``; the first of the kind without.
 
-        Raises
-        ------
-        NotOffered
-            When nothing is drawn of this kind of campaign.
-        InputError
-            When there is no such drawing.
+        Raises:
+            NotOffered: When nothing is drawn of this kind of campaign.
+            InputError: When there is no such drawing.
         """
         loaded = self._run(campaign, run)
         drawings = {known.name: known for known in kind_named(loaded.meta.kind).drawings}
@@ -354,12 +325,9 @@ class OpenHome:
 def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[str | Path] = ()) -> OpenHome:
     """Open the folder that holds all state; it is made with the first thing that is kept.
 
-    Parameters
-    ----------
-    folder : path, optional
-        ``DTWIN_HOME``, by default ``.dtwin`` in the current folder, without.
-    effects : path or sequence of paths
-        Your own effect files, or folders of them. Their code is run.
+    Args:
+        folder: ``DTWIN_HOME``, by default ``.dtwin`` in the current folder, without.
+        effects: Your own effect files, or folders of them. Their code is run.
     """
     quiet_environment()
     root = home() if folder is None else Home(path_of(folder, "a home").expanduser().absolute())

@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 class Result:
     """What a verb found; shown as text, it is what the command prints.
 
-    Attributes
-    ----------
-    document : mapping
-        The result as plain records, JSON-ready: what ``--json`` prints of it.
+    Attributes:
+        document: The result as plain records, JSON-ready: what ``--json`` prints of it.
     """
 
     document: Mapping[str, Any]
@@ -38,10 +36,8 @@ class Result:
     def plot(self, number: int = 0) -> go.Figure:
         """Return a figure of the report about this result, by its number from 0.
 
-        Raises
-        ------
-        InputError
-            When there are not so many.
+        Raises:
+            InputError: When there are not so many.
         """
         drawn = self._draw()
         if not 0 <= number < len(drawn):
@@ -141,15 +137,10 @@ class DiagnosisResult(Result):
 class IngestResult:
     """What came into the lake.
 
-    Attributes
-    ----------
-    added, unchanged : tuple of str
-        Run ids.
-    rejected_rows : int
-        Rows without a usable number.
-    findings : DataFrame
-        What is noteworthy: ``run_id`` (empty for the whole campaign), ``severity``, ``code``,
-        ``message``.
+    Attributes:
+        added, unchanged: Run ids.
+        rejected_rows: Rows without a usable number.
+        findings: What is noteworthy: ``run_id`` (empty for the whole campaign), ``severity``, ``code``, ``message``.
     """
 
     campaign: str

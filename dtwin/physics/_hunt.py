@@ -69,11 +69,10 @@ def best_set(
     ``dictionary``: the library beside it.
     ``beside``: takes out of a problem what is neither the twin's nor the library's.
 
-    Notes
-    -----
-    The first round takes the noise of the repeats. Where the best set leaves more, the laws of
-    the library are not exact: what is left, harmonic by harmonic, then counts as noise, so that
-    a further effect must stand out of the misfit as well.
+    Note:
+        The first round takes the noise of the repeats. Where the best set leaves more, the laws of
+        the library are not exact: what is left, harmonic by harmonic, then counts as noise, so that
+        a further effect must stand out of the misfit as well.
     """
     noise = problem.noise
     assert noise is not None

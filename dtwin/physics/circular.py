@@ -20,12 +20,9 @@ _STRETCHES = 720
 class Circle:
     """Centre and radius fitted to a measured circle or arc.
 
-    Attributes
-    ----------
-    centre_a_um, centre_b_um : float
-        Centre along the first and second axis of the plane.
-    radius_change_um : float
-        Fitted radius minus the nominal one.
+    Attributes:
+        centre_a_um, centre_b_um: Centre along the first and second axis of the plane.
+        radius_change_um: Fitted radius minus the nominal one.
     """
 
     centre_a_um: float
@@ -43,20 +40,14 @@ class Circle:
 class CircularFigures:
     """Figures of one run.
 
-    Attributes
-    ----------
-    circular_deviation_um : float
-        ISO 230-4 G: largest minus smallest radius about the least-squares centre.
-    circular_deviation_mz_um : float
-        The same about the minimum-zone centre.
-    radial_deviation_max_um, radial_deviation_min_um : float
-        ISO 230-4 F: extremes of radius minus nominal, centre removed, radius kept.
-    rms_um : float
-        RMS about the fitted circle.
-    mean_absolute_um : float
-        Mean absolute deviation about the fitted circle.
-    arc_deg : float
-        Length of the arc that was evaluated.
+    Attributes:
+        circular_deviation_um: ISO 230-4 G: largest minus smallest radius about the least-squares centre.
+        circular_deviation_mz_um: The same about the minimum-zone centre.
+        radial_deviation_max_um, radial_deviation_min_um: ISO 230-4 F: extremes of radius minus nominal, centre removed,
+            radius kept.
+        rms_um: RMS about the fitted circle.
+        mean_absolute_um: Mean absolute deviation about the fitted circle.
+        arc_deg: Length of the arc that was evaluated.
     """
 
     circle: Circle
@@ -73,22 +64,16 @@ class CircularFigures:
 class BidirectionalFigures:
     """Figures of a counter-clockwise and a clockwise run of one set-up.
 
-    Attributes
-    ----------
-    circular_deviation_common_centre_um : float
-        ISO 230-4 G(b): largest minus smallest radius of both directions together, about one
-        least-squares centre for both.
-    circular_deviation_own_centres_um : float
-        The same with each direction about its own least-squares centre: smaller by what the
-        directions' centres are apart.
-    hysteresis_um, hysteresis_angle_deg : float
-        ISO 230-4 H, the largest difference of the radial deviations of the two directions at one
-        angle, and where it is. Of the samples as they are, about the common centre; between two
-        samples of a direction its deviation is interpolated. Nothing is averaged, so noise adds
-        to it: of two equal paths of n samples with noise sigma it is about
-        sigma * sqrt(2) * sqrt(2 ln n).
-    mean_bidirectional_radius_um : float
-        ISO 230-4 D: mean radius of both directions minus nominal.
+    Attributes:
+        circular_deviation_common_centre_um: ISO 230-4 G(b): largest minus smallest radius of both directions together,
+            about one least-squares centre for both.
+        circular_deviation_own_centres_um: The same with each direction about its own least-squares centre: smaller by
+            what the directions' centres are apart.
+        hysteresis_um, hysteresis_angle_deg: ISO 230-4 H, the largest difference of the radial deviations of the two
+            directions at one angle, and where it is. Of the samples as they are, about the common centre; between two samples
+            of a direction its deviation is interpolated. Nothing is averaged, so noise adds to it: of two equal paths of n
+            samples with noise sigma it is about sigma * sqrt(2) * sqrt(2 ln n).
+        mean_bidirectional_radius_um: ISO 230-4 D: mean radius of both directions minus nominal.
     """
 
     circular_deviation_common_centre_um: float
@@ -101,17 +86,12 @@ class BidirectionalFigures:
 def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Circle:
     """Fit the geometric least-squares circle.
 
-    Parameters
-    ----------
-    angle_deg : ndarray, shape (n,)
-        Angle in the plane.
-    deviation_um : ndarray, shape (n,)
-        Measured minus nominal radius.
+    Args:
+        angle_deg: Angle in the plane. Shape (n,).
+        deviation_um: Measured minus nominal radius. Shape (n,).
 
-    Raises
-    ------
-    InputError
-        With fewer than three samples, or an arc below 30 degrees.
+    Raises:
+        InputError: With fewer than three samples, or an arc below 30 degrees.
     """
     _require_arc(angle_deg, deviation_um)
     theta = np.radians(angle_deg)
@@ -142,14 +122,12 @@ def minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, flo
 
     Solved as a linear programme, which is exact to second order of the eccentricity.
 
-    Parameters
-    ----------
-    angle_deg, deviation_um : ndarray, shape (n,)
-        Samples; centre them first when the eccentricity is large.
+    Args:
+        angle_deg: Angles. Shape (n,).
+        deviation_um: Samples; centre them first when the eccentricity is large. Shape (n,).
 
-    Returns
-    -------
-    width_um, centre_a_um, centre_b_um : float
+    Returns:
+        width_um, centre_a_um, centre_b_um : float
     """
     theta = np.radians(angle_deg)
     # Of many samples few touch the ring: the programme begins with the extremes of each stretch, and takes in what lies outside.
@@ -198,12 +176,9 @@ def _ring(theta: Floats, deviation_um: Floats) -> tuple[float, float, float, flo
 def circular_figures(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> CircularFigures:
     """Evaluate one run.
 
-    Parameters
-    ----------
-    angle_deg : ndarray, shape (n,)
-        Angle of each sample, unwrapped.
-    deviation_um : ndarray, shape (n,)
-        Measured minus nominal radius.
+    Args:
+        angle_deg: Angle of each sample, unwrapped. Shape (n,).
+        deviation_um: Measured minus nominal radius. Shape (n,).
     """
     circle = fit_circle(angle_deg, deviation_um, radius_mm)
     centred = _centred_um(angle_deg, deviation_um, radius_mm, circle)
@@ -225,10 +200,9 @@ def bidirectional_figures(
 ) -> BidirectionalFigures:
     """Evaluate both directions of one set-up together.
 
-    Parameters
-    ----------
-    ccw, cw : tuple of (angle_deg, deviation_um)
-        Samples of each direction, arrays of shape (n,) each.
+    Args:
+        ccw: Samples of the counter-clockwise direction, arrays of shape (n,) each.
+        cw: Samples of the clockwise direction.
     """
     angle = np.concatenate([ccw[0], cw[0]])
     deviation = np.concatenate([ccw[1], cw[1]])

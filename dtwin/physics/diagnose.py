@@ -66,12 +66,9 @@ _BESIDE_LAWS = 0.5
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
     """Find out what a twin lacks.
 
-    Parameters
-    ----------
-    known : sequence of Term
-        Effects of the twin, without set-up terms.
-    library : mapping of str to Effect
-        Effects that may be missing.
+    Args:
+        known: Effects of the twin, without set-up terms.
+        library: Effects that may be missing.
     """
     tried, untestable = applicable(library, obs, known)
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]

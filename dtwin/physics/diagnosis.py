@@ -20,29 +20,18 @@ Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]
 class Suspect:
     """An effect that was considered.
 
-    Attributes
-    ----------
-    rms_after_um : float
-        Predicted RMS of the residual with the effect added.
-    cv_gain : float
-        Mean relative gain on conditions that were left out of the fit.
-    p_value : float
-        After Holm over the library.
-    in_group : bool
-        Member of the reported group.
-    confounded_with : tuple of str
-        Effects that these runs cannot tell from it.
-    share : float
-        Share of the systematic error that it explains.
-    size_um : float or None
-        RMS of what it explains beside all others that were found; None for what was not found.
-    sizes : tuple of Estimate
-        Its parameters, k = 2, fitted with all others that were found; empty for what was not found
-        and for what only cannot be told from it.
-    tested, untested : tuple of str
-        Variables of its law that the runs confirmed, and those that they did not test.
-    shape : mapping of str to float
-        Its shape parameters.
+    Attributes:
+        rms_after_um: Predicted RMS of the residual with the effect added.
+        cv_gain: Mean relative gain on conditions that were left out of the fit.
+        p_value: After Holm over the library.
+        in_group: Member of the reported group.
+        confounded_with: Effects that these runs cannot tell from it.
+        share: Share of the systematic error that it explains.
+        size_um: RMS of what it explains beside all others that were found; None for what was not found.
+        sizes: Its parameters, k = 2, fitted with all others that were found; empty for what was not found and for what
+            only cannot be told from it.
+        tested, untested: Variables of its law that the runs confirmed, and those that they did not test.
+        shape: Its shape parameters.
     """
 
     effect: str
@@ -82,16 +71,11 @@ class Suspect:
 class Unresolved:
     """What repeats agree on and nothing found explains.
 
-    Attributes
-    ----------
-    share : float
-        Its share of the systematic mean square.
-    p_value : float
-        Of the hypothesis that repeats agree on nothing more.
-    words : str
-        Direction, harmonic, feed and radius.
-    where : tuple of dict
-        Conditions and angles where it is largest.
+    Attributes:
+        share: Its share of the systematic mean square.
+        p_value: Of the hypothesis that repeats agree on nothing more.
+        words: Direction, harmonic, feed and radius.
+        where: Conditions and angles where it is largest.
     """
 
     systematic_rms_um: float
@@ -109,12 +93,9 @@ class Unresolved:
 class Spread:
     """How the spread of repeats depends on the condition.
 
-    Attributes
-    ----------
-    depends_on : tuple of str
-        ``feed``, or an effect that acts on the spread.
-    p_value : float
-        Smallest, after Holm.
+    Attributes:
+        depends_on: ``feed``, or an effect that acts on the spread.
+        p_value: Smallest, after Holm.
     """
 
     depends_on: tuple[str, ...]
@@ -138,45 +119,26 @@ It must lower what is left on conditions that are left out by this share, as a m
 class Diagnosis:
     """What is missing in a twin, how sure that is, and what it could be instead.
 
-    Attributes
-    ----------
-    verdict : str
-        One of the six verdicts.
-    residual_rms_um, systematic_rms_um, noise_floor_um : float
-        RMS of the residual, of what repeats agree on, and of one run about the mean of its
-        condition (unit of replication: the run).
-    floor_kind : {"repeats", "within_run", "none"}
-        Where the floor comes from; ``within_run`` is a lower bound.
-    lack_of_fit_p : float
-        Of the hypothesis that repeats agree on nothing more.
-    suspects : tuple of Suspect
-        Best first.
-    found : tuple of tuple of Suspect
-        Every effect that was found, the largest first, each with those that cannot be told from it.
-    unresolved : Unresolved or None
-        What repeats agree on besides; None when it is not significant.
-    where : tuple of dict
-        Conditions and angles where the residual is largest.
-    channels : tuple of Channel
-        Logged channels that explain the spread between repeats.
-    laws : tuple of ScalingLaw
-        Laws of structure that no effect explains.
-    closest : str or None
-        The effect whose shape comes closest to unknown structure.
-    invisible : tuple of str
-        Effects that would hide in the set-up or in known effects.
-    untestable : dict of str to str
-        Effects that cannot be judged, and why.
-    told : tuple of str
-        Runs that were left out before, and why; what was stated anew of the campaign.
-    outlier_runs : tuple of str
-        Runs that were left out.
-    spread : Spread or None
-        How the spread depends on the condition.
-    next_experiment : dict or None
-        The cheapest run that separates the leading candidates.
-    undecided : tuple of tuple of str
-        Each effect of the twin that these runs cannot tell from others, and those.
+    Attributes:
+        verdict: One of the six verdicts.
+        residual_rms_um, systematic_rms_um, noise_floor_um: RMS of the residual, of what repeats agree on, and of one run
+            about the mean of its condition (unit of replication: the run).
+        floor_kind: Where the floor comes from; ``within_run`` is a lower bound. One of "repeats", "within_run", "none".
+        lack_of_fit_p: Of the hypothesis that repeats agree on nothing more.
+        suspects: Best first.
+        found: Every effect that was found, the largest first, each with those that cannot be told from it.
+        unresolved: What repeats agree on besides; None when it is not significant.
+        where: Conditions and angles where the residual is largest.
+        channels: Logged channels that explain the spread between repeats.
+        laws: Laws of structure that no effect explains.
+        closest: The effect whose shape comes closest to unknown structure.
+        invisible: Effects that would hide in the set-up or in known effects.
+        untestable: Effects that cannot be judged, and why.
+        told: Runs that were left out before, and why; what was stated anew of the campaign.
+        outlier_runs: Runs that were left out.
+        spread: How the spread depends on the condition.
+        next_experiment: The cheapest run that separates the leading candidates.
+        undecided: Each effect of the twin that these runs cannot tell from others, and those.
     """
 
     verdict: Verdict

@@ -28,14 +28,10 @@ Regressors = Callable[[State, str, Shape], Floats]
 class Parameter:
     """A number that the fit finds, and that the error is proportional to.
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is, and its unit; the regressor is in um per this unit.
-    typical : float
-        Size on an ordinary machine, for planning.
-    once : str
-        The parameter that stood for this one too in versions that were stored before there were two.
+    Attributes:
+        name, unit: What it is, and its unit; the regressor is in um per this unit.
+        typical: Size on an ordinary machine, for planning.
+        once: The parameter that stood for this one too in versions that were stored before there were two.
     """
 
     name: str
@@ -53,26 +49,16 @@ class Parameter:
 class ShapeParameter:
     """A number that the error is not proportional to.
 
-    Attributes
-    ----------
-    grid : tuple of float
-        Values that diagnosis tries, refined between the outermost.
-    limits : tuple of float, optional
-        What is physically possible, which no fit leaves; without them a tenth of the smallest
-        and ten times the largest value of the grid, or of the start. From zero on for what may be
-        absent, as a rise that happens at once.
-    refined : bool
-        Whether values between those that are tried are possible.
-    ends : bool
-        Whether the effect is another one beyond the largest value tried: there it is not believed.
-    vanishes : bool
-        Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
-    by_speed : bool
-        Whether only runs at several speeds tell it: at one speed it stays at its start.
-    smooth : bool
-        Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
-    step_on_circles : int
-        A circle is shorter than an axis: every so-manieth value of the grid is tried on it.
+    Attributes:
+        grid: Values that diagnosis tries, refined between the outermost.
+        limits: What is physically possible, which no fit leaves; without them a tenth of the smallest and ten times the
+            largest value of the grid, or of the start. From zero on for what may be absent, as a rise that happens at once.
+        refined: Whether values between those that are tried are possible.
+        ends: Whether the effect is another one beyond the largest value tried: there it is not believed.
+        vanishes: Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
+        by_speed: Whether only runs at several speeds tell it: at one speed it stays at its start.
+        smooth: Whether a few values of the grid's range span the effect at all others, as they do for a time constant.
+        step_on_circles: A circle is shorter than an axis: every so-manieth value of the grid is tried on it.
     """
 
     name: str
@@ -98,12 +84,9 @@ class ShapeParameter:
 class Law:
     """How the amplitude of an effect changes with the condition.
 
-    Attributes
-    ----------
-    feed, radius : float or None
-        Exponents; None when the effect obeys no power law.
-    direction : {"even", "odd", "mixed"}
-        Whether the sign stays, changes, or neither when the motion is reversed.
+    Attributes:
+        feed, radius: Exponents; None when the effect obeys no power law.
+        direction: Whether the sign stays, changes, or neither when the motion is reversed. One of "even", "odd", "mixed".
     """
 
     feed: float | None
@@ -115,53 +98,32 @@ class Law:
 class Effect:
     """One physical cause.
 
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        One for each column of the regressors.
-    regressors : callable
-        ``regressors(state, axis, shape)`` returns columns of shape (n, parameters), in um per
-        unit of each parameter, as the reference instrument sees them.
-    law : Law
-        Scaling that is tested before a name counts as confirmed.
-    per : str
-        What there is one of: the machine, each axis, each plane, each joint.
-        ``plane_or_axis`` is for what only shows as a difference: each plane when one plane was
-        measured, else each axis.
-    kinds : tuple of str
-        Kinds of campaign in which it can be seen.
-    shapes : tuple of ShapeParameter
-        Parameters that the error is not proportional to.
-    also_tried : tuple of dict
-        Shapes that diagnosis tries besides the combinations of the grids; at one speed those that it tells.
-    also_tried_on : tuple of str
-        Kinds of campaign for which it does; empty for all.
-    needs : tuple of str
-        Logged columns without which it cannot be judged.
-    stated : tuple of str
-        What the geometry of the machine must state, without which it cannot be judged.
-    setup : bool
-        Belongs to the mounting of the instrument: always fitted, never a missing effect.
-    within_condition : bool
-        Differs between repeats of a condition, as heat and time do.
-    on_spread : bool
-        Shows in the spread of repeats and not in their mean.
-    group : str
-        Of what it is on pages: geometry, drive, dynamics, heat or instrument; your own when empty.
-    meaning, formula, looks_like, separate_by, remedy, reference : str
-        For people: what it is, how it is computed, what the plot shows, which run tells it from
-        its confusables, what to do about it, where it is described.
-    confusables : tuple of str
-        Effects that it can be mistaken for.
-    special_cases : tuple of str
-        Effects that it becomes at an end of its shapes: where one of them is enough, it is no other explanation.
-    at_one_speed : str
-        Effect of the same shape that it is at one speed, together with another that has no shape.
-    cause : str
-        What of the machine its size measures, where tests of other kinds can see that too: effects with the same cause
-        on the same axis have the same size.
-    correctable : str
-        Empty when offsets of position cannot correct it, else how they do.
+    Attributes:
+        parameters: One for each column of the regressors.
+        regressors: ``regressors(state, axis, shape)`` returns columns of shape (n, parameters), in um per unit of each
+            parameter, as the reference instrument sees them.
+        law: Scaling that is tested before a name counts as confirmed.
+        per: What there is one of: the machine, each axis, each plane, each joint. ``plane_or_axis`` is for what only
+            shows as a difference: each plane when one plane was measured, else each axis.
+        kinds: Kinds of campaign in which it can be seen.
+        shapes: Parameters that the error is not proportional to.
+        also_tried: Shapes that diagnosis tries besides the combinations of the grids; at one speed those that it tells.
+        also_tried_on: Kinds of campaign for which it does; empty for all.
+        needs: Logged columns without which it cannot be judged.
+        stated: What the geometry of the machine must state, without which it cannot be judged.
+        setup: Belongs to the mounting of the instrument: always fitted, never a missing effect.
+        within_condition: Differs between repeats of a condition, as heat and time do.
+        on_spread: Shows in the spread of repeats and not in their mean.
+        group: Of what it is on pages: geometry, drive, dynamics, heat or instrument; your own when empty.
+        meaning, formula, looks_like, separate_by, remedy, reference: For people: what it is, how it is computed, what the
+            plot shows, which run tells it from its confusables, what to do about it, where it is described.
+        confusables: Effects that it can be mistaken for.
+        special_cases: Effects that it becomes at an end of its shapes: where one of them is enough, it is no other
+            explanation.
+        at_one_speed: Effect of the same shape that it is at one speed, together with another that has no shape.
+        cause: What of the machine its size measures, where tests of other kinds can see that too: effects with the same
+            cause on the same axis have the same size.
+        correctable: Empty when offsets of position cannot correct it, else how they do.
     """
 
     name: str
@@ -218,22 +180,15 @@ class Effect:
     def columns(self, state: State, axis: str, shape: Shape) -> Floats:
         """Return the checked regressors at every point of a run.
 
-        Parameters
-        ----------
-        state : State
-            State of the machine at n points.
-        axis : str
-            Axis, plane or joint; empty for effects of the machine.
+        Args:
+            state: State of the machine at n points.
+            axis: Axis, plane or joint; empty for effects of the machine.
 
-        Returns
-        -------
-        ndarray, shape (n, parameters)
-            um per unit of each parameter.
+        Returns:
+            um per unit of each parameter. Shape (n, parameters).
 
-        Raises
-        ------
-        InputError
-            When the effect raises, or returns other than finite numbers of that shape.
+        Raises:
+            InputError: When the effect raises, or returns other than finite numbers of that shape.
         """
         wanted = (state.n, len(self.parameters))
         try:
@@ -271,10 +226,8 @@ class Effect:
 class Instance:
     """An effect on one axis, plane or joint.
 
-    Attributes
-    ----------
-    axis : str
-        Where it acts; empty for effects of the machine.
+    Attributes:
+        axis: Where it acts; empty for effects of the machine.
     """
 
     effect: Effect

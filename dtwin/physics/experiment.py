@@ -35,14 +35,10 @@ _BOTH: tuple[Direction, Direction] = ("CCW", "CW")
 class Proposal:
     """Runs that would separate pairs of candidates.
 
-    Attributes
-    ----------
-    conditions : tuple of Condition
-        What to measure, each ``REPEATS`` times.
-    minutes : float
-        Estimated time on the machine.
-    powers : tuple of float
-        Probability that they are told apart, for each pair.
+    Attributes:
+        conditions: What to measure, each ``REPEATS`` times.
+        minutes: Estimated time on the machine.
+        powers: Probability that they are told apart, for each pair.
     """
 
     text: str
@@ -60,14 +56,10 @@ class Proposal:
 class Detectable:
     """What a plan could detect of one effect.
 
-    Attributes
-    ----------
-    amplitude : float
-        Size of its first parameter that is detected with a power of 80 %, inf when invisible.
-    rms_um : float
-        Visible RMS at that size.
-    typical : float
-        Size on an ordinary machine.
+    Attributes:
+        amplitude: Size of its first parameter that is detected with a power of 80 %, inf when invisible.
+        rms_um: Visible RMS at that size.
+        typical: Size on an ordinary machine.
     """
 
     label: str
@@ -88,16 +80,12 @@ def next_experiment(
 
     Within ten minutes where that separates anything; otherwise the cheapest runs that do.
 
-    Parameters
-    ----------
-    known : sequence of Term
-        Effects of the twin.
+    Args:
+        known: Effects of the twin.
 
-    Returns
-    -------
-    dict or None
-        ``text``, ``separates``, ``conditions``, ``repeats``, ``minutes``, ``expected_power``
-        and ``advice``; None when there is nothing to separate.
+    Returns:
+        ``text``, ``separates``, ``conditions``, ``repeats``, ``minutes``, ``expected_power`` and ``advice``; None when
+        there is nothing to separate.
     """
     if diagnosis.verdict == "need_repeats":
         minutes = sum(c.seconds for c in obs.conditions) * (REPEATS - 1) / 60.0
@@ -198,10 +186,8 @@ def _rank(proposal: Proposal) -> tuple[bool, bool, float, float]:
 def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None) -> Observations:
     """Return the runs of a plan as if they had been measured, with nothing in them.
 
-    Parameters
-    ----------
-    columns : dict of str to ndarray, shape (runs,), optional
-        Logged columns to assume; ``time_h`` follows from the plan.
+    Args:
+        columns: Logged columns to assume; ``time_h`` follows from the plan. Shape (runs,) each.
     """
     rows = [
         (test, direction, Condition(test.plane, test.radius_mm, test.feed_mm_min, direction))
@@ -231,13 +217,10 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
 def detectable(obs: Observations, library: Mapping[str, Effect], *, noise_um: float) -> list[Detectable]:
     """Return the size of each effect that a design would detect with a power of 80 %.
 
-    Parameters
-    ----------
-    obs : Observations
-        Runs; what was measured does not matter.
-    noise_um : float
-        RMS of one run about the mean of its condition, assumed alike at all harmonics: low
-        harmonics usually repeat less well, so the truth is somewhat worse.
+    Args:
+        obs: Runs; what was measured does not matter.
+        noise_um: RMS of one run about the mean of its condition, assumed alike at all harmonics: low harmonics usually
+            repeat less well, so the truth is somewhat worse.
     """
     problem = unweighted(obs, [])
     tried, _ = applicable(library, obs, [])

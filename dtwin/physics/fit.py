@@ -34,14 +34,11 @@ _ROUGHLY = 1e-3
 class Estimate:
     """A fitted parameter.
 
-    Attributes
-    ----------
-    uncertainty : float
-        Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss
-        more than the noise. NaN without repeats.
-    identifiable : bool
-        False when these runs do not determine it (the value is then the smallest that fits), or
-        when it or a shape of its effect is not plausible.
+    Attributes:
+        uncertainty: Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss more than the
+            noise. NaN without repeats.
+        identifiable: False when these runs do not determine it (the value is then the smallest that fits), or when it or
+            a shape of its effect is not plausible.
     """
 
     effect: str
@@ -66,12 +63,9 @@ class Estimate:
 class Alias:
     """Two effects that these runs cannot tell apart.
 
-    Attributes
-    ----------
-    correlation : float
-        Largest correlation between what they would do, set-up taken out.
-    separate_by : str
-        The run that would tell them apart.
+    Attributes:
+        correlation: Largest correlation between what they would do, set-up taken out.
+        separate_by: The run that would tell them apart.
     """
 
     first: str
@@ -95,30 +89,18 @@ class Alias:
 class Fit:
     """Result of a fit.
 
-    Attributes
-    ----------
-    terms : tuple of Term
-        Effects, with the shape parameters that were found.
-    estimates : tuple of Estimate
-        Their parameters, in the order of the terms.
-    setups : tuple of dict
-        Centre and radius of every set-up.
-    residual_um : ndarray, shape (rows, n)
-        What is left.
-    rms_before_um, rms_after_um : float
-        RMS with set-up terms only, and with the effects.
-    systematic_rms_um : float
-        RMS of what repeats agree on; NaN without repeats.
-    noise_floor_um : float
-        RMS of one run about the mean of its condition; NaN without repeats.
-    noise_floor_dof : int
-        Degrees of freedom of the floor, each run counted once; 0 without repeats.
-    rank, n_columns : int
-        Independent columns, of how many.
-    condition : float
-        Condition number of the scaled columns.
-    aliases : tuple of Alias
-        Pairs that cannot be told apart.
+    Attributes:
+        terms: Effects, with the shape parameters that were found.
+        estimates: Their parameters, in the order of the terms.
+        setups: Centre and radius of every set-up.
+        residual_um: What is left. Shape (rows, n).
+        rms_before_um, rms_after_um: RMS with set-up terms only, and with the effects.
+        systematic_rms_um: RMS of what repeats agree on; NaN without repeats.
+        noise_floor_um: RMS of one run about the mean of its condition; NaN without repeats.
+        noise_floor_dof: Degrees of freedom of the floor, each run counted once; 0 without repeats.
+        rank, n_columns: Independent columns, of how many.
+        condition: Condition number of the scaled columns.
+        aliases: Pairs that cannot be told apart.
     """
 
     terms: tuple[Term, ...]
@@ -139,23 +121,16 @@ class Fit:
 def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refine: bool = True) -> Fit:
     """Fit effects to a campaign.
 
-    Parameters
-    ----------
-    terms : sequence of Term
-        Effects; shape parameters are refined from where they are.
-    robust : bool
-        Give runs that are far off less weight (Huber, by run).
-    refine : bool
-        Search the shapes of effects from where they are; otherwise they stay.
+    Args:
+        terms: Effects; shape parameters are refined from where they are.
+        robust: Give runs that are far off less weight (Huber, by run).
+        refine: Search the shapes of effects from where they are; otherwise they stay.
 
-    Returns
-    -------
-    Fit
+    Returns:
+        Fit
 
-    Raises
-    ------
-    InputError
-        When an effect has nothing to act on in this campaign.
+    Raises:
+        InputError: When an effect has nothing to act on in this campaign.
     """
     terms = _refined(obs, terms) if refine else list(terms)
     _require_visible(obs, terms)
@@ -193,10 +168,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
 def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     """Return the pairs of effects that the runs of a campaign cannot tell apart.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs; what was measured does not matter.
+    Args:
+        obs: The runs; what was measured does not matter.
     """
     problem = unweighted(obs, [])
     seen = [

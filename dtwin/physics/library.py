@@ -25,15 +25,11 @@ _N_JOINTS = 6
 class Library(Mapping[str, Effect]):
     """Effects by name.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The user's own effect files, or folders of them. Their code is run.
+    Args:
+        paths: The user's own effect files, or folders of them. Their code is run.
 
-    Raises
-    ------
-    InputError
-        When a file has no usable ``EFFECT``, or its name is taken.
+    Raises:
+        InputError: When a file has no usable ``EFFECT``, or its name is taken.
     """
 
     def __init__(self, paths: Sequence[Path] = ()) -> None:
@@ -87,10 +83,8 @@ class Library(Mapping[str, Effect]):
 def instances(effect: Effect, planes: Sequence[str], axes: Sequence[str], *, joints: bool) -> list[Instance]:
     """Return an effect on every axis, plane or joint of a campaign.
 
-    Parameters
-    ----------
-    joints : bool
-        Whether the joints of the machine are known.
+    Args:
+        joints: Whether the joints of the machine are known.
     """
     if effect.per == "machine":
         return [Instance(effect)]
@@ -110,10 +104,8 @@ def campaign_instances(
 ) -> list[Instance]:
     """Return everything in the library that could act in a campaign, set-up terms first.
 
-    Parameters
-    ----------
-    geometry : dict
-        ``machine_geometry`` of the campaign.
+    Args:
+        geometry: ``machine_geometry`` of the campaign.
     """
     fitting = sorted(
         (effect for effect in library.values() if kind in effect.kinds),

@@ -14,24 +14,15 @@ from dtwin.schema import Floats
 class LinearFigures:
     """Figures of a bidirectional test of one axis, in um.
 
-    Attributes
-    ----------
-    accuracy_um : float
-        A, bidirectional accuracy of positioning.
-    accuracy_forward_um, accuracy_backward_um : float
-        Unidirectional accuracy.
-    repeatability_um : float
-        R, bidirectional repeatability.
-    repeatability_forward_um, repeatability_backward_um : float
-        Unidirectional repeatability, 4 s.
-    reversal_um, mean_reversal_um : float
-        B, the largest reversal error, and its mean over the axis.
-    systematic_um : float
-        E, bidirectional systematic deviation.
-    systematic_forward_um, systematic_backward_um : float
-        Unidirectional systematic deviation.
-    mean_deviation_um : float
-        M, range of the mean bidirectional deviation.
+    Attributes:
+        accuracy_um: A, bidirectional accuracy of positioning.
+        accuracy_forward_um, accuracy_backward_um: Unidirectional accuracy.
+        repeatability_um: R, bidirectional repeatability.
+        repeatability_forward_um, repeatability_backward_um: Unidirectional repeatability, 4 s.
+        reversal_um, mean_reversal_um: B, the largest reversal error, and its mean over the axis.
+        systematic_um: E, bidirectional systematic deviation.
+        systematic_forward_um, systematic_backward_um: Unidirectional systematic deviation.
+        mean_deviation_um: M, range of the mean bidirectional deviation.
     """
 
     accuracy_um: float
@@ -51,24 +42,19 @@ class LinearFigures:
 def linear_figures(forward_um: Floats, backward_um: Floats) -> LinearFigures:
     """Evaluate a bidirectional positioning test.
 
-    Parameters
-    ----------
-    forward_um, backward_um : ndarray, shape (positions, runs)
-        Deviation at every target position in every run, approached from below and from above.
+    Args:
+        forward_um: Deviation at every target position in every run, approached from below. Shape (positions, runs).
+        backward_um: The same, approached from above.
 
-    Returns
-    -------
-    LinearFigures
+    Returns:
+        LinearFigures
 
-    Raises
-    ------
-    InputError
-        With fewer than two runs, other shapes for the two directions, or missing values.
+    Raises:
+        InputError: With fewer than two runs, other shapes for the two directions, or missing values.
 
-    Notes
-    -----
-    Coverage factor 2, as in the standard: an interval is the mean plus or minus twice the
-    standard deviation of the runs at that position.
+    Note:
+        Coverage factor 2, as in the standard: an interval is the mean plus or minus twice the
+        standard deviation of the runs at that position.
     """
     forward, backward = np.asarray(forward_um, float), np.asarray(backward_um, float)
     if forward.ndim != 2 or forward.shape != backward.shape or forward.shape[1] < 2:
@@ -90,10 +76,9 @@ def linear_figures(forward_um: Floats, backward_um: Floats) -> LinearFigures:
 def stacked_figures(forward_um: Floats, backward_um: Floats) -> dict[str, Floats]:
     """Return the figures of many tests at once by name, in um, each of shape (...).
 
-    Parameters
-    ----------
-    forward_um, backward_um : ndarray, shape (..., positions, runs)
-        Finite deviations of each test, from below and from above.
+    Args:
+        forward_um: Deviation at every target position in every run, approached from below. Shape (positions, runs).
+        backward_um: The same, approached from above.
     """
     up, down = forward_um.mean(axis=-1), backward_um.mean(axis=-1)
     s_up, s_down = forward_um.std(axis=-1, ddof=1), backward_um.std(axis=-1, ddof=1)

@@ -29,21 +29,15 @@ SETUP_COLUMNS = "setup_"
 class Observations:
     """Runs of a campaign on the points of one path: on a circle, averaged over degrees.
 
-    Attributes
-    ----------
-    y_um : ndarray, shape (rows, n)
-        Mean deviation in each bin, zero where nothing was measured. The part of a centre
-        offset that is of second order is taken out.
-    mask : ndarray of bool, shape (rows, n)
-        Where something was measured.
-    condition_of, setup_of, run_of : ndarray of int, shape (rows,)
-        Condition, set-up and run of each row; a run of several turns has several rows.
-    columns : tuple of dict
-        Logged columns of each row: a number, or an array of shape (n,).
-    feed_mm_s : ndarray, shape (rows,)
-        Path speed that was reached.
-    grid : Grid
-        The n points along the path: on a circle 360.
+    Attributes:
+        y_um: Mean deviation in each bin, zero where nothing was measured. The part of a centre offset that is of second
+            order is taken out. Shape (rows, n).
+        mask: Where something was measured. Shape (rows, n).
+        condition_of, setup_of, run_of: Condition, set-up and run of each row; a run of several turns has several rows.
+            Shape (rows,).
+        columns: Logged columns of each row: a number, or an array of shape (n,).
+        feed_mm_s: Path speed that was reached. Shape (rows,).
+        grid: The n points along the path: on a circle 360.
     """
 
     campaign: Campaign
@@ -154,10 +148,8 @@ class Observations:
     def without(self, drop: Sequence[int]) -> Observations:
         """Return the observations without some rows.
 
-        Parameters
-        ----------
-        drop : sequence of int
-            Rows to leave out.
+        Args:
+            drop: Rows to leave out.
         """
         keep = np.setdiff1d(np.arange(self.n_rows), np.asarray(drop, dtype=int))
         return self.take(keep)
@@ -165,10 +157,8 @@ class Observations:
     def take(self, rows: Indices) -> Observations:
         """Return some rows, in the order given.
 
-        Parameters
-        ----------
-        rows : ndarray of int, shape (k,)
-            Rows to keep.
+        Args:
+            rows: Rows to keep. Shape (k,).
         """
         used = sorted(set(self.condition_of[rows].tolist()))
         new = {old: i for i, old in enumerate(used)}
@@ -195,10 +185,8 @@ class Observations:
     def regressors(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect, averaged over the bins.
 
-        Returns
-        -------
-        ndarray, shape (rows, n, parameters)
-            um per unit of each parameter, zero where nothing was measured.
+        Returns:
+            um per unit of each parameter, zero where nothing was measured. Shape (rows, n, parameters).
         """
         effect = instance.effect
         out = np.zeros((self.n_rows, self.n_bins, len(effect.parameters)))
@@ -278,17 +266,12 @@ class Observations:
 def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
     """Put runs on the grid.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Of one kind: circular runs with ``angle_deg`` and ``deviation_um``, outside a marked window
-        samples are left out; sweeps with ``position_mm`` and ``error_um``; tones with the
-        command and the tool.
+    Args:
+        runs: Of one kind: circular runs with ``angle_deg`` and ``deviation_um``, outside a marked window samples are left
+            out; sweeps with ``position_mm`` and ``error_um``; tones with the command and the tool.
 
-    Raises
-    ------
-    InputError
-        When there is no run, or a run lacks what its kind needs or is too short.
+    Raises:
+        InputError: When there is no run, or a run lacks what its kind needs or is too short.
     """
     if not runs:
         raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)

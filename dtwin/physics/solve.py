@@ -37,21 +37,16 @@ class Solution:
 def solve_blocks(blocks: Iterable[tuple[Floats, Floats]]) -> Solution:
     """Solve a least-squares problem that comes in blocks of rows.
 
-    Parameters
-    ----------
-    blocks : iterable of (ndarray of shape (n, k), ndarray of shape (n,))
-        Columns and right sides.
+    Args:
+        blocks: Columns and right sides. Shape (n, k), ndarray of shape (n,)).
 
-    Raises
-    ------
-    InputError
-        When there is no row.
+    Raises:
+        InputError: When there is no row.
 
-    Notes
-    -----
-    Each block is reduced to a triangle by Householder QR, and triangles in a tree, so that rounding
-    grows with the height of the tree and not with the number of blocks (Demmel, Grigori, Hoemmen and
-    Langou 2012, tall-skinny QR). Only one block and some triangles are in memory.
+    Note:
+        Each block is reduced to a triangle by Householder QR, and triangles in a tree, so that rounding
+        grows with the height of the tree and not with the number of blocks (Demmel, Grigori, Hoemmen and
+        Langou 2012, tall-skinny QR). Only one block and some triangles are in memory.
     """
     levels: list[list[Floats]] = []
     n = 0

@@ -27,14 +27,10 @@ _GRAVITY_M_S2 = 9.80665
 class Joints:
     """Joint motion of a robot along a run.
 
-    Attributes
-    ----------
-    q_rad, qd_rad_s : ndarray, shape (n, joints)
-        Angle and speed of every joint.
-    lever_mm : ndarray, shape (n, joints)
-        Change of the measured length per radian of each joint: mm/rad.
-    gravity_nmm : ndarray, shape (n, joints)
-        Moment of a unit mass (1 kg) at the tool about each joint axis, N*mm.
+    Attributes:
+        q_rad, qd_rad_s: Angle and speed of every joint. Shape (n, joints).
+        lever_mm: Change of the measured length per radian of each joint: mm/rad. Shape (n, joints).
+        gravity_nmm: Moment of a unit mass (1 kg) at the tool about each joint axis, N*mm. Shape (n, joints).
     """
 
     q_rad: Floats
@@ -47,28 +43,17 @@ class Joints:
 class State:
     """State of the machine at the points of one run.
 
-    Attributes
-    ----------
-    plane : str
-        Plane of a circular run, else empty.
-    position_mm : dict of str to ndarray, shape (n,)
-        Position of each axis, from the centre of the path.
-    velocity_mm_s, acceleration_mm_s2 : dict of str to ndarray, shape (n,)
-        Motion of each axis.
-    sensitivity : dict of str to ndarray, shape (n,)
-        Change of the measured length per unit of error along the axis.
-    since_reversal_s : dict of str to ndarray, shape (n,)
-        Time since the axis last changed direction.
-    last_end : dict of str to ndarray, shape (n,)
-        +1 when that was at the positive end of its travel, else -1.
-    angle_rad : ndarray, shape (n,)
-        Path angle of a circular run.
-    radius_mm, feed_mm_s, direction : float
-        Condition of a circular run; the direction is +1 for CCW, -1 for CW.
-    columns : dict of str to ndarray, shape (n,)
-        Session time ``time_h`` and everything that was logged.
-    geometry : dict
-        ``machine_geometry`` of the campaign.
+    Attributes:
+        plane: Plane of a circular run, else empty.
+        position_mm: Position of each axis, from the centre of the path. Shape (n,) each.
+        velocity_mm_s, acceleration_mm_s2: Motion of each axis. Shape (n,) each.
+        sensitivity: Change of the measured length per unit of error along the axis. Shape (n,) each.
+        since_reversal_s: Time since the axis last changed direction. Shape (n,) each.
+        last_end: +1 when that was at the positive end of its travel, else -1. Shape (n,) each.
+        angle_rad: Path angle of a circular run. Shape (n,).
+        radius_mm, feed_mm_s, direction: Condition of a circular run; the direction is +1 for CCW, -1 for CW.
+        columns: Session time ``time_h`` and everything that was logged. Shape (n,) each.
+        geometry: ``machine_geometry`` of the campaign.
     """
 
     kind: str
@@ -95,15 +80,11 @@ class State:
     def column(self, name: str) -> Floats:
         """Return a logged column.
 
-        Parameters
-        ----------
-        name : str
-            Name with unit, for example ``"temperature_c"``.
+        Args:
+            name: Name with unit, for example ``"temperature_c"``.
 
-        Raises
-        ------
-        InputError
-            When it was not logged for this run.
+        Raises:
+            InputError: When it was not logged for this run.
         """
         if name in self.columns:
             return self.columns[name]
@@ -118,10 +99,8 @@ class State:
     def joints(self) -> Joints:
         """Joint motion of the robot that the campaign's geometry describes.
 
-        Raises
-        ------
-        InputError
-            When the geometry is missing or describes no known robot.
+        Raises:
+            InputError: When the geometry is missing or describes no known robot.
         """
         return _joints(self)
 
@@ -129,10 +108,8 @@ class State:
 def has_joints(geometry: Mapping[str, Any]) -> bool:
     """Tell whether a campaign's geometry describes a robot that dtwin knows.
 
-    Parameters
-    ----------
-    geometry : dict
-        ``machine_geometry`` of the campaign.
+    Args:
+        geometry: ``machine_geometry`` of the campaign.
     """
     known = str(geometry.get("type", "")).lower() == _ROBOT
     return known and ("centre_mm" in geometry or "centre_small_mm" in geometry)
@@ -143,16 +120,11 @@ def circular_state(
 ) -> State:
     """Return the state along a circle.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n,)
-        Path angles.
-    feed_mm_s : float
-        Path speed that was really reached.
-    columns : dict of str to ndarray, shape (n,)
-        What was logged.
-    geometry : dict
-        ``machine_geometry`` of the campaign.
+    Args:
+        angle_rad: Path angles. Shape (n,).
+        feed_mm_s: Path speed that was really reached.
+        columns: What was logged. Shape (n,) each.
+        geometry: ``machine_geometry`` of the campaign.
     """
     if meta.plane is None or meta.radius_mm is None or meta.direction is None:
         raise InputError(

@@ -25,10 +25,8 @@ FORMAT = "dtwin-twin/1"
 class ValidityBox:
     """Conditions that a twin was fitted to.
 
-    Attributes
-    ----------
-    radius_mm, feed_mm_min : tuple of float
-        Smallest and largest.
+    Attributes:
+        radius_mm, feed_mm_min: Smallest and largest.
     """
 
     planes: tuple[str, ...]
@@ -68,26 +66,16 @@ class ValidityBox:
 class Twin:
     """Effects with fitted parameters.
 
-    Attributes
-    ----------
-    version : int
-        Counts from 1; every rung is a version.
-    action : str
-        What made this version, for example ``add backlash``.
-    setups : tuple of dict
-        Centre and radius of every set-up.
-    box : ValidityBox
-        Conditions that it was fitted to.
-    figures : dict of str to float
-        RMS before and after, systematic RMS and noise floor, um; condition number and rank.
-    by_condition : tuple of dict
-        RMS of every condition before and after.
-    aliases : tuple of dict
-        Pairs of effects that the runs cannot tell apart.
-    data : dict
-        Table versions and hash of the runs that were used.
-    effect_sources : dict of str to str
-        Where the effects that are not built in came from.
+    Attributes:
+        version: Counts from 1; every rung is a version.
+        action: What made this version, for example ``add backlash``.
+        setups: Centre and radius of every set-up.
+        box: Conditions that it was fitted to.
+        figures: RMS before and after, systematic RMS and noise floor, um; condition number and rank.
+        by_condition: RMS of every condition before and after.
+        aliases: Pairs of effects that the runs cannot tell apart.
+        data: Table versions and hash of the runs that were used.
+        effect_sources: Where the effects that are not built in came from.
     """
 
     name: str
@@ -215,10 +203,9 @@ def twin_of(fit: Fit, obs: Observations, *, name: str, version: int, action: str
 def by_condition(obs: Observations, before_um: Floats, after_um: Floats) -> tuple[Mapping[str, Any], ...]:
     """Return RMS before and after for every condition.
 
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (rows, n)
-        Residuals.
+    Args:
+        before_um: Residual before. Shape (rows, n).
+        after_um: Residual after. Shape (rows, n).
     """
     out = []
     for number, condition in enumerate(obs.conditions):
@@ -238,14 +225,11 @@ def by_condition(obs: Observations, before_um: Floats, after_um: Floats) -> tupl
 def predict_um(twin: Twin, obs: Observations) -> Floats:
     """Return what a twin's effects do in the runs of a campaign, without set-up terms.
 
-    Parameters
-    ----------
-    obs : Observations
-        Runs; what was measured does not matter.
+    Args:
+        obs: Runs; what was measured does not matter.
 
-    Returns
-    -------
-    ndarray, shape (rows, n)
+    Returns:
+        Shape (rows, n).
     """
     out = np.zeros(obs.y_um.shape)
     for term in twin.terms:
@@ -256,14 +240,11 @@ def predict_um(twin: Twin, obs: Observations) -> Floats:
 def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
     """Return measured minus predicted, the parameters as they are, the set-ups fitted anew.
 
-    Parameters
-    ----------
-    obs : Observations
-        Runs, not necessarily those of the fit.
+    Args:
+        obs: Runs, not necessarily those of the fit.
 
-    Returns
-    -------
-    ndarray, shape (rows, n)
+    Returns:
+        Shape (rows, n).
     """
     return localise.residual_um(obs.with_y(obs.y_um - predict_um(twin, obs)), [])
 
@@ -271,17 +252,12 @@ def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
 def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Observations, axis: str = "") -> list[Term]:
     """Return effects by name, on every axis where they can act.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names; ``name:axis`` takes one axis. Set-up terms are always fitted and may be named.
-    axis : str
-        Take this axis only.
+    Args:
+        names: Names; ``name:axis`` takes one axis. Set-up terms are always fitted and may be named.
+        axis: Take this axis only.
 
-    Raises
-    ------
-    InputError
-        When there is no such effect, or it cannot act here.
+    Raises:
+        InputError: When there is no such effect, or it cannot act here.
     """
     geometry = obs.campaign.machine_geometry
     named = {name.partition(":")[0] for name in names}

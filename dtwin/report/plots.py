@@ -41,14 +41,10 @@ def polar_figure(
 ) -> go.Figure:
     """Return a polar plot as ball-bar people draw it: error magnified about the nominal circle.
 
-    Parameters
-    ----------
-    traces : mapping of str to (angle_deg, deviation_um)
-        Curves by name, arrays of shape (n,).
-    magnification : float, optional
-        Drawn millimetres per millimetre of error; chosen from the largest error when left out.
-    plane : str, optional
-        Two axes, the first of which lies at 0 degrees.
+    Args:
+        traces: Curves by name, arrays of shape (n,).
+        magnification: Drawn millimetres per millimetre of error; chosen from the largest error when left out.
+        plane: Two axes, the first of which lies at 0 degrees.
     """
     largest = max((float(np.max(np.abs(d))) for _, d in traces.values()), default=1.0)
     factor = magnification or magnification_for(largest, radius_mm)

@@ -21,16 +21,11 @@ from dtwin.serve.runtime import CompiledBundle
 class AnalogueWiring:
     """How an analogue correction is connected.
 
-    Attributes
-    ----------
-    states : str
-        ``HOST:PORT`` of the control's state feed.
-    calibration : Path or None
-        What ``dtwin analogue calibrate`` wrote; None only for a run that sends zeros or nothing.
-    watchdog_ms : int
-        Silence after which the board goes neutral by itself.
-    states_hz : float
-        How often the feed sends a state.
+    Attributes:
+        states: ``HOST:PORT`` of the control's state feed.
+        calibration: What ``dtwin analogue calibrate`` wrote; None only for a run that sends zeros or nothing.
+        watchdog_ms: Silence after which the board goes neutral by itself.
+        states_hz: How often the feed sends a state.
     """
 
     port: str
@@ -68,19 +63,13 @@ class AnalogueWiring:
 class AnalogueLink:
     """What the serving loop needs, over a state feed and a board.
 
-    Parameters
-    ----------
-    writes : bool
-        Engage the board; false for a run that only looks.
-    moves : bool
-        Whether corrections other than zero may be sent.
+    Args:
+        writes: Engage the board; false for a run that only looks.
+        moves: Whether corrections other than zero may be sent.
 
-    Raises
-    ------
-    DeviceError
-        When feed or board do not answer.
-    InputError
-        When the calibration is missing or unusable.
+    Raises:
+        DeviceError: When feed or board do not answer.
+        InputError: When the calibration is missing or unusable.
     """
 
     realtime = False
@@ -150,10 +139,8 @@ class AnalogueLink:
 def within_travel(compiled: CompiledBundle) -> CompiledBundle:
     """Return the model with its clamp within what the analogue input can reach.
 
-    Parameters
-    ----------
-    compiled : CompiledBundle
-        The model; one that asks for less comes back as it is.
+    Args:
+        compiled: The model; one that asks for less comes back as it is.
     """
     safety = compiled.bundle.safety
     if safety.clamp_um <= TRAVEL_UM:

@@ -41,10 +41,10 @@ def barred_why(machine: str, home: Home, version: int) -> str:
 class BarredWatch:
     """Asked every tick, looks once a second, whether a version was withdrawn.
 
-    Parameters
-    ----------
-    machine, home, version
-        As for ``bar``.
+    Args:
+        machine: As for ``bar``.
+        home: As for ``bar``.
+        version: As for ``bar``.
     """
 
     def __init__(self, machine: str, home: Home, version: int) -> None:

@@ -85,15 +85,11 @@ class GraphBuilder:
     def apply(self, op: str, *terms: Term) -> Expression:
         """Return the handle of an operation, for example ``apply("sin", x)``.
 
-        Parameters
-        ----------
-        op : str
-            Name in ``OPERATORS``, except ``pow_int`` and ``lookup``.
+        Args:
+            op: Name in ``OPERATORS``, except ``pow_int`` and ``lookup``.
 
-        Raises
-        ------
-        InputError
-            When there is no such operator, or the count of arguments is wrong.
+        Raises:
+            InputError: When there is no such operator, or the count of arguments is wrong.
         """
         wanted = OPERATORS.get(op)
         if wanted is None or op in ("pow_int", "lookup") or wanted.arity != len(terms):
@@ -117,14 +113,11 @@ class GraphBuilder:
     ) -> Expression:
         """Return the handle of a uniform table's linear interpolation.
 
-        Parameters
-        ----------
-        start, spacing : float
-            Argument of the first value, and from one value to the next.
-        values : sequence of float
-            At least two.
-        periodic : bool
-            Whether the first value follows the last; else the ends are held.
+        Args:
+            start: Argument of the first value.
+            spacing: From one value to the next.
+            values: At least two.
+            periodic: Whether the first value follows the last; else the ends are held.
         """
         table = Table(float(start), float(spacing), tuple(map(float, values)), periodic)
         if table not in self._tables:
@@ -142,15 +135,11 @@ class GraphBuilder:
     def graph(self, outputs: Mapping[str, Term], updates: Mapping[str, Term] | None = None) -> Graph:
         """Return the graph of what the outputs and updates need, nothing else.
 
-        Parameters
-        ----------
-        updates : mapping of str to Expression or number, optional
-            Next value of states by name.
+        Args:
+            updates: Next value of states by name.
 
-        Raises
-        ------
-        InputError
-            When the graph is too large or too deep.
+        Raises:
+            InputError: When the graph is too large or too deep.
         """
         out = {name: self._term(term).index for name, term in outputs.items()}
         after = {name: self._term(term).index for name, term in (updates or {}).items()}

@@ -42,18 +42,12 @@ _SLOWEST_HZ, _FASTEST_HZ = 1e-4, 1e6
 class Bundle:
     """Everything that serving needs; one JSON file.
 
-    Attributes
-    ----------
-    window : WindowContract or None
-        How feature inputs are made.
-    window_graph : Graph or None
-        From feature inputs to intermediate values, evaluated per hop and held.
-    tick_graph : Graph
-        From tick inputs, intermediate values and feature inputs to outputs, every tick.
-    corrects : str
-        Kind of campaign that it was made of; empty in older bundles.
-    band : Band or None
-        How uncertain the outputs are; None where nobody knows, as in older bundles.
+    Attributes:
+        window: How feature inputs are made.
+        window_graph: From feature inputs to intermediate values, evaluated per hop and held.
+        tick_graph: From tick inputs, intermediate values and feature inputs to outputs, every tick.
+        corrects: Kind of campaign that it was made of; empty in older bundles.
+        band: How uncertain the outputs are; None where nobody knows, as in older bundles.
     """
 
     name: str

@@ -90,19 +90,13 @@ def replaced(path: Path, sha256: str) -> Path:
 def load_bundle(path: Path, machine: str | None = None, contract: WindowContract | None = None) -> CompiledBundle:
     """Read, check and prove a bundle, and compile it.
 
-    Parameters
-    ----------
-    machine : str, optional
-        Machine that will be served; a bundle of another one is refused.
-    contract : WindowContract, optional
-        What the sensors deliver; another contract is refused.
+    Args:
+        machine: Machine that will be served; a bundle of another one is refused.
+        contract: What the sensors deliver; another contract is refused.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, malformed, too large or was changed.
-    GateRefusal
-        When it belongs to another machine or contract, or its test vectors do not hold here.
+    Raises:
+        InputError: When the file is missing, malformed, too large or was changed.
+        GateRefusal: When it belongs to another machine or contract, or its test vectors do not hold here.
     """
     bundle = Bundle.from_dict(read_json(path, MAX_BYTES))
     if machine is not None and bundle.machine != machine:

@@ -31,10 +31,8 @@ def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
     know a variable that no real controller has. No answer, a strange one, or one through a
     tunnel to a real robot counts as real.
 
-    Parameters
-    ----------
-    timeout_s : float
-        Longest wait for each answer.
+    Args:
+        timeout_s: Longest wait for each answer.
     """
     try:
         if not is_loopback(host):

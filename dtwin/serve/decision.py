@@ -52,28 +52,18 @@ class SensorSource(Protocol):
 class Decision:
     """Features, equation, direction and safety of one served bundle.
 
-    Parameters
-    ----------
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point in the flange frame, for the levers of the joints.
-    sensors : SensorSource, optional
-        Required when the bundle has feature inputs.
-    live : LiveValues, optional
-        Inputs that the control sends beside its state.
-    largest : ndarray, shape (N,), optional
-        Largest magnitudes in a state of this machine; see :mod:`dtwin.serve._state_limits`.
+    Args:
+        tcp_mm: Tool centre point in the flange frame, for the levers of the joints. Shape (3,).
+        sensors: Required when the bundle has feature inputs.
+        live: Inputs that the control sends beside its state.
+        largest: Largest magnitudes in a state of this machine; see :mod:`dtwin.serve._state_limits`. Shape (N,).
 
-    Attributes
-    ----------
-    hold : bool
-        Whether the correction is held at zero, as for a machine that stands still.
-    sensor_trouble : str
-        Which channel of the newest window is stuck, saturated or not finite; empty when none is.
+    Attributes:
+        hold (bool): Whether the correction is held at zero, as for a machine that stands still.
+        sensor_trouble (str): Which channel of the newest window is stuck, saturated or not finite; empty when none is.
 
-    Raises
-    ------
-    InputError
-        When the bundle wants an input that nothing here provides, or other windows.
+    Raises:
+        InputError: When the bundle wants an input that nothing here provides, or other windows.
     """
 
     def __init__(
@@ -194,18 +184,13 @@ class Decision:
     ) -> Floats:
         """Return the safe correction (3,) in um for the newest state.
 
-        Parameters
-        ----------
-        state : ndarray, shape (N,)
-            State of the controller.
-        age_s, elapsed_s : float
-            Age of the state, and time since the last decision.
-        enabled : bool
-            Whether a correction is wanted; false releases.
-        stages : ndarray of int64, shape (6,)
-            Receives the nanoseconds of window, path, equation and guard in its first four.
-        found : int
-            What the caller has found, as for ``safety.guard_kernel``.
+        Args:
+            state: State of the controller. Shape (N,).
+            age_s: Age of the state.
+            elapsed_s: Time since the last decision.
+            enabled: Whether a correction is wanted; false releases.
+            stages: Receives the nanoseconds of window, path, equation and guard in its first four. Shape (6,).
+            found: What the caller has found, as for ``safety.guard_kernel``.
         """
         start = perf_counter_ns()
         if not possible(state, self._largest):
@@ -252,14 +237,10 @@ class Decision:
     def release(self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False, found: int = OK) -> Floats:
         """Return the next correction when there is no usable state: towards zero.
 
-        Parameters
-        ----------
-        age_s : float
-            Age of the last state; beyond the limit it counts as a fault.
-        enabled : bool
-            False for a wanted release, true while the source is silent.
-        found : int
-            As in ``decide``.
+        Args:
+            age_s: Age of the last state; beyond the limit it counts as a fault.
+            enabled: False for a wanted release, true while the source is silent.
+            found: As in ``decide``.
         """
         return self.guard.step(
             self.direction.vector_um,

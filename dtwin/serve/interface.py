@@ -65,21 +65,14 @@ class State:
 class SafetyLimits:
     """What the correction may do whatever the equation says.
 
-    Attributes
-    ----------
-    clamp_um : float
-        Largest length of the correction vector.
-    slew_um_s : float
-        Largest rate of change of the correction vector.
-    stale_s, window_stale_s : float
-        Age of the controller's state, and of the newest window, beyond which it is released.
-    outside : {"zero", "shrink"}
-        Answer outside the validity box: none, or less the further outside.
-    shrink_span : float
-        Share of the box's width beyond which ``shrink`` has reached zero.
-    trips_to_latch : int
-        Faults (NaN, stale, outside counts not) after which the output stays at zero until
-        it is armed again by an edge.
+    Attributes:
+        clamp_um: Largest length of the correction vector.
+        slew_um_s: Largest rate of change of the correction vector.
+        stale_s, window_stale_s: Age of the controller's state, and of the newest window, beyond which it is released.
+        outside: Answer outside the validity box: none, or less the further outside. One of "zero", "shrink".
+        shrink_span: Share of the box's width beyond which ``shrink`` has reached zero.
+        trips_to_latch: Faults (NaN, stale, outside counts not) after which the output stays at zero until it is armed
+            again by an edge.
     """
 
     clamp_um: float = 100.0

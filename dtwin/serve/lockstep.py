@@ -44,25 +44,16 @@ def serve_lockstep(
 ) -> ServeStatus:
     """Serve a virtual controller on its own clock, one tick at a time, until it is done.
 
-    Parameters
-    ----------
-    decision : Decision
-        Features, equation, direction and safety: the code of the wall-clock loop.
-    controller : Controller
-        Machine that advances a tick per correction.
-    mode : {"live", "shadow", "dry-run"}
-        As in ``ServingLoop``.
-    transport_ticks : int
-        Ticks between a state and the arrival of its correction, the modelled transport;
-        1 is a correction that arrives within its own tick.
-    stop : callable, optional
-        Asked every tick; true releases and lets the program run to its end.
+    Args:
+        decision: Features, equation, direction and safety: the code of the wall-clock loop.
+        controller: Machine that advances a tick per correction.
+        mode: As in ``ServingLoop``. One of "live", "shadow", "dry-run".
+        transport_ticks: Ticks between a state and the arrival of its correction, the modelled transport; 1 is a
+            correction that arrives within its own tick.
+        stop: Asked every tick; true releases and lets the program run to its end.
 
-    Returns
-    -------
-    ServeStatus
-        With machine-clock ages; stage times are of the computation alone. A device fault is in it,
-        not raised.
+    Returns:
+        With machine-clock ages; stage times are of the computation alone. A device fault is in it, not raised.
     """
     decision.reset()
     decision.guard.reset()

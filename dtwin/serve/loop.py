@@ -51,26 +51,16 @@ class Link(Protocol):
 class ServeStatus:
     """How serving went.
 
-    Attributes
-    ----------
-    clock : {"wall", "machine"}
-        Clock that all times are of.
-    mode : {"live", "shadow", "dry-run"}
-        ``shadow`` computes and sends nothing, ``dry-run`` sends zeros.
-    ended : str
-        Why it ended: duration, stopped, finished, latched, or the fault's code.
-    released : bool
-        Whether the last correction that was sent is exactly zero.
-    reasons : dict of str to int
-        How often each reason of the guard acted.
-    largest_um : float
-        Longest correction that was computed and let through.
-    largest_band_um : float
-        Largest uncertainty (k = 2) of a correction that the model asked for; 0 where it does not tell.
-    last_sequence : int
-        Sequence number of the last correction sent; 0 when none was.
-    reconnects : int
-        Links that were lost and came back.
+    Attributes:
+        clock: Clock that all times are of. One of "wall", "machine".
+        mode: ``shadow`` computes and sends nothing, ``dry-run`` sends zeros. One of "live", "shadow", "dry-run".
+        ended: Why it ended: duration, stopped, finished, latched, or the fault's code.
+        released: Whether the last correction that was sent is exactly zero.
+        reasons: How often each reason of the guard acted.
+        largest_um: Longest correction that was computed and let through.
+        largest_band_um: Largest uncertainty (k = 2) of a correction that the model asked for; 0 where it does not tell.
+        last_sequence: Sequence number of the last correction sent; 0 when none was.
+        reconnects: Links that were lost and came back.
     """
 
     clock: Literal["wall", "machine"]
@@ -94,19 +84,13 @@ class ServeStatus:
 class ServingLoop:
     """Serves one decision on the wall clock through a link.
 
-    Parameters
-    ----------
-    decision : Decision
-        Features, equation, direction and safety.
-    period_s : float
-        Nominal period of the controller's states.
-    mode : {"live", "shadow", "dry-run"}
-        Whether corrections are sent, withheld, or replaced by zeros.
-    first_sequence : int
-        Sequence number to start from.
-    echoed : bool
-        Whether states come from what takes the corrections, so that a number just sent proves a
-        state new; without, states that lag behind their stamps stay old.
+    Args:
+        decision: Features, equation, direction and safety.
+        period_s: Nominal period of the controller's states.
+        mode: Whether corrections are sent, withheld, or replaced by zeros. One of "live", "shadow", "dry-run".
+        first_sequence: Sequence number to start from.
+        echoed: Whether states come from what takes the corrections, so that a number just sent proves a state new;
+            without, states that lag behind their stamps stay old.
     """
 
     def __init__(
@@ -138,10 +122,8 @@ class ServingLoop:
     def use(self, link: Link, first_sequence: int) -> None:
         """Go on with another link; the correction begins at zero, the counts go on.
 
-        Parameters
-        ----------
-        first_sequence : int
-            Sequence number to start from.
+        Args:
+            first_sequence: Sequence number to start from.
         """
         self.link = link
         self._begin(first_sequence)
@@ -162,18 +144,13 @@ class ServingLoop:
         Whatever ends it, the correction is led to zero and zero is sent, as long as the link
         still carries anything; the controller's own watchdog covers the rest.
 
-        Parameters
-        ----------
-        stop : callable, optional
-            Asked every tick; true ends the serving, as after Ctrl-C.
-        priority, core : int
-            As in ``realtime``.
-        begin : callable, optional
-            Called when all is prepared, which takes longer than a watchdog waits.
+        Args:
+            stop: Asked every tick; true ends the serving, as after Ctrl-C.
+            priority: As in ``realtime``.
+            core: As in ``realtime``.
+            begin: Called when all is prepared, which takes longer than a watchdog waits.
 
-        Returns
-        -------
-        ServeStatus
+        Returns:
             How it went; a device fault is in it, not raised.
         """
         fault: DeviceError | None = None

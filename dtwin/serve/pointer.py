@@ -53,21 +53,13 @@ _FIELDS = ("bundle", "sha256", "version", "state", "proved")
 class Resolved:
     """A bundle that a name stood for.
 
-    Attributes
-    ----------
-    path : Path
-        The bundle's file, below the machine's folder.
-    sha256 : str
-        Checksum of that file's bytes.
-    model_sha256 : str
-        ``Bundle.model_sha256``: what is shown, and what runs and journal name.
-    version : int
-        Version in the registry, as the bundle itself says.
-    state : str
-        ``champion``, ``trial``, ``candidate`` or ``barred``; ``unpromoted`` for a file that
-        no pointer names.
-    proved : str
-        ISO time at which it was last shown in a closed loop that it helps; empty when it never was.
+    Attributes:
+        path: The bundle's file, below the machine's folder.
+        sha256: Checksum of that file's bytes.
+        model_sha256: ``Bundle.model_sha256``: what is shown, and what runs and journal name.
+        version: Version in the registry, as the bundle itself says.
+        state: ``champion``, ``trial``, ``candidate`` or ``barred``; ``unpromoted`` for a file that no pointer names.
+        proved: ISO time at which it was last shown in a closed loop that it helps; empty when it never was.
     """
 
     path: Path
@@ -97,21 +89,14 @@ def write_pointer(
 
     A trial goes to ``trial.json``, every other state to ``champion.json``.
 
-    Parameters
-    ----------
-    bundle : Path
-        Bundle's file; it must lie directly in the machine's folder.
-    state : {"champion", "trial", "candidate", "barred"}
-        What the version may be used for.
-    proved : str
-        As in ``Resolved``.
+    Args:
+        bundle: Bundle's file; it must lie directly in the machine's folder.
+        state: What the version may be used for. One of "champion", "trial", "candidate", "barred".
+        proved: As in ``Resolved``.
 
-    Raises
-    ------
-    InputError
-        When the bundle is missing, lies elsewhere or is of another version.
-    StoreError
-        When the pointer cannot be written.
+    Raises:
+        InputError: When the bundle is missing, lies elsewhere or is of another version.
+        StoreError: When the pointer cannot be written.
     """
     folder = machine_folder(machine, home)
     path = _inside(folder, bundle.name)
@@ -147,10 +132,8 @@ def write_pointer(
 def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
     """Note that a champion was shown anew to help; nothing happens when it is no more.
 
-    Parameters
-    ----------
-    proved : str
-        ISO time.
+    Args:
+        proved: ISO time.
     """
     folder = machine_folder(machine, home)
     with locked(folder):
@@ -201,15 +184,11 @@ def forget_replaced(folder: Path) -> None:
 def only_machine(home: Home, model: str = "latest") -> str:
     """Return the machine that has a pointer, when there is exactly one.
 
-    Parameters
-    ----------
-    model : str
-        ``latest`` or ``trial``.
+    Args:
+        model: ``latest`` or ``trial``.
 
-    Raises
-    ------
-    InputError
-        When there is none, or several.
+    Raises:
+        InputError: When there is none, or several.
     """
     machines = sorted(p.parent.name for p in home.bundles.glob(f"*/{_POINTERS[model]}"))
     if len(machines) == 1:
@@ -237,21 +216,14 @@ def served_version(machine: str, home: Home) -> int | None:
 def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = False) -> Resolved:
     """Return what a model's name stands for, verified.
 
-    Parameters
-    ----------
-    model : str
-        ``latest`` or ``champion``, which are one, ``trial``, or the path of a bundle's file (ending in ``.json``).
-    machine : str or None
-        Machine; None when there is only one.
-    harmless : bool
-        Whether nothing will be moved (shadow or dry run), so that any state may be looked at.
+    Args:
+        model: ``latest`` or ``champion``, which are one, ``trial``, or the path of a bundle's file (ending in ``.json``).
+        machine: Machine; None when there is only one.
+        harmless: Whether nothing will be moved (shadow or dry run), so that any state may be looked at.
 
-    Raises
-    ------
-    InputError
-        When there is no pointer, or it is malformed, or its bundle is missing.
-    GateRefusal
-        When the bundle was changed, or its version may not correct a machine.
+    Raises:
+        InputError: When there is no pointer, or it is malformed, or its bundle is missing.
+        GateRefusal: When the bundle was changed, or its version may not correct a machine.
     """
     model = "latest" if model == "champion" else model
     if model.endswith(".json"):

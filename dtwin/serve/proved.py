@@ -15,12 +15,9 @@ WhenExpired = Literal["refuse", "warn"]
 def proof_of(resolved: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]:
     """Return when a model was last proved, for people, and whether that still holds.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        It may say for how many days a proof holds.
-    now : datetime
-        With its time zone.
+    Args:
+        bundle: It may say for how many days a proof holds.
+        now: With its time zone.
     """
     days = bundle.provenance.valid_days
     limit = f"; a proof holds for {days:g} days" if days else ""
@@ -37,21 +34,15 @@ def require_proof(
 ) -> str:
     """Return what is to be told of a champion's proof before it moves a machine.
 
-    Parameters
-    ----------
-    resolved, bundle
-        As for :func:`proof_of`.
-    when_expired : {"refuse", "warn"}
-        What to do when the proof does not hold any more.
-    now : datetime, optional
-        By default the computer's clock.
-    changed : str
-        What changed the machine since, where its record notes anything.
+    Args:
+        resolved: As for :func:`proof_of`.
+        bundle: As for :func:`proof_of`.
+        when_expired: What to do when the proof does not hold any more. One of "refuse", "warn".
+        now: By default the computer's clock.
+        changed: What changed the machine since, where its record notes anything.
 
-    Raises
-    ------
-    GateRefusal
-        When it does not hold and this was not to be a warning.
+    Raises:
+        GateRefusal: When it does not hold and this was not to be a warning.
     """
     told, holds = proof_of(resolved, bundle, now or datetime.now(UTC))
     told += f"; WARNING: {changed}; unless it came before the proof: dtwin recheck" if changed else ""

@@ -56,17 +56,13 @@ _ARMED, _LATCH, _COUNT, _FAULT = range(4)
 def box_factor(inputs: Floats, low: Floats, high: Floats, span: float) -> float:
     """Return how far a model may be trusted at its inputs.
 
-    Parameters
-    ----------
-    inputs, low, high : ndarray, shape (n,)
-        Inputs and their validity box.
-    span : float
-        0: nothing outside the box; else the share of the box's width over which trust
-        falls to nothing.
+    Args:
+        inputs: Inputs. Shape (n,).
+        low: Lower limits of their validity box. Shape (n,).
+        high: Upper limits. Shape (n,).
+        span: 0: nothing outside the box; else the share of the box's width over which trust falls to nothing.
 
-    Returns
-    -------
-    float
+    Returns:
         1 inside, between 0 and 1 near it, 0 far outside, -1 when an input is not finite.
     """
     factor = 1.0
@@ -114,30 +110,19 @@ def guard_kernel(
 ) -> int:
     """Turn a wanted correction into one that is safe to send.
 
-    Parameters
-    ----------
-    wanted_um : ndarray, shape (3,)
-        What the equation asks for.
-    factor : float
-        From ``box_factor``.
-    age_s, window_age_s : float
-        Age of the controller's state and of the newest window (0 when none is used).
-    elapsed_s : float
-        Time since the last call; counted as at most 20 ms, so that a stall earns no jump.
-    enabled : bool
-        Its rising edge arms and clears a latch; false releases.
-    found : int
-        What the caller has found: OK, or DEVICE, STALLED, IMPOSSIBLE, JUMPED, ENGAGING.
-    limits : ndarray, shape (5,)
-        Clamp, slew, the two ages, trips to latch.
-    memory : ndarray, shape (4,)
-        Armed, latched, trips, fault present. Overwritten.
-    out_um : ndarray, shape (3,)
-        The correction that was sent last; overwritten by the next one.
+    Args:
+        wanted_um: What the equation asks for. Shape (3,).
+        factor: From ``box_factor``.
+        age_s: Age of the controller's state.
+        window_age_s: Age of the newest window; 0 when none is used.
+        elapsed_s: Time since the last call; counted as at most 20 ms, so that a stall earns no jump.
+        enabled: Its rising edge arms and clears a latch; false releases.
+        found: What the caller has found: OK, or DEVICE, STALLED, IMPOSSIBLE, JUMPED, ENGAGING.
+        limits: Clamp, slew, the two ages, trips to latch. Shape (5,).
+        memory: Armed, latched, trips, fault present. Overwritten. Shape (4,).
+        out_um: The correction that was sent last; overwritten by the next one. Shape (3,).
 
-    Returns
-    -------
-    int
+    Returns:
         Position in ``REASONS`` of the strongest reason that acted.
     """
     reason = OK
@@ -222,12 +207,10 @@ def _guard_many(
 class Guard:
     """Safety of one served model.
 
-    Parameters
-    ----------
-    limits : SafetyLimits
-        Clamp, slew, ages, answer outside the box.
-    low, high : ndarray, shape (n,)
-        Validity box.
+    Args:
+        limits: Clamp, slew, ages, answer outside the box.
+        low: Lower limits of the validity box. Shape (n,).
+        high: Upper limits. Shape (n,).
     """
 
     def __init__(self, limits: SafetyLimits, low: Floats, high: Floats) -> None:
@@ -283,18 +266,14 @@ class Guard:
     ) -> Floats:
         """Return the correction (3,) in um that may be sent; the next call overwrites it.
 
-        Parameters
-        ----------
-        wanted_um : ndarray, shape (3,)
-            What the equation asks for.
-        inputs : ndarray, shape (n,)
-            Inputs of the equation, for the validity box.
-        age_s, window_age_s : float
-            Ages of the controller's state and of the newest window.
-        enabled, device_ok : bool
-            Whether a correction is wanted, and whether the machine runs.
-        found : int
-            As for ``guard_kernel``; a machine that does not run comes first.
+        Args:
+            wanted_um: What the equation asks for. Shape (3,).
+            inputs: Inputs of the equation, for the validity box. Shape (n,).
+            age_s: Age of the controller's state.
+            window_age_s: Age of the newest window; 0 when none is used.
+            enabled: Whether a correction is wanted.
+            device_ok: Whether the machine runs.
+            found: As for ``guard_kernel``; a machine that does not run comes first.
         """
         self.reason = guard_kernel(
             wanted_um,
@@ -314,12 +293,9 @@ class Guard:
     def run(self, wanted_um: Floats, inputs: Floats, *, elapsed_s: float) -> Floats:
         """Return the corrections of successive ticks of fresh states, shape (n, 3).
 
-        Parameters
-        ----------
-        wanted_um : ndarray, shape (n, 3)
-            What the equation asks for.
-        inputs : ndarray, shape (n, k)
-            Inputs of the equation, for the validity box.
+        Args:
+            wanted_um: What the equation asks for. Shape (n, 3).
+            inputs: Inputs of the equation, for the validity box. Shape (n, k).
         """
         sent = np.empty(wanted_um.shape)
         self.reason = _guard_many(

@@ -41,19 +41,13 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
 
     Whoever changes what is there does both under :func:`locked`.
 
-    Parameters
-    ----------
-    name : str
-        One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``BARRED``.
-    content : mapping or None
-        JSON-ready; None takes the file away.
+    Args:
+        name: One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``BARRED``.
+        content: JSON-ready; None takes the file away.
 
-    Raises
-    ------
-    StoreError
-        When the folder cannot be written.
-    GateRefusal
-        When the seal is not whole.
+    Raises:
+        StoreError: When the folder cannot be written.
+        GateRefusal: When the seal is not whole.
     """
     path = folder / name
     digest = None if content is None else hashlib.sha256(json_text(content).encode()).hexdigest()

@@ -19,33 +19,21 @@ from dtwin.serve.proved import WhenExpired
 class ServeRequest:
     """What a user asked for.
 
-    Attributes
-    ----------
-    model : str
-        ``latest``, ``trial``, or the path of a bundle.
-    machine : str or None
-        Machine; None when only one has a model.
-    duration_s : float or None
-        Time to serve; None until stopped.
-    mode : {"live", "shadow", "dry-run"}
-        As in ``ServingLoop``.
-    trial : bool
-        Serve under the tight clamp of a trial, whatever the model's state.
-    priority : int
-        Real-time priority, 0 for none.
-    patience_s : float
-        How long to wait for a lost link to come back, and for a protective stop to be unlocked;
-        0 ends the serving at once.
-    analogue : AnalogueWiring or None
-        Board and state feed of an analogue correction.
-    axes : str or None
-        ``HOST:PORT`` of a control that takes offsets of its axes; without it and without a board,
-        a robot at ``host``.
-    expired : {"refuse", "warn"}
-        What to do with a champion whose evidence is older than its bundle allows.
-    fade : bool or None
-        Whether a correction smaller than its own uncertainty fades out; None: where the bundle says how uncertain
-        it is.
+    Attributes:
+        model: ``latest``, ``trial``, or the path of a bundle.
+        machine: Machine; None when only one has a model.
+        duration_s: Time to serve; None until stopped.
+        mode: As in ``ServingLoop``. One of "live", "shadow", "dry-run".
+        trial: Serve under the tight clamp of a trial, whatever the model's state.
+        priority: Real-time priority, 0 for none.
+        patience_s: How long to wait for a lost link to come back, and for a protective stop to be unlocked; 0 ends the
+            serving at once.
+        analogue: Board and state feed of an analogue correction.
+        axes: ``HOST:PORT`` of a control that takes offsets of its axes; without it and without a board, a robot at
+            ``host``.
+        expired: What to do with a champion whose evidence is older than its bundle allows. One of "refuse", "warn".
+        fade: Whether a correction smaller than its own uncertainty fades out; None: where the bundle says how uncertain
+            it is.
     """
 
     model: str = "latest"
@@ -77,10 +65,8 @@ class ServeRequest:
     def serving(self, rate_hz: float | None = None) -> ServingRequest:
         """Return how the machine is to be served.
 
-        Parameters
-        ----------
-        rate_hz : float, optional
-            Of its states, for a control that says so itself.
+        Args:
+            rate_hz: Of its states, for a control that says so itself.
         """
         end = "control" if self.axes else "robot" if self.analogue is None else "board"
         known_hz = RATE_HZ if self.analogue is None else self.analogue.states_hz
@@ -119,18 +105,12 @@ class ServeRequest:
 class Served:
     """What came of a session.
 
-    Attributes
-    ----------
-    clamp_um : float
-        Longest correction that was allowed.
-    driver_realtime : bool
-        Whether the driver process was given real-time priority.
-    log : str
-        Path of the session log, or why there is none.
-    band : str
-        What the uncertainty of the correction is from; empty when the bundle does not tell it.
-    fades : bool
-        Whether a correction smaller than its uncertainty fades out.
+    Attributes:
+        clamp_um: Longest correction that was allowed.
+        driver_realtime: Whether the driver process was given real-time priority.
+        log: Path of the session log, or why there is none.
+        band: What the uncertainty of the correction is from; empty when the bundle does not tell it.
+        fades: Whether a correction smaller than its uncertainty fades out.
     """
 
     request: ServeRequest

@@ -47,28 +47,18 @@ def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: O
 
     Call it in the main thread of a process that runs nothing else.
 
-    Parameters
-    ----------
-    announce : callable
-        Receives lines for the user while it goes on.
-    open_sensors : callable, optional
-        Opens what delivers the windows of a contract; called when the model needs windows.
+    Args:
+        announce: Receives lines for the user while it goes on.
+        open_sensors: Opens what delivers the windows of a contract; called when the model needs windows.
 
-    Returns
-    -------
-    Served
+    Returns:
         A fault while serving is in it, not raised.
 
-    Raises
-    ------
-    InputError
-        When a file is missing or unusable.
-    GateRefusal
-        When the model may not be served so.
-    DeviceError
-        When the robot is absent or served already.
-    StoreError
-        When the lease cannot be taken.
+    Raises:
+        InputError: When a file is missing or unusable.
+        GateRefusal: When the model may not be served so.
+        DeviceError: When the robot is absent or served already.
+        StoreError: When the lease cannot be taken.
     """
     resolved = resolve(request.model, request.machine, home, harmless=request.mode != "live")
     announce(f"{request.model} is {resolved.describe()}")

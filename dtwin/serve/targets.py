@@ -32,12 +32,9 @@ _FORMULA = ("=", "+", "-", "@")
 class Target:
     """Where the tool is to go.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (3,)
-        In the frame of the path.
-    feed_mm_min : float
-        Programmed on the way to it.
+    Attributes:
+        position_mm: In the frame of the path. Shape (3,).
+        feed_mm_min: Programmed on the way to it.
     """
 
     name: str
@@ -49,14 +46,10 @@ class Target:
 class CorrectedTarget:
     """A target as it is to be sent.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (3,)
-        What is to be sent, in the frame of the path.
-    offset_um : ndarray, shape (3,)
-        The correction along base x, y, z.
-    reason : str
-        What the guard did: ``ok``, ``clamped``, ``outside_box`` and so on.
+    Attributes:
+        position_mm: What is to be sent, in the frame of the path. Shape (3,).
+        offset_um: The correction along base x, y, z. Shape (3,).
+        reason: What the guard did: ``ok``, ``clamped``, ``outside_box`` and so on.
     """
 
     target: Target
@@ -69,18 +62,12 @@ class CorrectedTarget:
 class TargetFrame:
     """What the targets belong to.
 
-    Attributes
-    ----------
-    plane : {"XY", "YZ", "ZX"}
-        Plane of the base frame whose path angle the model counts.
-    centre_mm : ndarray, shape (3,)
-        Centre from which the angle is counted, in the base frame.
-    joints_rad : ndarray, shape (6,)
-        Joint angles near the targets: they say branch and orientation of the tool.
-    direction_sign : float
-        +1 counter-clockwise, -1 clockwise.
-    origin_mm, rotation : ndarray, shapes (3,) and (3, 3)
-        Pose of the targets' own frame (feature) in the base frame.
+    Attributes:
+        plane: Plane of the base frame whose path angle the model counts. One of "XY", "YZ", "ZX".
+        centre_mm: Centre from which the angle is counted, in the base frame. Shape (3,).
+        joints_rad: Joint angles near the targets: they say branch and orientation of the tool. Shape (6,).
+        direction_sign: +1 counter-clockwise, -1 clockwise.
+        origin_mm, rotation: Pose of the targets' own frame (feature) in the base frame. Shapes (3,) and (3, 3).
     """
 
     plane: str
@@ -97,15 +84,11 @@ class TargetCorrection:
     Box and clamp of the bundle hold; its slew limit does not, because between targets the robot's
     own motion is the ramp.
 
-    Parameters
-    ----------
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point in the flange frame.
+    Args:
+        tcp_mm: Tool centre point in the flange frame. Shape (3,).
 
-    Raises
-    ------
-    InputError
-        When the model wants sensor windows, which no target has, or the plane is none.
+    Raises:
+        InputError: When the model wants sensor windows, which no target has, or the plane is none.
     """
 
     def __init__(
@@ -128,15 +111,11 @@ class TargetCorrection:
     def corrected(self, targets: Iterable[Target]) -> Iterator[CorrectedTarget]:
         """Yield every target corrected, when it is asked for: send it, then ask for the next.
 
-        Parameters
-        ----------
-        targets : iterable of Target
-            In the order of the program.
+        Args:
+            targets: In the order of the program.
 
-        Raises
-        ------
-        InputError
-            When a target is out of reach.
+        Raises:
+            InputError: When a target is out of reach.
         """
         for target in targets:
             yield self.correct(target)

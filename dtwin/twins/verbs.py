@@ -53,10 +53,8 @@ _PATIENCE_S, _LOOK_EVERY_S = 60.0, 0.05
 class Twins(TwinShelf):
     """The twins of a home that are of tests of a path.
 
-    Parameters
-    ----------
-    library : mapping of str to Effect, optional
-        Effects; the built-in ones and those of entry points without.
+    Args:
+        library: Effects; the built-in ones and those of entry points without.
     """
 
     def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
@@ -72,19 +70,13 @@ class Twins(TwinShelf):
     def fit(self, campaign: str | Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
         """Fit a twin to campaigns of a machine; an existing twin of that name gets a new version.
 
-        Parameters
-        ----------
-        campaign : str or sequence of str
-            Name in the lake, or a file or folder; several are fitted together.
-        effects : sequence of str
-            Names; ``name:axis`` takes one axis.
-        robust : bool
-            Give runs that are far off less weight.
+        Args:
+            campaign: Name in the lake, or a file or folder; several are fitted together.
+            effects: Names; ``name:axis`` takes one axis.
+            robust: Give runs that are far off less weight.
 
-        Raises
-        ------
-        InputError
-            When campaigns are of several machines, or cannot have a twin together.
+        Raises:
+            InputError: When campaigns are of several machines, or cannot have a twin together.
         """
         require_name(name, "the twin")
         names = [campaign] if isinstance(campaign, str) else list(campaign)
@@ -94,15 +86,11 @@ class Twins(TwinShelf):
     def compare(self, name: str, campaign: str | None = None) -> Comparison | SeveralComparison:
         """Compare a twin with measurements.
 
-        Parameters
-        ----------
-        campaign : str, optional
-            Other measurements than those of the fit, or one of several campaigns.
+        Args:
+            campaign: Other measurements than those of the fit, or one of several campaigns.
 
-        Raises
-        ------
-        InputError
-            When the campaign is of another machine.
+        Raises:
+            InputError: When the campaign is of another machine.
         """
         twin = self.newest(name)
         if isinstance(twin, SeveralTwin) and campaign is None:
@@ -129,10 +117,8 @@ class Twins(TwinShelf):
     def budget(self, twin: Twin, campaign: str | None = None) -> Budget:
         """Return how much each effect of a twin makes of the error.
 
-        Parameters
-        ----------
-        campaign : str, optional
-            Other measurements than those of the fit; of several campaigns it says which.
+        Args:
+            campaign: Other measurements than those of the fit; of several campaigns it says which.
         """
         if campaign is None and isinstance(twin, SeveralTwin) and len(twin.parts) > 1:
             raise InputError(
@@ -192,21 +178,14 @@ class Twins(TwinShelf):
     ) -> Twin:
         """Add an effect, refit, and store the new version.
 
-        Parameters
-        ----------
-        effect : str
-            Name of the effect, or ``name:axis``.
-        axis : str
-            One axis; all on which it can act without.
-        shape : mapping of str to float, optional
-            Where its shape parameters start.
-        refine : bool
-            Search the shapes of all effects; otherwise they stay as they are.
+        Args:
+            effect: Name of the effect, or ``name:axis``.
+            axis: One axis; all on which it can act without.
+            shape: Where its shape parameters start.
+            refine: Search the shapes of all effects; otherwise they stay as they are.
 
-        Raises
-        ------
-        InputError
-            When the twin has it already.
+        Raises:
+            InputError: When the twin has it already.
         """
         twin = self.newest(name)
         return self._added(twin, self._load(twin.campaigns), effect, axis, shape, refine=refine)
@@ -252,13 +231,9 @@ class Twins(TwinShelf):
 
         Of what a later round finds, only what :meth:`Diagnosis.to_add` says is added; the rest stays in the last word.
 
-        Returns
-        -------
-        twins : list of Twin
+        Returns:
             The versions that were made, one for every effect.
-        groups : list of tuple of str
             For each of them the effect and what cannot be told from it.
-        diagnosis : Diagnosis
             The last word.
         """
         made: list[Twin] = []

@@ -45,15 +45,11 @@ def distances_um(first_um: Floats, second_um: Floats) -> tuple[float, float]:
 
     The first is the root of the sum of squares along the path.
 
-    Parameters
-    ----------
-    first_um, second_um : ndarray, shapes (n,) and (m,)
-        Curves.
+    Args:
+        first_um, second_um: Curves. Shapes (n,) and (m,).
 
-    Raises
-    ------
-    InputError
-        When a curve is empty, not finite or longer than ``MOST_READINGS``.
+    Raises:
+        InputError: When a curve is empty, not finite or longer than ``MOST_READINGS``.
     """
     curves = [np.ascontiguousarray(c, dtype=np.float64) for c in (first_um, second_um)]
     for curve in curves:

@@ -22,16 +22,11 @@ ACCEPTED_DIFFERENCE = 0.1
 class DynamicComponents:
     """What a filter, or a twin, took out of a recording (eqs. 6 to 8).
 
-    Attributes
-    ----------
-    before_um, after_um : float
-        Circular deviation of the radial error before and after.
-    dc1_um : float
-        Difference of the two.
-    dc2_um : float
-        Peak to peak of what was taken out.
-    dc3_um : float
-        RMS of what was taken out, as equation 8 of the source; its text says mean absolute.
+    Attributes:
+        before_um, after_um: Circular deviation of the radial error before and after.
+        dc1_um: Difference of the two.
+        dc2_um: Peak to peak of what was taken out.
+        dc3_um: RMS of what was taken out, as equation 8 of the source; its text says mean absolute.
     """
 
     before_um: float
@@ -48,15 +43,11 @@ class DynamicComponents:
 def dynamic_components(before_um: Floats, after_um: Floats) -> DynamicComponents:
     """Compare radial errors about their least-squares centres before and after.
 
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (n,)
-        Radial error at the same angles.
+    Args:
+        before_um, after_um: Radial error at the same angles. Shape (n,).
 
-    Raises
-    ------
-    InputError
-        When there is nothing to compare.
+    Raises:
+        InputError: When there is nothing to compare.
     """
     if before_um.shape != after_um.shape or before_um.size == 0:
         raise InputError(
@@ -72,15 +63,11 @@ def dynamic_components(before_um: Floats, after_um: Floats) -> DynamicComponents
 def relative_difference(deviation_um: float, reference_um: float) -> float:
     """Return the relative difference of two circular deviations (eq. 14).
 
-    Parameters
-    ----------
-    deviation_um, reference_um : float
-        Circular deviation of the recording, and of the slow reference.
+    Args:
+        deviation_um, reference_um: Circular deviation of the recording, and of the slow reference.
 
-    Raises
-    ------
-    InputError
-        When the reference is not above zero.
+    Raises:
+        InputError: When the reference is not above zero.
     """
     if not reference_um > 0.0:
         raise InputError(
@@ -98,14 +85,10 @@ def eq15(dtw_um: float, frechet_um: float, difference: float) -> float:
     It is least, 1, when one of the three dominates however large it is, and sqrt(3) when all are
     equal however small: a perfect fit is as bad as it gets. Kept to reproduce, not to be used.
 
-    Parameters
-    ----------
-    dtw_um, frechet_um, difference : float
-        Both distances, and the relative difference of circular deviation.
+    Args:
+        dtw_um, frechet_um, difference: Both distances, and the relative difference of circular deviation.
 
-    Returns
-    -------
-    float
+    Returns:
         NaN, with a warning, when all three are zero.
     """
     length = math.hypot(dtw_um, frechet_um, difference)
@@ -123,12 +106,9 @@ def weighted_sum(dtw_um: float, frechet_um: float, difference: float, readings: 
     DTW per reading is an RMS, Frechet a largest distance; a relative difference beyond
     ``ACCEPTED_DIFFERENCE`` costs 1 um per hundredth.
 
-    Parameters
-    ----------
-    dtw_um, frechet_um, difference : float
-        As for :func:`eq15`.
-    readings : int
-        Readings per revolution.
+    Args:
+        dtw_um, frechet_um, difference: As for :func:`eq15`.
+        readings: Readings per revolution.
     """
     beyond = max(0.0, difference - ACCEPTED_DIFFERENCE)
     return dtw_um / math.sqrt(readings) + frechet_um + 100.0 * beyond

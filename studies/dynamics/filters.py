@@ -52,10 +52,8 @@ class Filter(Protocol):
 class _RandomWalk:
     """A deviation that wanders.
 
-    Attributes
-    ----------
-    q_um2, r_um2, p_um2 : float
-        Variance of a step, of a reading, and of the first state.
+    Attributes:
+        q_um2, r_um2, p_um2: Variance of a step, of a reading, and of the first state.
     """
 
     q_um2: float = PUBLISHED_Q_UM2
@@ -104,16 +102,11 @@ class Smoother(_RandomWalk):
 class UnscentedFilter:
     """Unscented Kalman filter (Wan and van der Merwe 2000), scaled, beta 2, kappa 0.
 
-    Attributes
-    ----------
-    model : str
-        One of ``MODELS``.
-    alpha : float
-        Scaling of the sigma points, 1e-5 to 1; the one number that is tuned in the published method.
-    q_um2, r_um2, p_um2 : float
-        As for :class:`RandomWalkFilter`.
-    radius_mm : float
-        Nominal radius; only the model ``circle`` uses it.
+    Attributes:
+        model: One of ``MODELS``.
+        alpha: Scaling of the sigma points, 1e-5 to 1; the one number that is tuned in the published method.
+        q_um2, r_um2, p_um2: As for :class:`RandomWalkFilter`.
+        radius_mm: Nominal radius; only the model ``circle`` uses it.
     """
 
     model: str = "random-walk"
@@ -158,10 +151,8 @@ class UnscentedFilter:
 class LowPass:
     """Zero-phase low-pass along the angle: a Butterworth of second order, forwards and back.
 
-    Attributes
-    ----------
-    cutoff_upr : float
-        Undulations per revolution that pass by half.
+    Attributes:
+        cutoff_upr: Undulations per revolution that pass by half.
     """
 
     cutoff_upr: float = 15.0
@@ -186,16 +177,11 @@ class LowPass:
 class Response:
     """What a filter does to a real feature of so many lobes.
 
-    Attributes
-    ----------
-    lobes : int
-        Undulations per revolution.
-    gain : float
-        Amplitude that is left, 1 for all.
-    lag_deg : float
-        By how much the feature comes late, degrees of the path.
-    taken : float
-        Share of the feature that is counted as dynamic: amplitude of what was taken out.
+    Attributes:
+        lobes: Undulations per revolution.
+        gain: Amplitude that is left, 1 for all.
+        lag_deg: By how much the feature comes late, degrees of the path.
+        taken: Share of the feature that is counted as dynamic: amplitude of what was taken out.
     """
 
     lobes: int
@@ -207,12 +193,9 @@ class Response:
 def response(chosen: Filter, readings: int, lobes: int = 2) -> Response:
     """Measure what a filter does to a feature, by filtering one.
 
-    Parameters
-    ----------
-    readings : int
-        Readings per revolution.
-    lobes : int
-        Undulations per revolution: 2 is what scale, squareness and servo mismatch make.
+    Args:
+        readings: Readings per revolution.
+        lobes: Undulations per revolution: 2 is what scale, squareness and servo mismatch make.
     """
     wave = _PROBE_UM * np.cos(lobes * np.arange(readings) * (2.0 * np.pi / readings))
     left = np.fft.rfft(chosen.static_um(wave))[lobes] / np.fft.rfft(wave)[lobes]
@@ -292,21 +275,14 @@ def _drawn(x: Floats, p: Floats, scale: float) -> Floats:
 def unscented_kernel(read: Floats, kind: int, radius_um: float, step_rad: float, settings: Floats) -> Floats:
     """Filter readings with the unscented transform.
 
-    Parameters
-    ----------
-    read : ndarray, shape (n,)
-        Deviation, um.
-    kind : int
-        Place of the model in ``MODELS``.
-    radius_um, step_rad : float
-        Nominal radius, and angle between readings.
-    settings : ndarray, shape (4,)
-        alpha, and the variances Q, R and first P, um^2.
+    Args:
+        read: Deviation, um. Shape (n,).
+        kind: Place of the model in ``MODELS``.
+        radius_um, step_rad: Nominal radius, and angle between readings.
+        settings: alpha, and the variances Q, R and first P, um^2. Shape (4,).
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        Deviation that the filtered state stands for.
+    Returns:
+        Deviation that the filtered state stands for. Shape (n,).
     """
     alpha, q, r, first = settings
     size = 2 if kind == _CIRCLE else 1

@@ -21,12 +21,9 @@ _LARGEST_GAP_DEG = 5.0
 class Turn:
     """One revolution in the order of travel, readings at equal steps of the angle.
 
-    Attributes
-    ----------
-    angle_deg : ndarray, shape (n,)
-        Angle in the plane; rises for CCW, falls for CW; steps of ``360 / n``.
-    deviation_um : ndarray, shape (n,)
-        Measured minus nominal radius.
+    Attributes:
+        angle_deg: Angle in the plane; rises for CCW, falls for CW; steps of ``360 / n``. Shape (n,).
+        deviation_um: Measured minus nominal radius. Shape (n,).
     """
 
     angle_deg: Floats
@@ -44,19 +41,13 @@ def one_turn(angle_deg: Floats, deviation_um: Floats, readings: int) -> Turn:
     Interpolated, not averaged over steps: an average would take vibration away, and more of it
     from a slow run, which has more readings per step.
 
-    Parameters
-    ----------
-    angle_deg : ndarray, shape (m,)
-        Unwrapped angle of every sample, rising or falling.
-    deviation_um : ndarray, shape (m,)
-        Measured minus nominal radius.
-    readings : int
-        Readings per revolution that are wanted.
+    Args:
+        angle_deg: Unwrapped angle of every sample, rising or falling. Shape (m,).
+        deviation_um: Measured minus nominal radius. Shape (m,).
+        readings: Readings per revolution that are wanted.
 
-    Raises
-    ------
-    InputError
-        When the samples do not go once round, have gaps, turn back, or are not finite.
+    Raises:
+        InputError: When the samples do not go once round, have gaps, turn back, or are not finite.
     """
     angle = np.asarray(angle_deg, dtype=float)
     deviation = np.asarray(deviation_um, dtype=float)

@@ -16,14 +16,10 @@ M = TypeVar("M", bound=AxisMachine)
 class AxisControl(Generic[M]):
     """Runs a machine's program once, corrected by who connects to ``address``.
 
-    Parameters
-    ----------
-    machine : AxisMachine
-        What is moved.
-    home : Home
-        Whose key proves that it is virtual.
-    clock : {"wall", "machine"}
-        As for ``AxisServer``.
+    Args:
+        machine: What is moved.
+        home: Whose key proves that it is virtual.
+        clock: As for ``AxisServer``. One of "wall", "machine".
     """
 
     def __init__(self, machine: M, home: Home, clock: Clock = "machine") -> None:

@@ -30,23 +30,15 @@ def visit(cobot: VirtualCobot, sent_mm: Floats, *, centre_mm: Floats, feed_mm_mi
     A touch probe reads every stop, with the noise of the ball bar's sensor. The frame is set at
     the centre, so the error there is zero by definition.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The machine.
-    sent_mm : ndarray, shape (n, 3)
-        Targets as the robot receives them, in the base frame; the tool starts at the first one.
-    centre_mm : ndarray, shape (3,)
-        Where the frame was set.
-    feed_mm_min : float
-        Speed between targets.
-    repeat : int
-        Seeds the probe's noise.
+    Args:
+        cobot: The machine.
+        sent_mm: Targets as the robot receives them, in the base frame; the tool starts at the first one. Shape (n, 3).
+        centre_mm: Where the frame was set. Shape (3,).
+        feed_mm_min: Speed between targets.
+        repeat: Seeds the probe's noise.
 
-    Raises
-    ------
-    InputError
-        When two successive targets are the same, or fewer than two are given.
+    Raises:
+        InputError: When two successive targets are the same, or fewer than two are given.
     """
     plan = _plan(cobot, np.asarray(sent_mm, dtype=float), centre_mm, feed_mm_min)
     truths = cobot.run(plan).truths

@@ -49,21 +49,14 @@ def running_store() -> Iterator[int]:
 class StoreProxy:
     """Passes requests on to a store, unless told what goes wrong.
 
-    Attributes
-    ----------
-    wrong : str
-        Empty, or ``no_conditions`` (headers dropped), ``busy`` (503), ``away`` (no answer), ``slow``, ``expired``
-        (credentials), ``skewed`` (clock), ``deaf`` (what is written is taken, and its answer lost).
-    left : int
-        So many requests it goes wrong, then no more.
-    passes : int
-        So many writes pass before it goes wrong.
-    wait_s : float
-        How long ``slow`` lasts.
-    asked : int
-        How many requests came.
-    only : str
-        Method that goes wrong; every one when empty.
+    Attributes:
+        wrong (str): Empty, or ``no_conditions`` (headers dropped), ``busy`` (503), ``away`` (no answer), ``slow``,
+            ``expired`` (credentials), ``skewed`` (clock), ``deaf`` (what is written is taken, and its answer lost).
+        left (int): So many requests it goes wrong, then no more.
+        passes (int): So many writes pass before it goes wrong.
+        wait_s (float): How long ``slow`` lasts.
+        asked (int): How many requests came.
+        only (str): Method that goes wrong; every one when empty.
     """
 
     def __init__(self, port: int) -> None:

@@ -45,20 +45,13 @@ class HeatFit:
 class HeatTwin:
     """A fitted twin.
 
-    Attributes
-    ----------
-    version : int
-        From 1.
-    machine, campaign, action : str
-        What it is of, what it was fitted to, and what was done to it.
-    uncertainties : tuple of tuple of float
-        Expanded (k = 2) uncertainty of what a kelvin does, for each model.
-    seen_c : dict of str to tuple of float
-        Least and largest reading of every temperature that it uses.
-    figures : dict of str to float
-        Errors before and after, and the noise floor, in um.
-    by_condition : tuple of dict
-        The same for every day.
+    Attributes:
+        version: From 1.
+        machine, campaign, action: What it is of, what it was fitted to, and what was done to it.
+        uncertainties: Expanded (k = 2) uncertainty of what a kelvin does, for each model.
+        seen_c: Least and largest reading of every temperature that it uses.
+        figures: Errors before and after, and the noise floor, in um.
+        by_condition: The same for every day.
     """
 
     name: str
