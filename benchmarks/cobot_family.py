@@ -23,8 +23,7 @@ import numpy as np
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
-from dtwin.kinds.circular._circles import CorrectedCircles, evaluate_circle, rms_per_run
-from dtwin.kinds.circular._evidence import WAYS
+from dtwin.kinds.circular._evidence import WAYS, CorrectedCircles, evaluate_circle, rms_per_run
 from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.fit import Fit, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe

@@ -30,8 +30,7 @@ from laser_axis import DATUM_UM, errors_um
 from dtwin.kinds.kind import Planned
 from dtwin.kinds.registry import kinds
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.library import Library

@@ -19,8 +19,7 @@ import numpy as np
 
 from dtwin.fleet.sisters import compared
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import AxisParameters, CircularTest, MillParameters
+from dtwin.machines.mill_parameters import AxisParameters, CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe

@@ -31,8 +31,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from mill_and_laser import circles, circular_tests, laser, warmed
 
 from dtwin.machines.mill import SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import MillParameters
+from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.contradictions import without_contradictions
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit

@@ -60,3 +60,9 @@ def running_beside(module: str, *arguments: str) -> Iterator[None]:
             yield
         finally:
             child.terminate()
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    # Only Linux says which ones a process is held to.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -8,7 +8,7 @@ from typing import Any
 from prefect import flow
 
 from dtwin.config import home
-from dtwin.fleet.view import fleet_view
+from dtwin.fleet.alerts import fleet_view
 from flows import _artifacts, _tasks
 from flows._paths import confined
 

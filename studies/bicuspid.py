@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.features.sine import fit_tone
-from dtwin.kinds.sinusoidal._evidence import AIR_S, RIM_MM, SLOPE_UM_PER_MM
+from dtwin.kinds.sinusoidal._evidence import AIR_S, CLOCK, RIM_MM, SLOPE_UM_PER_MM, LoopRecord, ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._evidence import TRIAL_HZ as TRIAL_HZ
-from dtwin.kinds.sinusoidal._loop import CLOCK, LoopRecord, ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._simulate import virtual_slide
 from dtwin.machines.turning import SERVO_HZ
 from dtwin.progress import Progress

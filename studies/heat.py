@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient, design
-from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um, predicted
+from dtwin.kinds.volumetric._evidence import changes_left_um, distance_changes_um, predicted
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.kinds.volumetric._training import serving_bundle
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, Strokes

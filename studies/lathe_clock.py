@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import POSITION
-from dtwin.kinds.linear._loop import PERIOD_S
+from dtwin.kinds.linear._evidence import PERIOD_S
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._simulate import motion_of_plan
 from dtwin.schema import Floats

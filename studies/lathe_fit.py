@@ -12,8 +12,8 @@ import numpy as np
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
 from dtwin.kinds.linear._bundle import deployed_bundle, is_positioning_bundle, printed_pair
+from dtwin.kinds.linear._evidence import ExactCorrection, looped, measured
 from dtwin.kinds.linear._gates import positioning_gates
-from dtwin.kinds.linear._loop import ExactCorrection, looped, measured
 from dtwin.kinds.linear._models import MM_PER_IN, Averages, PositionModel, averages_of
 from dtwin.kinds.linear._plan import LinearPlan, linear_plan
 from dtwin.kinds.linear._report import before_after_figures

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.linear._bundle import deployed_bundle, flanks_of, printed_pair
-from dtwin.kinds.linear._loop import Figures, measured
+from dtwin.kinds.linear._evidence import Figures, measured
 from dtwin.kinds.linear._models import (
     Averages,
     Bidirectional,
@@ -21,11 +21,10 @@ from dtwin.kinds.linear._models import (
     inches_of,
     whole_turns,
 )
-from dtwin.kinds.linear._net_training import Trained, train_net
 from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
-from dtwin.kinds.linear._small_net import SmallNet, new_net
+from dtwin.kinds.linear._small_net import SmallNet, Trained, new_net, train_net
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.machines.printed_network import MAPPED_IN, MAPPED_MM, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress

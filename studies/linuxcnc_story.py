@@ -23,7 +23,7 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms, t_quantile
-from dtwin.train.measured_ways import MeasuredWays, numbered
+from dtwin.train.oracle import MeasuredWays, numbered
 from dtwin.twins.correct import Correction, correct
 from dtwin.twins.verbs import Twins
 

@@ -15,7 +15,7 @@ from dtwin.lifecycle.train import put_on_trial
 from dtwin.progress import Progress
 from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
-from dtwin.train.measured_ways import MeasuredWays
+from dtwin.train.oracle import MeasuredWays
 from dtwin.train.promotion import check_version
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.correct import Correction, correct

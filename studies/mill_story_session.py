@@ -11,13 +11,12 @@ import numpy as np
 
 from dtwin.kinds.circular._mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
 from dtwin.machines.mill import Correction, SetupErrors
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest
+from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
 from dtwin.progress import Progress
 from dtwin.schema import Run
 from dtwin.serve.bundle import Bundle
 from dtwin.train.evidence import Evidence
-from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.oracle import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 from studies.thesis_mill import (
     DIRECTIONS,

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import optimize
 
-from dtwin.kinds.linear._net_training import levenberg_marquardt
-from dtwin.kinds.linear._small_net import SmallNet
+from dtwin.kinds.linear._small_net import SmallNet, levenberg_marquardt
 from dtwin.schema import Floats
 
 _SMALLEST_GRADIENT = 1e-12

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot

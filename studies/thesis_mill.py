@@ -9,8 +9,7 @@ import numpy as np
 
 from dtwin.acquire.virtual_mill import PERIOD_S
 from dtwin.machines.mill import SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.schema import Direction, Floats, Plane, Run
 
 MACHINE = "told-right-mill"

@@ -11,8 +11,7 @@ import numpy as np
 from laser_axis import readings
 
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.observations import Observations, observe
 from dtwin.schema import Campaign, Direction, Run, RunMeta
 

@@ -20,8 +20,7 @@ from second_machine import Machine
 from sizing import Bench, Sized, acting, sum_of
 
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.schema import Campaign, Floats, Run
 
 __all__ = ["NOISE_UM", "ROWS", "Case", "Row", "make_case"]

@@ -9,8 +9,7 @@ import numpy as np
 from causes import Cause
 
 from dtwin.machines.mill import Disturbance, Moment, SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.schema import Floats
 
 Sized = tuple[Cause, float]

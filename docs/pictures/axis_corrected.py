@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.kinds.linear._evidence import evidence_plan
-from dtwin.kinds.linear._loop import ExactCorrection, looped, measured
+from dtwin.kinds.linear._evidence import ExactCorrection, evidence_plan, looped, measured
 from dtwin.kinds.linear._simulate import virtual_lathe
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats

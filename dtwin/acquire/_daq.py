@@ -1,4 +1,4 @@
-"""Accelerometers on NI-9234 class modules, through NI's own client.
+"""Accelerometers on NI-9234 class modules, through NI's own client, whose faults are told in one line that a user can act on.
 
 The task samples continuously by the module's clock and is read block by block without gaps.
 When the host was too slow (error -200279) reading goes on with the newest samples, and the
@@ -10,16 +10,15 @@ from __future__ import annotations
 import contextlib
 import mmap
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dtwin.acquire._daq_faults import daq_faults
 from dtwin.acquire._sample_ring import SampleRing
 from dtwin.acquire.instrument import Description, Reading
-from dtwin.errors import DeviceError, InputError
+from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats
 
@@ -95,7 +94,7 @@ class AccelerometerTask(OpenAndClose):
         if self._task is not None:
             return
         try:
-            with daq_faults(self._where):
+            with _daq_faults(self._where):
                 self._create()
         except BaseException:
             self.close()
@@ -132,7 +131,7 @@ class AccelerometerTask(OpenAndClose):
         """Begin to sample; the module's clock starts at sample 0."""
         self._require_open()
         if not self._running:
-            with daq_faults(self._where):
+            with _daq_faults(self._where):
                 self._task.start()
             self._position, self._running = 0, True
             n, capacity = len(self.channels), int(self._history_s * self.rate_hz) + self._block_n
@@ -147,7 +146,7 @@ class AccelerometerTask(OpenAndClose):
         """
         if not self._running:
             raise DeviceError("sampling was not started", code="daq.stopped", where=self._where)
-        with daq_faults(self._where):
+        with _daq_faults(self._where):
             lost = self._read()
         self._position += lost + self._block_n
         self._ring.write(self._block, lost, time.monotonic())
@@ -174,7 +173,7 @@ class AccelerometerTask(OpenAndClose):
         if self._running:
             self._running = False
             # A module that is gone has stopped, too.
-            with contextlib.suppress(DeviceError), daq_faults(self._where):
+            with contextlib.suppress(DeviceError), _daq_faults(self._where):
                 self._task.stop()
 
     def close(self) -> None:
@@ -300,3 +299,75 @@ def _require_sense(channels: Sequence[AccelerometerChannel], rate_hz: float, blo
         problem = f"blocks of {block_s:g} s; 0.001 to 10 s are sensible"
     if problem:
         raise InputError("unusable acquisition set-up", code="daq.setup", got=problem)
+
+
+_CODES: dict[int, tuple[str, str, str]] = {
+    -200220: (
+        "daq.device_absent",
+        "no acquisition module of this name is there",
+        "check the name in NI MAX or with nilsdev, the cable and the power",
+    ),
+    -200170: ("daq.channel_absent", "the module has no such channel", "an NI-9234 has ai0 to ai3"),
+    -200077: (
+        "daq.setting",
+        "the module does not offer this setting",
+        "check rate, sensitivity and excitation current",
+    ),
+    -201003: ("daq.removed", "the acquisition module does not answer any more", "plug it in again, then start again"),
+    -50103: (
+        "daq.busy",
+        "the module is used by another program",
+        "end the other program; after a killed one restart the NI gRPC device server",
+    ),
+    -200284: ("daq.silent", "the module delivers no samples", "check the chassis, then start again"),
+    -200361: (
+        "daq.overflow",
+        "the module's own buffer overflowed: the bus is too slow",
+        "use a faster port, fewer channels or a lower rate",
+    ),
+}
+
+
+@contextlib.contextmanager
+def _daq_faults(where: str) -> Iterator[None]:
+    """Turn the errors of NI's client into ours.
+
+    ``where``: driver or server, for the message.
+    """
+    try:
+        import nidaqmx.errors as ni
+    except ImportError as error:
+        raise _package_missing("nidaqmx") from error
+    try:
+        yield
+    except ImportError as error:
+        raise _package_missing(error.name or "nidaqmx") from error
+    except (ni.DaqNotFoundError, ni.DaqNotSupportedError) as error:
+        raise MissingPart(
+            "the NI-DAQmx driver is not installed",
+            code="daq.driver",
+            hint="get it from https://www.ni.com/downloads, or give a gRPC target",
+        ) from error
+    except ni.DaqError as error:
+        raise _device_error(where, error.error_code, str(error)) from error
+    except ni.RpcError as error:
+        raise DeviceError(
+            "the NI gRPC device server is gone or refuses",
+            code="daq.server_lost",
+            where=where,
+            got=str(error).splitlines()[0][:200],
+            hint="check the server and the network, then start again",
+        ) from error
+
+
+def _device_error(where: str, number: int, text: str) -> DeviceError:
+    fallback = ("daq.fault", "the acquisition failed", "look up the number at ni.com")
+    code, message, hint = _CODES.get(number, fallback)
+    got = f"{text.splitlines()[0][:200]} ({number})"
+    return DeviceError(message, code=code, where=where, got=got, hint=hint)
+
+
+def _package_missing(name: str) -> MissingPart:
+    return MissingPart(
+        f"the package {name} is not installed", code="daq.package", hint="pip install '.[daq]' in a checkout of dtwin"
+    )

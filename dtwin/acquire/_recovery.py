@@ -1,9 +1,9 @@
-"""Read a recording back, whether it was closed or its process died, and seal it into Parquet."""
+"""Read a recording back, whether it was closed or its process died, and seal it into Parquet; what the machine said meanwhile, as intervals."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dtwin.acquire._machine_events import event_findings
 from dtwin.acquire._recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import unit_metadata, write_parquet
@@ -139,7 +138,7 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
         gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
         findings = _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
-        return (*findings, *event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
+        return (*findings, *_event_findings(head.get("events", []), float(head.get("length_s", 0.0))))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
             "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
@@ -250,4 +249,64 @@ def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[F
                 {"gaps": float(len(gaps)), "lost": float(lost), "lost_s": lost / rate_hz},
             )
         )
+    return tuple(findings)
+
+
+_MOST_TOLD = 20
+_MOST_IN_A_LINE = 6
+
+
+@dataclass(frozen=True)
+class _Interval:
+    """``from_s``, ``to_s``: since the first sample; the end of the recording where it had not ended."""
+
+    name: str
+    text: str
+    from_s: float
+    to_s: float
+    alarm: bool
+
+    def __str__(self) -> str:
+        return f"{self.text} {self.from_s:z.1f} to {self.to_s:z.1f} s"
+
+
+def _intervals(events: Sequence[Sequence[Any]], length_s: float) -> list[_Interval]:
+    """Return intervals by their beginning; a text of one name ends the one before.
+
+    An empty one ends its name, and all whose names begin with it and a space.
+    """
+    intervals: list[_Interval] = []
+    held: dict[str, tuple[float, str, bool]] = {}
+    for at_s, name, text, alarm in sorted(events, key=lambda e: float(e[0])):
+        if text and name in held and held[name][1] == text:
+            continue
+        for other in [n for n in held if n == name or (not text and n.startswith(f"{name} "))]:
+            from_s, said, was_alarm = held.pop(other)
+            intervals.append(_Interval(other, said, from_s, float(at_s), was_alarm))
+        if text:
+            held[str(name)] = (float(at_s), str(text), bool(alarm))
+    for name, (from_s, text, alarm) in held.items():
+        intervals.append(_Interval(name, text, from_s, max(length_s, from_s), alarm))
+    return sorted(intervals, key=lambda i: (i.from_s, i.name))
+
+
+def _event_findings(events: Sequence[Sequence[Any]], length_s: float) -> tuple[Finding, ...]:
+    """Return alarms one by one, and what else a machine said by name.
+
+    ``events``: time since the first sample, name, text (empty: it is over), whether it is an alarm.
+    ``length_s``: of the recording.
+    """
+    findings = []
+    intervals = _intervals(events, length_s)
+    alarms = [i for i in intervals if i.alarm]
+    for one in alarms[:_MOST_TOLD]:
+        numbers = {"from_s": one.from_s, "to_s": one.to_s}
+        findings.append(Finding("machine.alarm", "warning", f"the machine reported {one.name}: {one}", numbers))
+    if len(alarms) > _MOST_TOLD:
+        text = f"the machine reported {len(alarms) - _MOST_TOLD} alarms more"
+        findings.append(Finding("machine.alarm", "warning", text))
+    for name in dict.fromkeys(i.name for i in intervals if not i.alarm):
+        here = [str(i) for i in intervals if i.name == name and not i.alarm]
+        more = f", and {len(here) - _MOST_IN_A_LINE} more" if len(here) > _MOST_IN_A_LINE else ""
+        findings.append(Finding("machine.state", "info", f"{name}: {', '.join(here[:_MOST_IN_A_LINE])}{more}"))
     return tuple(findings)

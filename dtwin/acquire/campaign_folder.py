@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -17,6 +17,7 @@ from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.signal_files import is_table_of_signals, read_signals
 from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.atomic import write_toml
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named, kind_names
@@ -360,3 +361,15 @@ def inside(folder: Path, name: object, where: str) -> Path:
             allowed="paths inside the folder",
         )
     return path
+
+
+def write_campaign_file(folder: Path, campaign: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> Path:
+    """Write the campaign file of a folder in one step and return its path.
+
+    Args:
+        folder: Campaign folder, whose other files are there.
+        campaign: The table ``[campaign]``, with its own tables.
+        runs: A table ``[[run]]`` each.
+    """
+    content = {"campaign": campaign, "run": list(runs)}
+    return write_toml(folder / "campaign.toml", content, "the campaign file")

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from dtwin.acquire._recovery import recover_folder
 from dtwin.acquire.b5r import write_b5r
-from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest

@@ -1,4 +1,4 @@
-"""Tables of text as programs of many countries write them: encodings, marks between columns, decimal commas."""
+"""Tables of text as programs of many countries write them: encodings, marks between columns, columns of aligned text, decimal commas."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import csv
 import re
 from collections.abc import Sequence
 from itertools import zip_longest
-
-from dtwin.acquire.aligned_columns import aligned_rows
 
 STATISTICS = r"avg|average|mean|std|stdev|sigma|range|mittel\w*|spannweite|streuung|moyenne|media|promedio|平均"
 SUMMARY = re.compile(rf"({STATISTICS}|min|max)\b", re.I)
@@ -80,7 +78,7 @@ def is_comment(line: str) -> bool:
 def mark_of(lines: list[str]) -> str:
     """Return what parts the columns: semicolons or tabs when half of the first lines have them, a blank where blanks do, else commas."""
     mark = _typed_mark(lines)
-    return " " if aligned_rows(lines, mark) else mark
+    return " " if _aligned_rows(lines, mark) else mark
 
 
 def _typed_mark(lines: list[str]) -> str:
@@ -96,7 +94,7 @@ def rows_of(text: str, decimal: str = "") -> list[list[str]]:
     """
     lines = [line for line in text.splitlines() if line.strip() and not is_comment(line)]
     mark = _typed_mark(lines)
-    aligned = aligned_rows(lines, mark)
+    aligned = _aligned_rows(lines, mark)
     try:
         # What is longer is a remark: heads are looked through for many words.
         rows = [[cell[:_LONGEST_CELL] for cell in row] for row in aligned or csv.reader(lines, delimiter=mark)]
@@ -187,3 +185,50 @@ def _plain(cell: str, decimal: str) -> str:
     if not _NUMBER.fullmatch(text) or (other in text and not grouped):
         return cell
     return text.replace(other, "").replace(mark, ".")
+
+
+_LONE_NUMBER = re.compile(r"[+\-\u2212]?(\d[\d.,]*(?<![.,])|\.\d+)(e[+-]?\d+)?", re.I)
+_GAP = re.compile(r"\s*\t\s*|\s{2,}")
+# A unit belongs to the head in front of it.
+_BLANK = re.compile(r"\s+(?![\[(])")
+_RULE = re.compile(r"[-=_+\s]+")
+_BLANKS_OR_TABS = re.compile(r"\d \d{3}(?!\d)")
+_OTHER_MARKS = re.compile(r"[;|=]")
+_FIRST = 100
+
+
+def _aligned_rows(lines: Sequence[str], mark: str) -> list[list[str]]:
+    """Return the rows of a table that blanks part, titles as rows of one cell; empty where another mark parts it, or where it is in doubt.
+
+    ``mark``: what parts the columns otherwise. Every row of numbers, and the heads above, have as many cells; two words with one blank between
+    them are one head, unless all heads and numbers are parted so.
+    """
+    if len(lines) > _FIRST and not _aligned_rows(lines[:_FIRST], mark):
+        return []
+    lines = [line.strip() for line in lines if not _RULE.fullmatch(line)]
+    numbers = [n for n, line in enumerate(lines) if _holds_numbers(line)]
+    leading = [n for n in numbers if _LONE_NUMBER.fullmatch(lines[n].split()[0])]
+    # Below a number stand numbers: a head may be Target 1 2 3, and a last row Mean 1.2 1.3.
+    body = set(leading if len(leading) > 1 else numbers)
+    begin = min(body, default=0)
+    if len(body) < 2 or begin == 0 or any(_OTHER_MARKS.search(lines[n]) for n in body):
+        return []
+    told = [lines[n] for n in (begin - 1, *sorted(body))]
+    if min(line.count(mark) for line in told) == max(line.count(mark) for line in told) > 0:
+        return []
+    for part in (_GAP, _BLANK):
+        widths = {len(part.split(line)) for line in told[1:]}
+        # A lone blank may stand within the digits of a number.
+        doubt = part is _BLANK and any(map(_BLANKS_OR_TABS.search, told[1:])) and any(map(_GAP.search, told[1:]))
+        heads = next((h for p in (_GAP, _BLANK) if len(h := p.split(told[0])) in widths), [])
+        if len(widths) == 1 and heads and len(heads) > 1 and not doubt:
+            rows = [part.split(line) if n in body else _GAP.split(line) for n, line in enumerate(lines)]
+            rows[begin - 1] = heads
+            return [row if len(row) == len(heads) else [line] for row, line in zip(rows, lines, strict=True)]
+    return []
+
+
+def _holds_numbers(line: str) -> bool:
+    cells = line.split()
+    numbers = [_LONE_NUMBER.fullmatch(cell) is not None for cell in cells]
+    return sum(numbers) > 1 and 2 * sum(numbers) >= len(cells) and (numbers[0] or numbers[-1])

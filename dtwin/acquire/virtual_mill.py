@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.kinds.machine import require_no_campaign

@@ -43,7 +43,7 @@ def campaign(
     """
     from dtwin.pipeline.campaign_job import CampaignRequest, run_request
     from dtwin.plan import read_plan
-    from dtwin.serve.signals import stop_on_signals
+    from dtwin.serve.realtime import stop_on_signals
 
     request = CampaignRequest(read_plan(plan), inbox, out, sensors, robot, version, settle)
     with stop_on_signals() as asked:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, emit
-from dtwin.commands._papers import paper_of
 from dtwin.config import home
 
 app = typer.Typer(

@@ -109,7 +109,7 @@ def nightly(
 @app.command()
 def show(machine: Machines = None, as_json: Json = False) -> None:
     """Show the newest diagnosis of every machine, the worst first; also while diagnose is at work."""
-    from dtwin.fleet.view import fleet_view
+    from dtwin.fleet.alerts import fleet_view
 
     lines = fleet_view(home(), _known(machine))
     head = ("machine", "day", "campaign", "systematic µm", "floor µm", "found")

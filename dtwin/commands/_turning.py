@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, ProgressLine, emit
-from dtwin.commands._papers import paper_of
 from dtwin.errors import EXIT_GATE, InputError
 
 Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]

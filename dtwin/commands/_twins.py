@@ -105,7 +105,7 @@ def diagnose_twin(
     name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
-    from dtwin.pipeline.findings import moving_findings
+    from dtwin.pipeline.kept import moving_findings
     from dtwin.report.twin_of_kind import report_of, said_by_runs
 
     twins = twins_named(name, effects_path)
@@ -168,7 +168,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.physics.diagnosis import LEAST_GAIN
     from dtwin.physics.twin import Twin
-    from dtwin.pipeline.findings import moving_findings
+    from dtwin.pipeline.kept import moving_findings
     from dtwin.report.faults import sized_effects
     from dtwin.report.twin_of_kind import discovery_text, said_by_runs
     from dtwin.twins.verbs import Twins

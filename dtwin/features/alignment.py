@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.features._spectrum import correlation
-from dtwin.features.stops import parabola_peak, stop_envelope
+from dtwin.features.stops import correlation, parabola_peak, stop_envelope
 from dtwin.schema import Floats
 
 __all__ = ["Alignment", "align_envelopes", "align_stops"]

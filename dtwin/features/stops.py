@@ -1,4 +1,4 @@
-"""Landmarks of a circular record: stops between arcs, the true period, the lead-in."""
+"""Landmarks of a circular record: stops between arcs, the true period, the lead-in; spectral tools of a whole record."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from dtwin.errors import InputError
-from dtwin.features._spectrum import above, correlation, moving_rms
 from dtwin.schema import Floats
 
 _ROUNDING = 1e-12
@@ -34,7 +34,7 @@ class Stop:
 
 def stop_envelope(signal: Floats, rate_hz: float) -> Floats:
     """Return the moving RMS (0.1 s) of the part of a record above 20 Hz."""
-    return moving_rms(above(signal, rate_hz, _CUTOFF_HZ), max(3, round(0.1 * rate_hz)))
+    return _moving_rms(_above(signal, rate_hz, _CUTOFF_HZ), max(3, round(0.1 * rate_hz)))
 
 
 def find_stops(signal: Floats, rate_hz: float) -> tuple[Stop, ...]:
@@ -111,7 +111,7 @@ def lead_in_samples(signal: Floats, rate_hz: float, period_samples: float, thres
     lag = round(period_samples)
     if len(signal) <= lag + 2:
         return 0
-    local = moving_rms(signal[lag:] - signal[:-lag], max(3, round(0.1 * rate_hz)))
+    local = _moving_rms(signal[lag:] - signal[:-lag], max(3, round(0.1 * rate_hz)))
     repeats = local <= threshold * np.quantile(local, 0.2)
     settle = max(1, round(0.25 * rate_hz))
     steady = np.convolve(repeats, np.ones(settle), "valid") >= settle - 0.5
@@ -138,3 +138,41 @@ def _self_correlation(signal: Floats, lags: NDArray[np.int64]) -> Floats:
     size = np.sqrt(np.maximum(spreads, 0.0))
     # Less than rounding is a record that stands still.
     return np.divide(products, size, out=np.zeros(lags.size), where=size > _ROUNDING * squares[-1])
+
+
+def _reflected(signal: Floats, margin: int) -> Floats:
+    """Return the record continued by ``margin`` samples of odd reflection at both ends."""
+    margin = min(margin, len(signal) - 1)
+    head = 2 * signal[0] - signal[margin:0:-1]
+    tail = 2 * signal[-1] - signal[-2 : -margin - 2 : -1]
+    return np.concatenate([head, signal, tail])
+
+
+def _above(signal: Floats, rate_hz: float, cutoff_hz: float) -> Floats:
+    """Return the part of a record above a frequency, without phase shift.
+
+    ``signal``, (n,): record; its ends are continued by reflection, so that they do not ring.
+    ``rate_hz``, ``cutoff_hz``: sample rate and lowest frequency that is kept.
+    """
+    margin = min(len(signal) - 1, int(np.ceil(8 * rate_hz / cutoff_hz)))
+    longer = _reflected(signal, margin)
+    spectrum = np.fft.rfft(longer)
+    spectrum[np.fft.rfftfreq(len(longer), 1 / rate_hz) < cutoff_hz] = 0.0
+    return np.fft.irfft(spectrum, len(longer))[margin : margin + len(signal)]
+
+
+def correlation(first: Floats, second: Floats) -> Floats:
+    """Return the sums of products of two records at every shift, (n + m - 1,); the middle of an equal pair is no shift.
+
+    As ``scipy.signal.correlate`` by its way ``fft``; to import that would take half a second of every command.
+    """
+    count = len(first) + len(second) - 1
+    n = fft.next_fast_len(count, real=True)
+    return np.asarray(fft.irfft(fft.rfft(first, n) * fft.rfft(second[::-1], n), n)[:count])
+
+
+def _moving_rms(signal: Floats, n: int) -> Floats:
+    """Return the root mean square under a raised-cosine window of ``n`` samples."""
+    taper = np.hanning(n + 2)[1:-1]
+    weight = np.convolve(np.ones(len(signal)), taper, "same")
+    return np.sqrt(np.convolve(signal * signal, taper, "same") / weight)

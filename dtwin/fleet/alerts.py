@@ -1,20 +1,23 @@
-"""What somebody should look at, told once while it lasts, and what is not to be told for a while."""
+"""What is kept of a fleet, worst first, and what somebody should look at, told once while it lasts, and what is not to be told for a while."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.fleet.channels import Channel, deliver
+from dtwin.fleet.jobs import DIAGNOSES
 from dtwin.local_time import local_day
 from dtwin.locks import locked
+from dtwin.physics.diagnosis import Verdict
+from dtwin.pipeline.kept import kept_already
 
 SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
 # What happens on one night and is not found again on the next.
@@ -161,3 +164,37 @@ def _state(home: Home) -> dict[str, Any]:
     path = _path(home)
     alerts = read_document(path, "remove the file: every open alert is told once more") if path.exists() else {}
     return {name: dict(alerts.get(name, {})) for name in ("told", "unsent", "silent")}
+
+
+def fleet_view(home: Home, machines: Collection[str] = ()) -> list[dict[str, Any]]:
+    """Return the newest diagnosis of these machines, or of all, the largest systematic error over its floor first."""
+    newest: dict[str, dict[str, Any]] = {}
+    folder = home.root / "kept" / DIAGNOSES
+    for file in sorted(folder.glob("*.json")):
+        diagnosed = kept_already(home, DIAGNOSES, file.stem)
+        if diagnosed is None or (machines and diagnosed["machine"] not in machines):
+            continue
+        before = newest.get(diagnosed["machine"])
+        if before is None or str(diagnosed["started"]) >= str(before["started"]):
+            newest[diagnosed["machine"]] = diagnosed
+    return sorted((line_of(diagnosed) for diagnosed in newest.values()), key=lambda line: -(line["over_floor"] or 0.0))
+
+
+def line_of(diagnosed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is shown of a diagnosis.
+
+    Raises ``KeyError``, ``TypeError`` or ``ValueError`` for what is none.
+    """
+    if diagnosed["verdict"] not in get_args(Verdict) or not isinstance(diagnosed["headline"], str):
+        raise ValueError(f"a verdict {str(diagnosed['verdict'])[:40]} is not known")
+    floor, systematic = diagnosed["noise_floor_um"], diagnosed["systematic_rms_um"]
+    names = ("machine", "campaign", "kind", "started", "verdict", "headline", "systematic_rms_um", "noise_floor_um")
+    return {name: diagnosed[name] for name in names} | {
+        "over_floor": systematic / floor if floor and systematic is not None else None,
+        "found": [" or ".join(_label(s) for s in group) for group in diagnosed["found"]],
+        "unresolved": diagnosed["unresolved"] is not None,
+    }
+
+
+def _label(suspect: dict[str, Any]) -> str:
+    return f"{suspect['effect']} {suspect['axis']}".rstrip()

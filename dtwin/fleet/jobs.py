@@ -110,7 +110,7 @@ def _diagnosed(root: str, unit: Unit, seed: int) -> dict[str, Any]:
 
 
 def _keep_diagnosis(home: Home, unit: Unit, result: Any) -> dict[str, Any]:
-    from dtwin.fleet.view import line_of
+    from dtwin.fleet.alerts import line_of
 
     # Before it is kept: what a worker of another version answers may be no diagnosis.
     told = {name: line_of(result)[name] for name in ("verdict", "headline")}

@@ -68,7 +68,7 @@ def nightly(
 
     ``folder``: where new measurements arrive; only those of machines that are known are taken in.
     ``machines``: all without names.
-    ``on``, ``workers``: as for :func:`dtwin.fleet.engine.engine`.
+    ``on``, ``workers``: as for :func:`dtwin.fleet.run.engine`.
     ``today``: the day by which a test is overdue.
     ``settle_s``: time for which a file must stand still; what does not within a minute is left to the next night.
     """

@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.tolerances import Limits
-    from dtwin.train.champion_error import ChampionError, HeldOut
+    from dtwin.train.champion_error import ChampionError, HeldOut, RunError
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
-    from dtwin.train.run_errors import RunError
     from dtwin.train.twin_axes import AxisErrors
     from dtwin.twins.correct import CorrectionWay
     from dtwin.twins.verbs import Twins

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dtwin.progress import Progress
     from dtwin.serve.bundle import Bundle
     from dtwin.train.evidence import Evidence
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
     from dtwin.train.recheck import CheckedRun
     from dtwin.train.registry import RegisteredVersion, Registry
 

@@ -1,14 +1,14 @@
-"""Data files of one table that are committed together, small ones in one file."""
+"""Data files of one table that are committed together, small ones in one file; their names say campaign and machine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from dtwin.lake.delta import DeltaFiles, Written
+from dtwin.lake.delta import DeltaFiles, Written, stem_of
 from dtwin.lake.parquet import encoded, table_of
 from dtwin.schema import Encoded, Run
 
@@ -85,3 +85,23 @@ def _fits(file: Sequence[tuple[Part, pa.Table]], part: Part, rows: pa.Table) -> 
     size = sum(other.nbytes for _, other in file) + rows.nbytes
     alike = rows.schema.equals(there.schema, check_metadata=True)
     return alike and size <= _FILE_BYTES and not _is_as_read(first) and not _is_as_read(part)
+
+
+def names_of(told: str | Collection[str] | None) -> set[str] | None:
+    """Return names that were asked for, None for all."""
+    return {told} if isinstance(told, str) else None if told is None else set(told)
+
+
+def campaign_named(file: str) -> str:
+    """Return the campaign whose rows a file holds."""
+    return stem_of(file).split("/")[0]
+
+
+def of_machines(files: Sequence[str], machines: Collection[str], anew: Collection[str]) -> list[str]:
+    """Return the files of runs of machines; what was stated ``anew`` of a campaign may be its machine."""
+    return [f for f in files if _machine_of(f) in {*machines, None} or campaign_named(f) in anew]
+
+
+def _machine_of(file: str) -> str | None:
+    """Return the machine of which a campaign was ingested; None where the name of its file does not say."""
+    return stem_of(file).partition("/")[2] or None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dtwin.errors import StoreError
-from dtwin.lake._delta_columns import added, content_hash
 from dtwin.lake._folders import Folder, Place
+from dtwin.lake._log import added, content_hash
 from dtwin.lake.delta import DeltaFiles
 from dtwin.lake.store import TABLES, Lake
 from dtwin.progress import Progress

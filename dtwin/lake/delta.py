@@ -17,9 +17,8 @@ from deltalake.transaction import AddAction, CommitProperties, PostCommitHookPro
 from dtwin.bucket import is_of_store, store_error
 from dtwin.errors import StoreError
 from dtwin.home_file import Bucket
-from dtwin.lake._delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
 from dtwin.lake._folders import Place, folder_at
-from dtwin.lake._log import Log, entry_of
+from dtwin.lake._log import LIVE, Log, added, content_hash, declared, entry_of, live_hash, sort_of
 from dtwin.lake.parquet import decoded, encoded
 
 _COMMIT_TRIES = 20

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens, _siemens_cec
-from dtwin.lifecycle._export_heads import whose
-from dtwin.lifecycle._export_records import Export, Request, Source
+from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens
+from dtwin.lifecycle._export_records import Export, Request, Source, whose
 from dtwin.lifecycle.axis_tables import (
     LINUXCNC,
     MOST_TRIPLETS,
@@ -30,7 +29,7 @@ from dtwin.train.twin_axes import AXES, AxisErrors, own_axis_only
 ONE_AXIS: Mapping[str, AxisForm] = {
     "comp": LINUXCNC,
     "siemens": _siemens.FORM,
-    "siemens-cec": _siemens_cec.FORM,
+    "siemens-cec": _siemens.CEC_FORM,
     "heidenhain": _heidenhain.FORM,
     "fanuc": _fanuc.FORM,
     "fanuc30i": _fanuc.FORM_30I,

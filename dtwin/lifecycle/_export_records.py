@@ -1,14 +1,18 @@
-"""What is exported, how, and what came of it."""
+"""What is exported, how, and what came of it; the heads of exported equations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
+from dtwin.serve.export import identifier
+from dtwin.serve.export_plc import NOT_RUN
 
 UNREGISTERED = "not registered"
 
@@ -62,3 +66,78 @@ class Export:
     notes: tuple[str, ...] = ()
     twin_version: int | None = None
     machine: str = ""
+
+
+# Controls read ASCII, or one of many other alphabets.
+_UNSAFE = re.compile(r"[^\w .,:+\-/^]", re.ASCII)
+_SMALL = 0.1
+
+
+def commented(said: Sequence[str], first: str, last: str) -> str:
+    """Return lines as comments, with the remark that the form never ran on a controller.
+
+    ``first``, ``last``: what begins and ends a comment.
+    """
+    return "".join(f"{first}{line}{last}\n" for line in [*said, NOT_RUN])
+
+
+def whose(bundle: Bundle, version: str, state: str) -> list[str]:
+    """Return which correction a file holds, without characters that end a comment."""
+    lines = [
+        f"dtwin: {bundle.name} for machine {bundle.machine}, version {version}, state {state}",
+        f"model {bundle.model_sha256}",
+    ]
+    return _safe(lines)
+
+
+def _safe(lines: Sequence[str]) -> list[str]:
+    return [_UNSAFE.sub("?", line.replace("µm", "um")) for line in lines]
+
+
+def said_of(bundle: Bundle, version: str, state: str) -> list[str]:
+    """Return what stands at the head of an equation, without characters that end a comment."""
+    lines = whose(bundle, version, state)
+    for o in bundle.outputs:
+        meaning = "predicted error, apply with its sign changed" if o.role == "error" else "correction"
+        lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")
+    lines.append("inputs in this order, valid in these ranges, outside of which nothing may be corrected:")
+    lines += [f"  {i.name}, {i.unit}: {_range(i.low, i.high)}" for i in bundle.inputs]
+    lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
+    return _safe(lines)
+
+
+def _range(low: float, high: float) -> str:
+    """Return a range in five digits of its larger end: the margin that a box has for rounding is none of the measurement."""
+    digits = 4 - math.floor(math.log10(max(abs(low), abs(high), _SMALL)))
+    return " to ".join(f"{round(end, digits):z.10g}" for end in (low, high))
+
+
+def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
+    """Return C code as a header that can be included twice, with a test of the valid ranges.
+
+    ``code``: from ``to_c``.
+    """
+    guard = f"DTWIN_{identifier(bundle.name).upper()}_H"
+    symbol = f"dtwin_{identifier(bundle.name).strip('_').lower()}"
+    boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
+    tests = [
+        f"in[{n}] >= {boxes[name][0]!r} && in[{n}] <= {boxes[name][1]!r}" for n, name in enumerate(bundle.tick_inputs)
+    ]
+    inside = " &&\n         ".join(tests) or "1"
+    return "\n".join(
+        [
+            "/*",
+            *(f" * {line}" for line in said),
+            " */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            code.replace(f"\nvoid {symbol}(", f"\nstatic inline void {symbol}(").rstrip(),
+            "",
+            f"static inline int {symbol}_inside(const double *in) {{",
+            f"  return {inside};",
+            "}",
+            "",
+            "#endif",
+            "",
+        ]
+    )

@@ -19,13 +19,12 @@ from dtwin.report.html import page
 from dtwin.schema import Campaign, fresh_name
 from dtwin.serve.bundle import Bundle
 from dtwin.train.evidence import WITH, WITHOUT, Evidence, evidence_of_runs
-from dtwin.train.evidence_record import keep, newest, require_same
-from dtwin.train.evidence_runs import gathered
+from dtwin.train.evidence_record import gathered, keep, newest, require_same
 from dtwin.train.promotion import promote
 from dtwin.train.registry import RegisteredVersion, Registry
 
 if TYPE_CHECKING:
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
 
     Looked = MeasuredWays | Evidence
 

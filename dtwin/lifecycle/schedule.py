@@ -1,4 +1,4 @@
-"""Training without anybody asking: new data in, a candidate and its comparison out.
+"""Training without anybody asking: new data in, a candidate and its comparison with the champion out.
 
 Nothing is promoted here. A version that is better than the champion waits under the alias
 ``candidate`` for somebody to read the comparison and run ``dtwin promote``.
@@ -18,13 +18,23 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
-from dtwin.lifecycle._against_champion import Comparison, compare_with_champion
-from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, left_out_since, trained_rows, usable
+from dtwin.lifecycle.drift import (
+    DriftCheck,
+    campaign_of,
+    champion_error,
+    check_drift,
+    left_out_since,
+    trained_rows,
+    usable,
+)
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
 from dtwin.progress import StageProgress
+from dtwin.report.html import Section, Table, page
 from dtwin.schema import Campaign
-from dtwin.train.registry import Registry
+from dtwin.train.champion_error import um_text
+from dtwin.train.promotion import verdict_lines
+from dtwin.train.registry import RegisteredVersion, Registry
 
 Outcome = Literal["trained", "checked", "skipped"]
 _CORRECTED = "a correction was in force while it was measured"
@@ -74,7 +84,7 @@ class Scheduled:
     reason: str
     campaigns: dict[str, str] = field(default_factory=dict)
     registered: Registered | None = None
-    comparison: Comparison | None = None
+    comparison: _Comparison | None = None
     drift: tuple[DriftCheck, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -155,10 +165,10 @@ def digest_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return hashlib.sha256("".join(contents).encode()).hexdigest()[:16]
 
 
-def compared(home: Home, made: Registered) -> Comparison | None:
+def compared(home: Home, made: Registered) -> _Comparison | None:
     """Return a fresh candidate and the champion on the runs that it was trained on; None without a champion."""
     rows = [row for row in Lake(home.lake).runs(made.training.report.campaign) if usable(row)]
-    return compare_with_champion(home, made, rows)
+    return _compare_with_champion(home, made, rows)
 
 
 def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
@@ -215,7 +225,7 @@ class _Turn:
         self.drift: list[DriftCheck] = []
         self.settled: set[str] = set()
         self.registered: Registered | None = None
-        self.comparison: Comparison | None = None
+        self.comparison: _Comparison | None = None
 
     def look_at(self, item: _CampaignNews) -> None:
         """Judge the champion on a campaign, and train on it when it is new."""
@@ -260,3 +270,107 @@ def _newest_training(registry: Registry, news: list[_CampaignNews]) -> str:
         return ""
     newest = versions[0]
     return f" since version {newest.version} of {machine} ({campaign_of(registry, newest)})"
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Candidate and champion on the same runs.
+
+    ``candidate_um``, ``champion_um``, ``before_um``: set-up-corrected RMS: of the candidate with each group (feed, run,
+    hours ...) left out of its fit in turn, of the champion as it would have been served, and without a model.
+    ``noise_floor_um``: what repeats disagree by.
+    ``n_runs``, ``seen_by_champion``: number of runs, and how many of them the champion was trained on.
+    """
+
+    candidate: str
+    champion: str
+    candidate_um: float
+    champion_um: float
+    before_um: float
+    noise_floor_um: float
+    n_runs: int
+    seen_by_champion: int
+
+    @property
+    def verdict(self) -> str:
+        """One sentence for the reviewer."""
+        change = 1.0 - self.candidate_um / self.champion_um
+        what = f"{abs(100 * change):z.0f} % {'less' if change > 0 else 'more'} error"
+        known = (
+            f"; the champion was trained on {self.seen_by_champion} of these runs, which flatters it"
+            if self.seen_by_champion
+            else ", none of which the champion ever saw"
+        )
+        return (
+            f"candidate {self.candidate} leaves {what} than champion {self.champion} "
+            f"({um_text(self.candidate_um)} against {um_text(self.champion_um)} µm) on {self.n_runs} runs" + known
+        )
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Return head and rows for pages."""
+        return ["", "µm RMS, held out"], [
+            ["no correction", um_text(self.before_um)],
+            [f"champion {self.champion}", um_text(self.champion_um)],
+            [f"candidate {self.candidate}", um_text(self.candidate_um)],
+            ["noise floor", um_text(self.noise_floor_um)],
+        ]
+
+
+def _compare_with_champion(home: Home, registered: Registered, rows: Sequence[dict[str, Any]]) -> _Comparison | None:
+    """Compare a fresh candidate with the champion, and leave the result for the reviewer.
+
+    ``rows``: rows of ``runs`` that it was trained on.
+    None when there is no champion, or none that recorded runs can judge; the reason is then the version's tag
+    ``against_champion``.
+    """
+    registry = Registry(home)
+    report = registered.training.report
+    champion = registry.champion(report.machine)
+    tags = {"trained_by": "schedule"}
+    if champion is None:
+        registry.mark(registered.version, tags | {"against_champion": "there is no champion"})
+        return None
+    lake = Lake(home.lake)
+    try:
+        error = champion_error(registry, champion, lake, rows)
+    except InputError as refused:
+        registry.mark(registered.version, tags | {"against_champion": refused.message})
+        return None
+    seen = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
+    comparison = _Comparison(
+        candidate=registered.version.version,
+        champion=champion.version,
+        candidate_um=report.candidate(report.proposed).held_out.rms_um,
+        champion_um=error.rms_um,
+        before_um=error.before_um,
+        noise_floor_um=report.noise_floor_um,
+        n_runs=error.n_runs,
+        seen_by_champion=sum(row["content_sha256"] in seen for row in rows),
+    )
+    _leave_for_reviewer(registry, registered, champion, comparison)
+    registry.mark(registered.version, tags | {"against_champion": comparison.verdict})
+    return comparison
+
+
+def _leave_for_reviewer(
+    registry: Registry, registered: Registered, champion: RegisteredVersion, comparison: _Comparison
+) -> None:
+    section = Section(
+        "Against the champion",
+        [
+            comparison.verdict + ".",
+            "Both errors are on the same runs, what belongs to a set-up taken out. The candidate is scored with "
+            f"every {registered.training.report.candidate(registered.training.report.proposed).held_out.group} left "
+            "out of its search and fit in turn; the champion is its frozen bundle, as limited by its validity box "
+            "when served.",
+            "Nothing was promoted: dtwin promote does that, after trial and evidence.",
+            *verdict_lines(registered.verdicts),
+        ],
+        tables=[Table(*comparison.table())],
+    )
+    title = f"Version {comparison.candidate} against champion {champion.version}"
+    registry.attach(
+        registered.version, {"against-champion.html": page(title, f"machine {champion.machine}", [section])}
+    )
+    before = registry.description(registered.version)
+    registry.mark(registered.version, {}, description=f"{before}\n\nScheduled training: {comparison.verdict}.")

@@ -17,10 +17,10 @@ from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.train.dataset import require_uncorrected
 from dtwin.train.gates import Verdict
-from dtwin.train.held_out_band import with_held_out_band
 from dtwin.train.promotion import check_version, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import CONDITIONS_FILE, worse_in_sample
+from dtwin.train.twin_band import with_held_out_band
 
 if TYPE_CHECKING:
     from dtwin.train.results import Training

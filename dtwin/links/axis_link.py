@@ -17,10 +17,8 @@ import numpy as np
 
 from dtwin.errors import DeviceError, InputError
 from dtwin.links import state as layout
-from dtwin.links._line_socket import LineSocket
-from dtwin.links._state_lines import StateLines
-from dtwin.links.live_values import LiveValues
-from dtwin.links.state import Floats
+from dtwin.links._line_socket import LineSocket, StateLines
+from dtwin.links.state import Floats, LiveValues
 from dtwin.links.virtual_key import new_nonce
 
 PROTOCOL = 1

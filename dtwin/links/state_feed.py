@@ -10,8 +10,7 @@ import json
 import math
 
 from dtwin.links import state as layout
-from dtwin.links._line_socket import LineSocket
-from dtwin.links._state_lines import StateLines
+from dtwin.links._line_socket import LineSocket, StateLines
 
 REQUIRED: tuple[str, ...] = (
     "timestamp_s",

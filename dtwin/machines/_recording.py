@@ -10,8 +10,7 @@ import numpy as np
 from dtwin.kinematics import radial_unit
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines._ballbar import drift_kernel, read_ballbar
-from dtwin.machines._sensors import accelerometer_group
+from dtwin.machines._sensors import accelerometer_group, drift_kernel, read_ballbar
 from dtwin.machines.motion import ANGLE0, START_S, CircleCondition, MotionPlan
 from dtwin.machines.parameters import CobotParameters
 from dtwin.schema import Floats, SignalGroup

@@ -14,9 +14,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinematics import kernel, plane_axes
-from dtwin.machines._ballbar import read_ballbar
-from dtwin.machines._joints import play_kernel
-from dtwin.machines._structure import mode_table, modes_kernel
+from dtwin.machines._joints import mode_table, modes_kernel, play_kernel
+from dtwin.machines._sensors import read_ballbar
 from dtwin.machines.hexapod_parameters import CENTRE_MM, LEGS, HexapodParameters, build_legs
 from dtwin.machines.motion import CircleCondition, travelled_kernel
 from dtwin.schema import Floats, SignalGroup

@@ -9,8 +9,14 @@ import numpy as np
 from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel, long_kernel
 from dtwin.links import state as layout
 from dtwin.machines import _joints as j_
-from dtwin.machines._joints import gravity_torque_kernel, play_kernel, transmission_kernel, wind_up_kernel
-from dtwin.machines._structure import mode_table, modes_kernel
+from dtwin.machines._joints import (
+    gravity_torque_kernel,
+    mode_table,
+    modes_kernel,
+    play_kernel,
+    transmission_kernel,
+    wind_up_kernel,
+)
 from dtwin.machines.motion import START_S, jolt_kernel, path_kernel
 from dtwin.machines.parameters import CobotParameters
 from dtwin.schema import Floats

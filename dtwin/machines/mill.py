@@ -14,8 +14,7 @@ import numpy as np
 
 from dtwin.machines import mill_drive
 from dtwin.machines.mill_drive import Command, Driven
-from dtwin.machines.mill_noise import NoiseParameters, noise_um
-from dtwin.machines.mill_parameters import AXES, CircularTest, HeatParameters, MillParameters
+from dtwin.machines.mill_parameters import AXES, CircularTest, HeatParameters, MillParameters, NoiseParameters, noise_um
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 

@@ -13,8 +13,7 @@ from dtwin.config import Home
 from dtwin.errors import StoreError
 from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
-from dtwin.pipeline.findings import SEVERITIES, campaign_findings, findings_of
-from dtwin.pipeline.kept import keep, kept_already
+from dtwin.pipeline.kept import SEVERITIES, campaign_findings, findings_of, keep, kept_already
 from dtwin.twins.of_kind import every_shelf
 
 # Rows of so many campaigns are in memory at once.

@@ -13,8 +13,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record
-from dtwin.pipeline.findings import grouped_findings
-from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
+from dtwin.pipeline.kept import grouped_findings, sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.certificate import LANGUAGES, certificate_page
 from dtwin.report.sheet import notes_beside
 from dtwin.report.uncertainty import Variation

@@ -21,11 +21,10 @@ from dtwin import __version__
 from dtwin.atomic import make_folder, sync, whole_file
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.home_file import HOME_FILE
+from dtwin.home_file import HOME_FILE, moved
 from dtwin.lake.store import Lake
 from dtwin.pipeline.home_check import database_fault
 from dtwin.progress import Progress
-from dtwin.registry_places import moved
 
 MANIFEST = "dtwin-home.json"
 # Made again when missing, of one computer or one start alone, or a secret of its own servers.

@@ -13,7 +13,6 @@ from dtwin.acquire.repeated_heads import counts_repeats
 from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning.position_runs import PositionTable
-from dtwin.positioning.scale import Scale
 from dtwin.positioning.table_heads import (
     ANGLE,
     MOST_TITLES,
@@ -27,6 +26,7 @@ from dtwin.positioning.table_heads import (
     plain_unit,
     told_unit,
 )
+from dtwin.positioning.ways import Scale
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02

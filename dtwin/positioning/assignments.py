@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.positioning.scale import Scale
+from dtwin.positioning.ways import Scale
 
 _ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
 _UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\S+)\s*$", re.M)

@@ -10,8 +10,7 @@ import numpy as np
 from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
-from dtwin.positioning.scale import LENGTHS, Scale
-from dtwin.positioning.ways import BOTH, Ways, ways_of
+from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
 from dtwin.units import is_number
 

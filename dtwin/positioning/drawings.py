@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.kind import Drawing
-from dtwin.positioning.scale import LENGTHS, Scale
+from dtwin.positioning.ways import LENGTHS, Scale
 from dtwin.report.plots import error_figure, lacks_columns
 from dtwin.schema import Run
 

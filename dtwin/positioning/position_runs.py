@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.positioning.assignments import wrong_form
-from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.table_heads import OWN_SENSOR
+from dtwin.positioning.ways import LENGTHS, Scale
 from dtwin.schema import Finding, Floats, Run, RunMeta
 
 _PERIOD_S = 1.0

@@ -35,8 +35,7 @@ from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
 from dtwin.positioning._instruments import instruments_beside
-from dtwin.positioning._joined_targets import joined_targets, with_joined_targets
-from dtwin.positioning._one_place import one_place, probings_of, trials_of
+from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
 from dtwin.positioning._plain_table import table_of, told_apart
 from dtwin.positioning._refusals import (
     LITTLE,
@@ -53,9 +52,8 @@ from dtwin.positioning._refusals import (
 )
 from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
 from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
-from dtwin.positioning.order import names_sense, no_direction, ways_in_order
+from dtwin.positioning.matrix import names_sense, no_direction, ways_in_order
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
-from dtwin.positioning.scale import LENGTHS, Scale
 from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,
@@ -79,7 +77,7 @@ from dtwin.positioning.table_heads import (
     wide_of,
     without_remarks,
 )
-from dtwin.positioning.ways import way_of
+from dtwin.positioning.ways import LENGTHS, Scale, way_of
 from dtwin.schema import Campaign, Finding, Floats, Run
 from dtwin.units import ANGLES_DEG
 

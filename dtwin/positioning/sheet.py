@@ -14,8 +14,7 @@ from dtwin.physics.linear import linear_figures, stacked_figures
 from dtwin.positioning.check import by_axis
 from dtwin.positioning.cycles import spoilt_finding
 from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
-from dtwin.positioning.scale import LENGTHS, Scale
-from dtwin.positioning.ways import BOTH, Ways, can_be_told, ways_of
+from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, can_be_told, ways_of
 from dtwin.report.plots import error_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Contribution

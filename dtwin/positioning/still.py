@@ -9,8 +9,7 @@ import numpy as np
 
 from dtwin.positioning.cycles import moving_zero
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, in_order, linear_test
-from dtwin.positioning.scale import LENGTHS
-from dtwin.positioning.ways import ways_of
+from dtwin.positioning.ways import LENGTHS, ways_of
 from dtwin.schema import Run
 
 

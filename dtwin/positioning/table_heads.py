@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from dtwin.acquire.axis_titles import axis_of
 from dtwin.acquire.foreign_columns import REVERSED, is_number
 from dtwin.acquire.table_dialect import STATISTICS
-from dtwin.positioning.order import names_sense
-from dtwin.positioning.scale import Scale
-from dtwin.positioning.ways import IN_BRACKETS, SIGNS, way_of
+from dtwin.positioning.matrix import names_sense
+from dtwin.positioning.ways import IN_BRACKETS, SIGNS, Scale, way_of
 from dtwin.units import ANGLES_DEG, LENGTHS_MM, with_shares
 
 MOST_TITLES = 20

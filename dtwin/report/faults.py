@@ -1,11 +1,11 @@
-"""The faults of a machine in the words of the shop: what, how large, how it shows, what to do."""
+"""The faults of a machine in the words of the shop: what, how large, how it shows, what to do, effects in their order."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from dtwin.physics.budget import Budget
 from dtwin.physics.effect import Effect
@@ -188,3 +188,23 @@ def with_k2(value: float, uncertainty: float, unit: str) -> str:
         return f"{value:z.3g}{words}"
     digits = decimals(uncertainty)
     return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f}{words}"
+
+
+_ORDER = ("geometry", "drive", "dynamics", "heat", "instrument")
+_OWN = "your own"
+
+
+class _Grouped(Protocol):
+    @property
+    def group(self) -> str: ...
+
+
+_Effect = TypeVar("_Effect", bound=_Grouped)
+
+
+def grouped(effects: Iterable[_Effect]) -> list[tuple[str, list[_Effect]]]:
+    """Return effects by group, empty groups left out; those of the user's own groups, or of none, come last."""
+    of_group: dict[str, list[_Effect]] = {group: [] for group in _ORDER}
+    for effect in effects:
+        of_group.setdefault(effect.group or _OWN, []).append(effect)
+    return [(group, some) for group, some in of_group.items() if some]

@@ -11,10 +11,9 @@ from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
 from dtwin.serve._axis_inputs import AxisInputs
-from dtwin.serve._end_of_serving import fault_of
 from dtwin.serve._journal import LINK_LOST, Note, Sparing
 from dtwin.serve._machine_serving import Stop, Withdrawn
-from dtwin.serve._program_watch import ProgramWatch
+from dtwin.serve._program_watch import ProgramWatch, fault_of
 from dtwin.serve.decision import Decision
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep

@@ -10,8 +10,8 @@ from typing import Protocol
 
 from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
-from dtwin.serve._end_of_serving import fault_of
 from dtwin.serve._journal import LINK_LOST, RECONNECTED, Note
+from dtwin.serve._program_watch import fault_of
 from dtwin.serve.decision import Decision
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop

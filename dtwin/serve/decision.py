@@ -16,7 +16,7 @@ from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
-from dtwin.links.live_values import LiveValues
+from dtwin.links.state import LiveValues
 from dtwin.schema import Floats
 from dtwin.serve._state_limits import any_machine, impossible, possible
 from dtwin.serve.direction import Direction

@@ -16,8 +16,7 @@ from dtwin.schema import Floats
 from dtwin.serve._in_force import InForce
 from dtwin.serve._journal import Note, Sparing, no_journal
 from dtwin.serve._program_watch import ProgramWatch
-from dtwin.serve._stamps import StampWatch
-from dtwin.serve._timing import LoopTiming
+from dtwin.serve._timing import LoopTiming, StampWatch
 from dtwin.serve.decision import Decision
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.realtime import realtime

@@ -1,4 +1,6 @@
-"""What the operating system offers a deadline loop, each part used where it is allowed."""
+"""What the operating system offers a deadline loop, each part used where it is allowed; signals to end as a question that the
+loop asks.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,10 @@ import contextlib
 import ctypes
 import gc
 import os
+import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import FrameType
 
 _LOCK_CURRENT_AND_FUTURE = 3
 _PR_SET_TIMERSLACK = 29
@@ -83,3 +87,28 @@ def _call(name: str, *arguments: int) -> None:
     if getattr(library, name)(*(ctypes.c_ulong(a) for a in arguments)) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+@contextlib.contextmanager
+def stop_on_signals() -> Iterator[Callable[[], bool]]:
+    """Yield a function that is true once SIGINT, SIGTERM or SIGHUP has arrived; ``nohup`` goes on without a terminal.
+
+    Must be entered in the main thread; the earlier handlers come back afterwards.
+    """
+    asked: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+
+    before = {number: signal.signal(number, note) for number in ending_signals()}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that ask a process to end; not of a closed terminal, where somebody said that it goes on."""
+    deaf = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return (signal.SIGINT, signal.SIGTERM, *(() if deaf else (signal.SIGHUP,)))

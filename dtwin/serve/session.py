@@ -33,10 +33,10 @@ from dtwin.serve.live_board import live_board
 from dtwin.serve.loop import ServeStatus
 from dtwin.serve.pointer import Resolved, read_machine, resolve
 from dtwin.serve.proved import require_proof
+from dtwin.serve.realtime import stop_on_signals
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import Served, ServeRequest
 from dtwin.serve.served_time import events_path
-from dtwin.serve.signals import stop_on_signals
 
 Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]

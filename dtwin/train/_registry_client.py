@@ -17,8 +17,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import StoreError
+from dtwin.home_file import brought_here
 from dtwin.locks import locked
-from dtwin.registry_places import brought_here
 
 _CONNECT_S = 10
 # A server that is under load answers late.

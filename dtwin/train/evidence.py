@@ -15,8 +15,8 @@ import numpy as np
 from dtwin.errors import GateRefusal
 from dtwin.schema import Floats, Run
 from dtwin.statistics import t_quantile
+from dtwin.train.champion_error import RunError, measured_sha256, run_errors
 from dtwin.train.results import condition_name
-from dtwin.train.run_errors import RunError, measured_sha256, run_errors
 
 Way = Literal["without", "with"]
 WITHOUT: Way = "without"

@@ -18,9 +18,8 @@ from dtwin.atomic import whole_file
 from dtwin.bucket import Objects
 from dtwin.config import Home
 from dtwin.errors import StoreError
-from dtwin.home_file import Bucket
+from dtwin.home_file import PLACES, Bucket
 from dtwin.progress import Progress
-from dtwin.registry_places import PLACES
 from dtwin.train.registry import Registry
 
 _ROWS = 1000

@@ -10,7 +10,7 @@ from threading import Event
 
 from threadpoolctl import threadpool_limits
 
-from dtwin.processors import processors
+from dtwin.processes import processors
 from dtwin.progress import Progress
 
 

@@ -1,4 +1,4 @@
-"""How uncertain a twin's correction is, as expressions of a bundle: from the covariance of its parameters.
+"""How uncertain a correction is: of a learned one what it left of data left out; of a twin's, as expressions of a bundle: from the covariance of its parameters.
 
 The uncertainty of each parameter is the twin's own; their correlations follow from where the machine was
 measured, by all campaigns of the twin. Shapes (a pitch, a frequency) count as known. What the form of the effects lacks is not in it: it
@@ -7,7 +7,9 @@ says how far a correction may be from what these effects can tell.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +18,11 @@ from dtwin.physics.problem import unweighted
 from dtwin.physics.several_twin import SeenTwin
 from dtwin.physics.twin import Twin
 from dtwin.schema import Floats
-from dtwin.serve.band import COVARIANCE, Band
+from dtwin.serve.band import COVARIANCE, Band, constant_band
 from dtwin.serve.builder import Expression, GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.proof import with_vectors
+from dtwin.train.results import OUTPUT_RMS, Candidate
 
 # Share of the whole variance that the directions left out may have together.
 _NEGLIGIBLE = 1e-4
@@ -81,3 +86,22 @@ def squared(builder: GraphBuilder, regressors: Sequence[Expression], factor: Flo
 def band(builder: GraphBuilder, name: str, half: Expression) -> Band:
     """Return the band of a bundle with one output. ``name``: of the output."""
     return Band(COVARIANCE, builder.graph({name: half}))
+
+
+_K = 2.0
+
+
+def with_held_out_band(candidate: Candidate) -> Candidate:
+    """Return the candidate with a band of twice its held-out RMS in its bundle; as it is where there is one, or none can be.
+
+    The worst of the groups counts. The residuals hold the noise of the measurement too, so the band is rather
+    too wide than too narrow, and nothing fades by it.
+    """
+    if candidate.bundle is None or "band" in candidate.bundle:
+        return candidate
+    left = candidate.numbers.get(OUTPUT_RMS, max((s.rms_um for s in candidate.scores.values()), default=math.nan))
+    if not math.isfinite(left):
+        return candidate
+    bundle = Bundle.from_dict(dict(candidate.bundle))
+    band = constant_band({o.name: _K * left for o in bundle.outputs})
+    return replace(candidate, bundle=with_vectors(replace(bundle, band=band), bundle.vectors.window_seed).to_dict())

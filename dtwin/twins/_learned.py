@@ -1,4 +1,4 @@
-"""Formulas and maps that twins have learned, kept as text and found in the library by name."""
+"""Formulas and maps that twins have learned, kept as text and found in the library by name; twins from their stored form."""
 
 from __future__ import annotations
 
@@ -6,11 +6,18 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from dtwin.atomic import write_text
-from dtwin.errors import StoreError
-from dtwin.physics.effect import Effect
+from dtwin.errors import InputError, StoreError
+from dtwin.physics.contradictions import Contradiction
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.fit import Estimate
+from dtwin.physics.problem import Term
+from dtwin.physics.several_twin import SeveralTwin
+from dtwin.physics.twin import FORMAT, Twin, ValidityBox
 from dtwin.train.place_map import PlaceMap, place_map_effect
 from dtwin.train.residual_formula import ResidualFormula, formula_effect
 
@@ -62,3 +69,77 @@ class WithLearned(Mapping[str, Effect]):
 
 def _name_of(prefix: str, text: str) -> str:
     return prefix + hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+_CONTRADICTION = tuple(field.name for field in fields(Contradiction))
+_ABOUT = ("kind", "started", "weight")
+
+
+def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
+    """Return a twin from its stored form. ``document``: what ``as_dict`` of a twin returned."""
+    twin = _twin_from(document, library, where)
+    if "campaigns" not in document:
+        return twin
+    return SeveralTwin(
+        **vars(twin),
+        parts=tuple(_twin_from(entry["part"], library, where) for entry in document["campaigns"]),
+        about=tuple({name: entry[name] for name in _ABOUT} for entry in document["campaigns"]),
+        contradictions=contradictions_from(document),
+    )
+
+
+def contradictions_from(document: Mapping[str, Any]) -> tuple[Contradiction, ...]:
+    """Return the contradictions that a twin stores."""
+    lists = ("campaigns", "others", "rivals")
+    every = ({**entry, **{name: tuple(entry.get(name, ())) for name in lists}} for entry in document["contradictions"])
+    return tuple(Contradiction(**{name: one[name] for name in _CONTRADICTION}) for one in every)
+
+
+def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
+    if document.get("format") != FORMAT:
+        raise StoreError(
+            "this is not a twin", code="twin.format", where=where, allowed=FORMAT, got=str(document.get("format"))[:40]
+        )
+    terms = []
+    for entry in document["effects"]:
+        if entry["effect"] not in library:
+            raise InputError(
+                "the twin uses an effect that is not known here",
+                code="twin.effect_source",
+                where=where,
+                got=entry["effect"],
+                hint="--effects-path " + str(document["effect_sources"].get(entry["effect"], "FILE")),
+            )
+        effect = library[entry["effect"]]
+        # A version before may not have known every shape parameter.
+        terms.append(Term(Instance(effect, entry["axis"]), effect.completed(entry["shape"])))
+    estimates = tuple(
+        Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
+        for e in document["parameters"]
+    )
+    box = document["box"]
+    return Twin(
+        name=document["twin"],
+        version=document["version"],
+        machine=document["machine"],
+        campaign=document["campaign"],
+        action=document["action"],
+        terms=tuple(terms),
+        estimates=estimates,
+        setups=tuple(document["setups"]),
+        box=ValidityBox(
+            tuple(box["planes"]),
+            tuple(box["directions"]),
+            (box["radius_mm"][0], box["radius_mm"][1]),
+            (box["feed_mm_min"][0], box["feed_mm_min"][1]),
+        ),
+        figures=document["figures"],
+        by_condition=tuple(document["by_condition"]),
+        aliases=tuple(document["aliases"]),
+        data=document["data"],
+        effect_sources=document["effect_sources"],
+    )
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

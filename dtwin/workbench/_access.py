@@ -1,10 +1,13 @@
-"""Who may ask the workbench for what: token, host, origin, and headers of every answer."""
+"""Who may ask the workbench for what: token, host, origin, headers of every answer, the role that is needed, and the note that is made."""
 
 from __future__ import annotations
 
 import html
 import ipaddress
+import json
+import re
 import secrets
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import quote, urlencode
 
@@ -18,7 +21,6 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.own_address import is_foreign, names_this_computer
 from dtwin.people import ROLES, Person, act_as, acting, note, read_people
-from dtwin.workbench._roles import OTHERWISE, overheard, role_for
 
 _READING = ("GET", "HEAD")
 # Of a request that changes something: what is read of it is in memory at once. Files are put into a tray, part by part.
@@ -136,7 +138,7 @@ class Guarded:
             await send_with_headers(message)
 
         act_as(who)
-        hear, reason = overheard(receive)
+        hear, reason = _overheard(receive)
         try:
             await self.app(scope, hear, noted)
         finally:
@@ -165,7 +167,7 @@ class Guarded:
             is_file = scope["method"] == "PUT" and scope["path"].startswith(_FILES)
             if not is_file and not _is_short(headers):
                 return _refusal(f"the request is longer than {_MOST_BYTES} bytes, or does not say", "send less", 413)
-            role = role_for(scope["path"]) or OTHERWISE
+            role = _role_for(scope["path"]) or OTHERWISE
             if not person.may(role):
                 return _refusal(
                     f"{person.name} may not {role}", f"ask for the role: dtwin people add NAME --role {role}"
@@ -204,3 +206,48 @@ def _is_short(headers: Headers) -> bool:
 
 def _refusal(what: str, hint: str, status: int = 403) -> Response:
     return PlainTextResponse(f"refused: {what}\n  try: {hint}\n", status)
+
+
+NEEDED = (
+    (r"/api/jobs/", "measure"),
+    (r"/api/live/[^/]+/stop$", "stop"),
+    (r"/api/models/", "promote"),
+    (r"/api/twins(/|$)", "train"),
+    # An effect is a program that the server runs: whoever may write one may do what the server may.
+    (r"/api/effects(/|$)", "promote"),
+    (r"/api/(campaigns|machines)/[^/]+/(find|together)$", "train"),
+    (r"/api/campaigns/[^/]+/(amend$|runs/)", "measure"),
+    (r"/api/(trays|measuring)(/|$)", "measure"),
+    (r"/api/machines/[^/]+/(event|next|tolerance|schedule|plans|facts|axis)(/|$)", "measure"),
+    (r"/api/machines$", "measure"),
+)
+"""Roles by the begin of an address, as regular expressions that a browser understands, too; the first that fits."""
+OTHERWISE = "promote"
+"""What an address needs that nobody thought of."""
+_REASONS = ("because", "comment", "why", "note")
+_MOST = 64_000
+
+
+def _role_for(path: str) -> str | None:
+    """Return the role that a change at an address needs, None for an address that nobody thought of."""
+    return next((role for pattern, role in NEEDED if re.match(pattern, path)), None)
+
+
+def _overheard(receive: Receive) -> tuple[Receive, Callable[[], str]]:
+    """Return how to receive a request, and what then tells the reason that stands in it."""
+    body = bytearray()
+
+    async def hear() -> Message:
+        message = await receive()
+        if message["type"] == "http.request" and len(body) <= _MOST:
+            body.extend(message.get("body", b""))
+        return message
+
+    def reason() -> str:
+        try:
+            said = json.loads(bytes(body)) if len(body) <= _MOST else {}
+            return next((str(said[key]) for key in _REASONS if said.get(key)), "")
+        except (ValueError, AttributeError, RecursionError):
+            return ""
+
+    return hear, reason

@@ -1,7 +1,8 @@
-"""What every page needs: the home, the library, results that are kept, and work in progress."""
+"""What every page needs: the home, the library, results that are kept, work in progress, and what can act in a campaign."""
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -13,10 +14,12 @@ from fastapi import Depends, Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.lake.rows import meta_of
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
-from dtwin.physics.library import Library
-from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, twin_lines, twins_stamp
+from dtwin.physics.library import Library, campaign_instances
+from dtwin.physics.state import AXES_OF
+from dtwin.pipeline.catalogue import Overview, TwinLine, catalogue, distinct, twin_lines, twins_stamp
 from dtwin.pipeline.kept import stamp_of
 from dtwin.pipeline.machine_history import machine_history
 from dtwin.twins.of_kind import AnyTwins, twins_with
@@ -216,3 +219,17 @@ def _usable(files: Sequence[Path]) -> tuple[Library, dict[str, str]]:
         except InputError as error:
             errors[file.name] = error.render()
     return Library(good), errors
+
+
+def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]) -> list[Effect]:
+    """Return the effects that can act in a campaign, set-up terms left out, by name.
+
+    ``rows``: its rows, at least one.
+    """
+    planes = distinct(rows, "plane")
+    alone = {str(axis) for row in rows if (axis := meta_of(row).condition.get("axis"))}
+    axes = sorted({axis for plane in planes for axis in AXES_OF[plane]} | alone)
+    geometry = json.loads(rows[0]["geometry_json"])
+    instances = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)
+    effects = {i.effect.name: i.effect for i in instances if not i.effect.setup}
+    return [effects[name] for name in sorted(effects)]

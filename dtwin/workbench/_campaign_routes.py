@@ -17,11 +17,10 @@ from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
-from dtwin.pipeline.findings import findings_of, grouped_findings
+from dtwin.pipeline.kept import findings_of, grouped_findings
 from dtwin.report.sheet import budget_rows, notes_beside
 from dtwin.schema import fresh_name
-from dtwin.workbench._bench import Bench, Here
-from dtwin.workbench._campaigns import possible_effects
+from dtwin.workbench._bench import Bench, Here, possible_effects
 from dtwin.workbench._pages import begun, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES

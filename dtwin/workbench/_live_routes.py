@@ -22,8 +22,7 @@ from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve._lease import is_leased
-from dtwin.serve.live_board import COLUMNS, Seen, read_board
-from dtwin.serve.live_state import RECENT_S, live_state
+from dtwin.serve.live_board import COLUMNS, RECENT_S, Seen, live_state, read_board
 from dtwin.serve.served_time import events_path, never_released
 from dtwin.workbench._bench import Here, bench_of
 from dtwin.workbench._pages import drawn, rendered

@@ -17,14 +17,13 @@ from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
 from dtwin.local_time import local_time
-from dtwin.report.effect_groups import grouped
-from dtwin.report.faults import title_of
+from dtwin.report.faults import grouped, title_of
 from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
+from dtwin.workbench._access import NEEDED, OTHERWISE
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Job, Tell
-from dtwin.workbench._roles import NEEDED, OTHERWISE
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "machine.unknown", "page.unknown", "model.unknown")
 

@@ -9,6 +9,9 @@ from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from dtwin.errors import InputError
+from dtwin.kinds.volumetric.heat_twins import HeatTwins
+from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.kinds.volumetric.twin_report import term_table
 from dtwin.physics.twin import Twin
 from dtwin.report.html import Table
 from dtwin.report.machine_twin import captioned
@@ -103,3 +106,28 @@ def _comparison(bench: Bench, name: str, on: str) -> tuple[dict[str, Any], list[
 def kinds_of(bench: Bench, twin: AnyTwin) -> list[str]:
     """Return the kinds of campaign that a twin was fitted to."""
     return list(dict.fromkeys(bench.lake.campaign(name).kind for name in twin.campaigns))
+
+
+def heat_page(request: Request, name: str, on: str = "") -> Response:
+    """Show a twin of heat: how far it goes, what is missing, and its versions.
+
+    ``on``: other measurements than those of the fit.
+    """
+    bench = bench_of(request)
+    twins = HeatTwins(bench.home)
+    twin = twins.newest(name)
+    campaigns = bench.campaigns_of(twin.machine)
+    return rendered(
+        request,
+        "heat.html",
+        title=f"Twin {name}",
+        name=name,
+        twin=twin,
+        result=compared_with(bench, name, on),
+        on=on or twin.campaign,
+        campaigns=campaigns,
+        diagnosis=reading.diagnosis_of(bench, name, twin.version),
+        rungs=twins.history(name),
+        terms=term_table(twin),
+        families=FAMILIES.values(),
+    )

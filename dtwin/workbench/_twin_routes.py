@@ -34,13 +34,11 @@ from dtwin.twins.registration import waiting, waiting_text
 from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
-from dtwin.workbench._bench import Here, bench_of
-from dtwin.workbench._campaigns import possible_effects
+from dtwin.workbench._bench import Here, bench_of, possible_effects
 from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
-from dtwin.workbench._heat_pages import heat_page
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, rendered
-from dtwin.workbench._told_pages import compared_with, told_page
+from dtwin.workbench._told_pages import compared_with, heat_page, told_page
 
 _HARMONICS = 60
 router = APIRouter()

@@ -13,8 +13,8 @@ import numpy as np
 
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines._ballbar import drift_kernel, read_ballbar
 from dtwin.machines._recording import RunTicks
+from dtwin.machines._sensors import drift_kernel, read_ballbar
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import (

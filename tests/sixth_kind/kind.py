@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from dtwin.physics.grid import Grid, Row
     from dtwin.report.twin_of_kind import TwinReport
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import RunError
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
-    from dtwin.train.run_errors import RunError
     from dtwin.twins.verbs import Twins
 
 

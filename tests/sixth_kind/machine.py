@@ -15,7 +15,7 @@ from sixth_kind.effects import TEETH
 if TYPE_CHECKING:
     from dtwin.progress import Progress
     from dtwin.schema import Floats, Run
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
 
 RIM_MM, OFF_MM, TOOTH_UM, NOISE_UM = 100.0, 0.012, 3.0, 0.2
 SPEEDS_DEG_S, REPEATS, STEP_DEG = (6.0, 30.0), 3, 2.5
@@ -70,7 +70,7 @@ class Table(VirtualMachine):
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:
         from dtwin.serve.runtime import CompiledBundle
-        from dtwin.train.measured_ways import MeasuredWays, numbered
+        from dtwin.train.oracle import MeasuredWays, numbered
 
         compiled = CompiledBundle(request.bundle)
         runs: list[Run] = []

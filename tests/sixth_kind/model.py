@@ -17,9 +17,9 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.statistics import rms
+from dtwin.train.champion_error import RunError
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
-from dtwin.train.run_errors import RunError
 from sixth_kind.effects import TEETH
 from sixth_kind.kind import Turn
 from sixth_kind.machine import RIM_MM

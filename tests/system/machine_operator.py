@@ -30,7 +30,7 @@ from dtwin.acquire.linuxcnc import run_circles
 from dtwin.acquire.linuxcnc import run_of as run_of_trace
 from dtwin.acquire.virtual import VirtualCobotBench, run_of
 from dtwin.acquire.virtual_mill import virtual_mill
-from dtwin.kinds.circular._circles import CorrectedCircles
+from dtwin.kinds.circular._evidence import CorrectedCircles
 from dtwin.machines.cobot import CircleCondition
 from dtwin.machines.linuxcnc.circles import Circle
 from dtwin.machines.linuxcnc.session import LinuxcncSession

@@ -21,7 +21,7 @@ from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, tone_contract
 from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
-from dtwin.links.live_values import LiveValues
+from dtwin.links.state import LiveValues
 from dtwin.links.virtual_key import proof
 from dtwin.machines.axis_server import WATCHDOG_S, AxisServer
 from dtwin.schema import Floats

@@ -95,7 +95,7 @@ def test_a_worker_and_then_the_scheduler_is_killed_and_nothing_is_lost_or_done_t
         if len(done) == 4:
             plant.kill("scheduler")
 
-    monkeypatch.setattr("dtwin.fleet.engine._CONNECT_S", 2)
+    monkeypatch.setattr("dtwin.fleet.run._CONNECT_S", 2)
     with pytest.raises(StoreError) as caught:
         run_fleet(home(), DIAGNOSE, on=at, progress=killing)
     assert caught.value.code == "fleet.died"

@@ -15,7 +15,7 @@ from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
-from dtwin.kinds.circular._recheck import checked_circles
+from dtwin.kinds.circular._evidence import checked_circles
 from dtwin.kinds.machine import EvidenceRequest, Request, Simulated, VirtualMachine
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import check_drift, trained_rows

@@ -10,7 +10,7 @@ import pytest
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
-from dtwin.kinds.drift._simulate import simulate_drift
+from dtwin.kinds.drift._evidence import simulate_drift
 from dtwin.kinds.drift._twins import DriftTwins
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe

@@ -30,7 +30,7 @@ import sys, time
 from pathlib import Path
 from dtwin.config import Home
 from dtwin.serve._lease import lease
-from dtwin.serve.signals import stop_on_signals
+from dtwin.serve.realtime import stop_on_signals
 with lease("127.0.0.1", "mill-a", Home(Path(sys.argv[1]))), stop_on_signals() as asked:
     print("serving", flush=True)
     while not asked():

@@ -18,12 +18,10 @@ from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.volumetric._check import judge_volumetric_run
-from dtwin.kinds.volumetric._evidence import judged_hours
+from dtwin.kinds.volumetric._evidence import distance_changes_um, judged_hours
 from dtwin.kinds.volumetric._identify import Artefact, Balls, averaged_balls
-from dtwin.kinds.volumetric._judging import distance_changes_um
 from dtwin.kinds.volumetric._plan import BallPlan
-from dtwin.kinds.volumetric._served import ServedMill
-from dtwin.kinds.volumetric._simulate import simulate_volumetric
+from dtwin.kinds.volumetric._simulate import ServedMill, simulate_volumetric
 from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.schedule import scheduled_training

@@ -21,7 +21,7 @@ from distributed.security import Security
 from dtwin import __version__
 from dtwin.cli import app
 from dtwin.config import SETTINGS, Home
-from dtwin.fleet.engine import require_engine
+from dtwin.fleet.run import _require_engine
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -245,7 +245,7 @@ def test_dask_takes_the_certificates_from_the_settings_and_no_connection_without
     for _, container in CONTAINERS.values():
         assert {m["mountPath"] for m in container["volumeMounts"] if m["name"] == "certificates"} == {"/certificates"}
         if engine := _environment(container).get("DTWIN_ENGINE"):
-            assert require_engine(engine, None).startswith("tls://")
+            assert _require_engine(engine, None).startswith("tls://")
 
 
 def test_the_image_is_the_one_that_the_dockerfile_builds() -> None:

@@ -10,8 +10,7 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plan import duration_s, linear_advice, linear_plan
-from dtwin.kinds.linear._planned import proposals
-from dtwin.kinds.linear._program import laser_program
+from dtwin.kinds.linear._planned import laser_program, proposals
 from studies.lathe_fit import read_linear_plan
 
 EXAMPLE: dict[str, Any] = {

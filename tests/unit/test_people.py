@@ -31,9 +31,8 @@ from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.pointer import resolve
 from dtwin.train import promotion
 from dtwin.train.registry import Registry
-from dtwin.workbench._access import Access
+from dtwin.workbench._access import Access, _role_for
 from dtwin.workbench._bench import Bench
-from dtwin.workbench._roles import role_for
 from dtwin.workbench.server import application
 
 BASE = "http://127.0.0.1:8765"
@@ -81,7 +80,7 @@ def test_every_change_at_the_workbench_needs_a_role_that_was_thought_of() -> Non
         if {"POST", "PUT", "DELETE", "PATCH"} & set(getattr(r, "methods", None) or ())
     ]
     assert len(paths) > 20
-    assert [path for path in paths if role_for(path.replace("{", "").replace("}", "")) is None] == []
+    assert [path for path in paths if _role_for(path.replace("{", "").replace("}", "")) is None] == []
 
 
 def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:

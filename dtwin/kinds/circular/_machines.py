@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dtwin.acquire.runner import Bench
     from dtwin.plan import EvidencePlan, Plan
     from dtwin.progress import Progress
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
     from dtwin.train.recheck import CheckedRun
 
 
@@ -45,7 +45,7 @@ class _Cobot(VirtualMachine):
         )
 
     def checked(self, request: EvidenceRequest, blocks: int) -> list[CheckedRun]:
-        from dtwin.kinds.circular._recheck import checked_circles
+        from dtwin.kinds.circular._evidence import checked_circles
         from dtwin.machines.cobot import VirtualCobot
 
         return checked_circles(request, blocks, VirtualCobot(seed=request.seed))

@@ -11,8 +11,7 @@ import numpy as np
 from dtwin.kinds.circular._evidence import WAYS
 from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest
+from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
 from dtwin.plan import EvidencePlan
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Direction, Floats, Plane, Run
@@ -21,7 +20,7 @@ from dtwin.serve.direction import Direction as Frame
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.oracle import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 from dtwin.units import UM_PER_MM
 

@@ -9,8 +9,7 @@ from dataclasses import replace
 from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular._physics_candidate import physics_candidate
-from dtwin.kinds.circular._symbolic_candidate import symbolic_candidate
+from dtwin.kinds.circular._physics_candidate import physics_candidate, symbolic_candidate
 from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.kinds.circular.physics_fit import fit_physics, leave_out, predicted_fresh, predicted_left_out
 from dtwin.lake.store import Lake

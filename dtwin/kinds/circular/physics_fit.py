@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular._gram import Sums, forward_order, solve, sums_of, total
 from dtwin.kinds.circular._library import Gear, Library
-from dtwin.kinds.circular._mode_search import find_modes
-from dtwin.kinds.circular._order_search import find_gears
-from dtwin.kinds.circular._term_columns import TermColumns
+from dtwin.kinds.circular._order_search import find_gears, find_modes
+from dtwin.kinds.circular._term_columns import Sums, TermColumns, forward_order, solve, sums_of, total
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.statistics import rms

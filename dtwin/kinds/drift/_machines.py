@@ -8,7 +8,7 @@ from dtwin.kinds.machine import EvidenceRequest, Options, Request, Simulated, Vi
 
 if TYPE_CHECKING:
     from dtwin.progress import Progress
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
 
 
 class _WarmColumn(VirtualMachine):
@@ -18,7 +18,7 @@ class _WarmColumn(VirtualMachine):
     options: ClassVar[Options] = {"truth": ("surface", "pockets", "thermistor")}
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.kinds.drift._simulate import simulate_drift
+        from dtwin.kinds.drift._evidence import simulate_drift
 
         out, truth = request.out, request.options["truth"]
         logs = simulate_drift(out, progress, truth=truth, seed=request.seed, quick=request.quick)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.acquire.clock_column import FORM, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.foreign_columns import (
     CLOCK,
     PROBES,
@@ -31,12 +30,11 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
-from dtwin.acquire.time_stamps import FORMS
+from dtwin.acquire.time_stamps import FORM, FORMS, numbers_of, of_stamps, times_of_cells
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.kinds.drift._dropouts import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, stepped
 from dtwin.kinds.drift._model import sense
-from dtwin.kinds.drift._standing import standing
+from dtwin.kinds.drift._standing import COLDEST_C, HOTTEST_C, lost_readings, nothing_read, possible, standing, stepped
 from dtwin.positioning.table_heads import ANGLE
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import ANGLES_DEG, is_number

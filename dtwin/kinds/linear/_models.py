@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dtwin.kinds.linear._net_training import Trained, train_net
-from dtwin.kinds.linear._small_net import SmallNet, new_net
+from dtwin.kinds.linear._small_net import SmallNet, Trained, new_net, train_net
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Floats
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule
-from dtwin.positioning.order import sweeps
+from dtwin.positioning.matrix import sweeps
 from dtwin.positioning.ways import with_ways
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.units import UM_PER_MM, is_number

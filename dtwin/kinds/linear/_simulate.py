@@ -8,17 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.acquire.campaign_folder import write_campaign_file
 from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plan import LinearPlan, linear_plan
-from dtwin.kinds.linear._program import laser_program
+from dtwin.kinds.linear._planned import laser_program
 from dtwin.kinds.linear._read import MM_PER
 from dtwin.kinds.linear.laser_file import LaserTest, linear_error, write_laser_file
 from dtwin.kinds.machine import require_no_campaign
 from dtwin.machines.laser_trigger import LaserSetup
-from dtwin.machines.lathe import LatheRecording, NetworkScrew, ThreadScrew, VirtualLathe, Wander
-from dtwin.machines.lathe_control import Motion, run_program
+from dtwin.machines.lathe import LatheRecording, Motion, NetworkScrew, ThreadScrew, VirtualLathe, Wander, run_program
 from dtwin.machines.printed_network import read_network
 from dtwin.schema import Finding, Floats
 from dtwin.units import UM_PER_MM

@@ -56,13 +56,13 @@ class _Linear(Kind):
         "sheet_figure": "dtwin.positioning.sheet:positioning_figure",
         "axis_errors": "_served_axis:axis_errors",
         "rows": "_grid:stroke_rows",
-        "run_errors": "_run_errors:stroke_errors",
+        "run_errors": "_judging:stroke_errors",
         "training": "_training:train_positioning",
         "recognises": "_bundle:is_positioning_bundle",
         "gates": "_gates:registered_positioning_gates",
         "twin_correction": "_correction:WAY",
-        "champion_error": "_drift:strokes_error",
-        "held_out": "_drift:strokes_held_out",
+        "champion_error": "_judging:strokes_error",
+        "held_out": "_judging:strokes_held_out",
     }
 
     @property
@@ -89,7 +89,7 @@ class _Linear(Kind):
         require_pitch(condition.get("screw_pitch_mm"), where)
 
     def sheet(self, runs: Sequence[Run], under: Circumstances) -> Sheet:
-        from dtwin.kinds.linear._sheet import asked, contributions
+        from dtwin.kinds.linear._report import asked, contributions
         from dtwin.positioning.sheet import positioning_sheet
 
         return positioning_sheet(runs, asked, partial(contributions, under))

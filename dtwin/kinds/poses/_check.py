@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dtwin.kinds.poses._chain import Frames
+from dtwin.kinds.poses._chain import Frames, fitted
 from dtwin.kinds.poses._data import chain_in
 from dtwin.kinds.poses._iso9283 import axes, joints_of, measured_of, numbers_of, times_of
 from dtwin.kinds.poses._orientation import QUATERNION
 from dtwin.kinds.poses._series import Series, series_of, series_of_targets
-from dtwin.kinds.poses._setup import fitted
 from dtwin.schema import Finding, Floats, Run
 from dtwin.statistics import usual_size
 

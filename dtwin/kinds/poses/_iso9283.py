@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.kinds.poses._chain import rigid
 from dtwin.kinds.poses._series import Series, mean_mm
-from dtwin.kinds.poses._setup import rigid
 from dtwin.schema import Floats, Run
 from dtwin.statistics import rms
 

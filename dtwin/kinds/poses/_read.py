@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_folder import inside
-from dtwin.acquire.clock_column import clock_of, numbers_of, of_stamps
 from dtwin.acquire.foreign_columns import (
     below_heads,
     in_english,
@@ -30,12 +29,11 @@ from dtwin.acquire.repeated_heads import require_one_block
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import first_rows, table_bytes
 from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of, typed
+from dtwin.acquire.time_stamps import clock_of, numbers_of, of_stamps
 from dtwin.errors import InputError
-from dtwin.kinds.poses._axis_rows import axes_beside, is_by_axes
-from dtwin.kinds.poses._foreign import NO_UNIT, joined, lines_for, of_ros, of_words
+from dtwin.kinds.poses._axis_rows import NO_UNIT, axes_beside, is_by_axes, joined, lines_for, of_ros, of_words
 from dtwin.kinds.poses._orientation import house_name, with_orientation
-from dtwin.kinds.poses._repeats import no_commanded, repeated_places
-from dtwin.kinds.poses._stops import with_joints
+from dtwin.kinds.poses._repeats import no_commanded, repeated_places, with_joints
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import LENGTHS_MM
 

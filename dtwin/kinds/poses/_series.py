@@ -11,9 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import gammaincinv
 
-from dtwin.kinds.poses._chain import Frames, frames
+from dtwin.kinds.poses._chain import Frames, Setup, columns, fitted, frames
 from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
-from dtwin.kinds.poses._setup import Setup, columns, fitted
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 

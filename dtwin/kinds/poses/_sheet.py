@@ -1,4 +1,4 @@
-"""Test sheet of robot poses after ISO 9283, with the scatter that its figures would have again."""
+"""Test sheet of robot poses after ISO 9283, with the scatter that its figures would have again, and by how much accuracy and repeatability drift."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.kinds.kind import Drawing
-from dtwin.kinds.poses._changes import changes_of, uncertainty_of_changes
+from dtwin.kinds.poses._chain import left_by_setup
 from dtwin.kinds.poses._check import problem_of
 from dtwin.kinds.poses._iso9283 import axes, distances_off, lengths, means_of, measured_of
 from dtwin.kinds.poses._series import Series
-from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.report.plots import error_figure, places_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Circumstances, Contribution
@@ -23,7 +22,6 @@ from dtwin.statistics import rms, shared_variances, times_simulated
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
-
 
 _FEWEST_REPEATS, _ASKED_REPEATS = 3, 30
 _NUMBERS, _FEW_POSES = {"frame": 6, "frame and tool": 9}, 20
@@ -90,7 +88,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
         again = [evaluated(mean + left(one)) for one in drawn]
         spread = {name: float(np.std([a[name] for a in again], ddof=1)) for name in again[0]}
     if "dRP" in told:
-        of_changes, dof_of_tens = uncertainty_of_changes(error_um, place)
+        of_changes, dof_of_tens = _uncertainty_of_changes(error_um, place)
         spread |= dict(zip(_DRIFT, of_changes, strict=True))
         dof |= dict.fromkeys(_DRIFT, dof_of_tens)
     return tuple(
@@ -194,7 +192,7 @@ def _evaluation(place: Floats, point_um: Floats) -> Callable[[Floats], dict[str,
 
 def _drift(error_um: Floats, place: Floats) -> dict[str, float]:
     """Return dAP and dRP of errors (n, 3), where a pose was measured twenty times."""
-    return dict(zip(_DRIFT, changes_of(error_um, place) or (), strict=False))
+    return dict(zip(_DRIFT, _changes_of(error_um, place) or (), strict=False))
 
 
 def pose_figure(runs: Sequence[Run]) -> go.Figure:
@@ -257,3 +255,71 @@ def scatter_of(error: Floats, place: Floats, usual: float) -> _Scatter:
     of_all = float((count - 1).sum())
     share, of_pose = float(weight[again].mean()), float(np.median(dof[again]))
     return _Scatter(np.sqrt(own)[place], of_all, 1.0 / ((1.0 - share) / of_all + share / of_pose))
+
+
+# Readings of a pose of which one accuracy and one repeatability are computed, to see them change.
+_CYCLES = 10
+
+
+def _changes_of(error_um: Floats, place: Floats) -> tuple[float, float] | None:
+    """Return dAP and dRP of errors (n, 3), in the order of measurement, of poses with these numbers.
+
+    None where no pose was measured twenty times. Each is the largest change since the first ten readings of a pose.
+    """
+    told = [_largest(*_figures_of_both(blocks)) for blocks in _blocks(error_um, place)]
+    return (float(max(a for a, _ in told)), float(max(r for _, r in told))) if told else None
+
+
+def _uncertainty_of_changes(error_um: Floats, place: Floats) -> tuple[tuple[float, float], float]:
+    """Return standard uncertainties of dAP and dRP, and their degrees of freedom, of poses that changes_of() takes.
+
+    The test is simulated again with what surely changed and what scatters within ten readings. How far dAP and dRP
+    of 95 of 100 such tests are from what was put in, is twice the uncertainty: a largest change is too large where
+    little changes.
+    """
+    poses = _blocks(error_um, place)
+    means = [blocks.mean(axis=1) for blocks in poses]
+    square = np.concatenate([blocks.var(axis=1, ddof=1).mean(axis=-1) for blocks in poses])
+    dof = np.full(square.size, 3.0 * (_CYCLES - 1))
+    # All poses may scatter more at first, while the robot warms: a pose is compared with the others of that time.
+    ten, own = np.concatenate([np.arange(len(m)) for m in means]), np.empty_like(square)
+    for now in (ten == n for n in range(int(ten.max()) + 1)):
+        own[now], _ = shared_variances(square[now], dof[now], float(square[now].mean()))
+    # What means of ten differ by without any drift, and what they do: the rest is drift.
+    away = [m - m.mean(axis=0) for m in means]
+    chance = float(square.mean()) / _CYCLES * sum(3.0 * (len(m) - 1) for m in means)
+    apart = sum(float((a**2).sum()) for a in away)
+    weight = 1.0 - chance / apart if apart > chance else 0.0
+    rng = np.random.default_rng(0)
+    times = times_simulated(sum(blocks.size for blocks in poses))
+    scatter_um = np.split(np.sqrt(own), np.cumsum([len(m) for m in means])[:-1])
+    true, again = [], []
+    for mean, off, one_um in zip(means, away, scatter_um, strict=True):
+        steady = mean - (1.0 - weight) * off
+        noise = one_um[:, None, None] * rng.standard_normal((times, len(mean), _CYCLES, 3))
+        accuracy, repeatability = _figures_of_both(steady[:, None] + noise)
+        again.append(_largest(accuracy, repeatability))
+        true.append(_largest(np.linalg.norm(steady, axis=-1), repeatability.mean(axis=0)))
+    off_by = np.abs(np.max(again, axis=0) - np.max(true, axis=0)[:, None])
+    accuracy_um, repeatability_um = (np.quantile(off_by, 0.95, axis=1) / 2.0).tolist()
+    return (accuracy_um, repeatability_um), float(dof.sum())
+
+
+def _blocks(error_um: Floats, place: Floats) -> list[Floats]:
+    """Return the errors of each pose that was measured twenty times, ten readings after ten: (tens, 10, 3)."""
+    often = np.flatnonzero(np.bincount(place) >= 2 * _CYCLES)
+    of_poses = (error_um[place == pose] for pose in often)
+    return [one[: len(one) // _CYCLES * _CYCLES].reshape(-1, _CYCLES, 3) for one in of_poses]
+
+
+def _figures_of_both(blocks: Floats) -> tuple[Floats, Floats]:
+    """Return AP and RP (..., tens) of readings (..., tens, 10, 3)."""
+    means = blocks.mean(axis=-2)
+    away = np.linalg.norm(blocks - means[..., None, :], axis=-1)
+    return np.linalg.norm(means, axis=-1), away.mean(axis=-1) + 3.0 * away.std(axis=-1, ddof=1)
+
+
+def _largest(accuracy: Floats, repeatability: Floats) -> tuple[Floats, Floats]:
+    """Return the largest changes of both (..., tens) since the first ten readings: (...)."""
+    first, second = (np.abs(one - one[..., :1]).max(axis=-1) for one in (accuracy, repeatability))
+    return first, second

@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.documents import finite
 from dtwin.errors import InputError
+from dtwin.kinds.poses._chain import Setup
 from dtwin.kinds.poses._data import Loaded, load
 from dtwin.kinds.poses._diagnosis import KIND, PoseDiagnosis, diagnose, pose_figures
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
@@ -24,7 +25,6 @@ from dtwin.kinds.poses._fit import (
     with_correlations,
 )
 from dtwin.kinds.poses._series import mean_mm
-from dtwin.kinds.poses._setup import Setup
 from dtwin.physics.agreed import Quantity, Sizes
 from dtwin.schema import Floats
 from dtwin.statistics import rms, t_quantile

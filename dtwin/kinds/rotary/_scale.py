@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dtwin.errors import InputError
-from dtwin.positioning.scale import Scale
 from dtwin.positioning.table_heads import MOVES
+from dtwin.positioning.ways import Scale
 from dtwin.units import ANGLES_DEG
 
 ANGLES = Scale(

@@ -1,4 +1,4 @@
-"""What ISO 230-2 asks of a test of a rotary axis, whether a turn closes, and what makes its figures uncertain."""
+"""What ISO 230-2 asks of a test of a rotary axis, whether a turn closes, what comes once and twice a turn, and what makes its figures uncertain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.rotary._scale import ANGLES
-from dtwin.kinds.rotary._waves import waves
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.check import judge_positioning_campaign, tests_by_axis
 from dtwin.positioning.matrix import TARGET_MM, LinearTest
@@ -17,7 +16,7 @@ from dtwin.positioning.sheet import evaluated_tests
 from dtwin.report.text import counted
 from dtwin.report.uncertainty import Circumstances, Contribution
 from dtwin.schema import Finding, Run
-from dtwin.statistics import t_quantile
+from dtwin.statistics import f_quantile, rms, t_quantile
 
 _FEWEST = ((90.0, 3), (180.0, 5), (float("inf"), 8))
 """Targets that a travel up to so many degrees asks for."""
@@ -122,3 +121,66 @@ def positioning_lines(result: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             yield "  no place was read again a turn later: a drift over the turn would look like these"
         if "waves" in told:
             yield f"  without these {told['left_rms_arcsec']:z.2f}″ RMS of the mean of both directions are left"
+
+
+_FEWEST_WAVES = 8
+"""Places of a turn: five numbers are fitted to them."""
+_UNEVEN = 1.5
+"""Times the mean step that a gap may have: a turn that is measured in part has no waves of its own."""
+_WAVES = (
+    (1, "once", "graduation or encoder off centre, or the instrument"),
+    (2, "twice", "graduation elliptic, or its two reading heads unlike"),
+)
+"""How many times a turn, in words, and what it may be."""
+_CHANCE = 0.05
+"""How often one of the waves is told where there is none."""
+
+
+def waves(test: LinearTest) -> dict[str, Any]:
+    """Return the waves of a whole turn, JSON-ready, in seconds of arc; empty where the targets are no whole turn or too few.
+
+    They are fitted by least squares to the mean of both directions, run by run; ``k95_arcsec`` is what covers 95 % of
+    the amplitude's scatter by what runs differ by, None of one run; ``chance_arcsec`` what an amplitude must exceed to be no chance,
+    which is more, for it has two parts. At n even steps a wave of n - 1 times a turn looks like one
+    of once: what a worm or a gear does is told by targets within one of its teeth alone.
+    ``drift_arcsec``: how far the error goes on over a turn, where a place is measured again a turn later; it is no part of the
+    waves. Where none is, a drift looks like them.
+    """
+    angle = np.radians(test.position_mm)
+    place = np.unique(np.round(np.mod(test.position_mm, 360.0), 3))
+    gaps = np.diff(place, append=place[:1] + 360.0)
+    if place.size < _FEWEST_WAVES or gaps.max() > _UNEVEN * 360.0 / place.size:
+        return {}
+    columns = [np.ones_like(angle), *(of(times * angle) for times, _, _ in _WAVES for of in (np.cos, np.sin))]
+    again = place.size < np.unique(np.round(test.position_mm, 3)).size
+    if again:
+        columns.append(angle / (2.0 * np.pi))
+    design = np.stack(columns, axis=1)
+    middle = 0.5 * (test.forward_um + test.reverse_um)
+    found, *_ = np.linalg.lstsq(design, middle, rcond=None)
+    runs = middle.shape[1]
+    told = []
+    for number, (times, often, may_be) in enumerate(_WAVES):
+        both = found[1 + 2 * number : 3 + 2 * number]
+        cosine, sine = both.mean(axis=1)
+        half = chance = None
+        if runs > 1:
+            deviation = np.sqrt(np.mean(both.var(axis=1, ddof=1)))
+            dof = 2.0 * (runs - 1)
+            half = float(t_quantile(0.975, dof) * deviation / np.sqrt(runs))
+            chance = float(np.sqrt(2.0 * f_quantile(_CHANCE / len(_WAVES), (2.0, dof)) / runs) * deviation)
+        at = float(np.degrees(np.arctan2(sine, cosine)) / times % (360.0 / times))
+        told.append(
+            {
+                "times_a_turn": times,
+                "often": often,
+                "amplitude_arcsec": float(np.hypot(cosine, sine)),
+                "k95_arcsec": half,
+                "chance_arcsec": chance,
+                "largest_at_deg": at,
+                "may_be": may_be,
+            }
+        )
+    left = middle.mean(axis=1) - design @ found.mean(axis=1)
+    drift = {"drift_arcsec": float(found[-1].mean())} if again else {}
+    return {"waves": told, **drift, "left_rms_arcsec": rms(left)}

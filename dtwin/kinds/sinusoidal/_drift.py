@@ -1,13 +1,15 @@
-"""What a champion leaves of the amplitude of recorded tones."""
+"""What a champion leaves of the amplitude of recorded tones, and their errors as evidence compares them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.features.sine import fit_tone
 from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE
 from dtwin.kinds.sinusoidal._check import HEARD
 from dtwin.kinds.sinusoidal._groups import (
@@ -20,11 +22,21 @@ from dtwin.kinds.sinusoidal._groups import (
     noise_floor_um,
 )
 from dtwin.lake.store import Lake
-from dtwin.schema import Floats
+from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import rms
-from dtwin.train.champion_error import ChampionError, HeldOut, held_out, new_values, require_inputs, require_trained
+from dtwin.train.champion_error import (
+    ChampionError,
+    Condition,
+    HeldOut,
+    RunError,
+    held_out,
+    new_values,
+    require_inputs,
+    require_trained,
+)
+from dtwin.units import UM_PER_MM
 
 _TOLD = "amplitude_error_um"
 
@@ -72,3 +84,34 @@ def _told(groups: ToneGroups) -> dict[str, Floats]:
     sent = {SENT_RMS: groups.sent_rms_um, SENT_FREQUENCY: groups.frequency_hz}
     crest = {SENT_CREST: np.full(groups.n, np.sqrt(2.0)), AMPLITUDE: groups.amplitude_um}
     return {**groups.columns, **sent, **crest}
+
+
+def tone_errors(runs: Sequence[Run]) -> list[RunError]:
+    """Return the errors of tones.
+
+    The error of a tone is the length of the difference of two vectors, tool and command.
+    """
+    errors = []
+    for number, run in enumerate(runs):
+        stated = run.meta.condition
+        axis, frequency = str(stated.get("axis", "Z")), float(stated["frequency_hz"])
+        names = [f"{part}_{axis.lower()}_mm" for part in ("cmd", "tool")]
+        missing = [name for name in names if name not in run.samples]
+        if missing:
+            raise InputError(
+                "a run does not tell where the tool was",
+                code="evidence.columns",
+                where=f"run {run.meta.run_id}",
+                got=", ".join(run.samples),
+                allowed=", ".join(missing),
+            )
+        command, tool = (
+            fit_tone(run.samples["t_s"], run.samples[name] * UM_PER_MM, frequency).phasor for name in names
+        )
+        error = tool - command
+        condition: Condition = {"axis": axis, "frequency_hz": frequency, "amplitude_um": float(stated["amplitude_um"])}
+        # In the command's own direction, whatever the instant at which the record began.
+        turned = error * np.conj(command) / abs(command)
+        rest = math.sqrt(2.0) * np.array([turned.real, turned.imag])
+        errors.append(RunError(number, condition, "", abs(error), rest))
+    return errors

@@ -9,7 +9,7 @@ from dtwin.kinds.machine import PLAN, EvidenceRequest, Options, Request, Simulat
 if TYPE_CHECKING:
     from dtwin.machines.axis_server import ServedMachine
     from dtwin.progress import Progress
-    from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.oracle import MeasuredWays
 
 
 class _Turning(VirtualMachine):

@@ -9,9 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, SENT
-from dtwin.kinds.sinusoidal._folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal._plan import TonePlan
-from dtwin.kinds.sinusoidal._simulate import EVERY, Room, require_own_axis, tone_run, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import (
+    EVERY,
+    SAMPLE_HZ,
+    Room,
+    require_own_axis,
+    tone_run,
+    virtual_slide,
+    write_tone_campaign,
+)
 from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, AnaloguePath, Instruments, TurningSlide
 from dtwin.schema import Floats, Run, SignalGroup
 

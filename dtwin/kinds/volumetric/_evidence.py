@@ -1,16 +1,17 @@
-"""What an equation of heat is worth in other campaigns of the machine, hour by hour."""
+"""What an equation of heat is worth in other campaigns of the machine, hour by hour, and what thermal models leave."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
-from dtwin.kinds.volumetric._judging import changes_left_um, distance_changes_um
-from dtwin.kinds.volumetric._thermal_model import independent
+from dtwin.kinds.volumetric._identify import Balls
+from dtwin.kinds.volumetric._thermal_model import ThermalModel, independent
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
@@ -173,3 +174,34 @@ def _half_width(values: Floats) -> float:
     """Return half the 95 % interval of a mean of cycles that are not independent."""
     n = min(max(independent(values), 2.0), float(len(values)))
     return t_quantile(0.975, n - 1.0) * float(values.std(ddof=1)) / math.sqrt(n)
+
+
+def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+    """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
+    return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
+
+
+def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
+    """Return how the distances between balls of the same pose change, shape (pairs,).
+
+    ``moved_um``, (n, 3): how the tool point moves there.
+    """
+    changes_um = []
+    for pose in sorted(set(where.pose.tolist()) - {0}):
+        rows = np.flatnonzero(where.pose == pose)
+        one, other = np.triu_indices(len(rows), 1)
+        apart = where.position_mm[rows][one] - where.position_mm[rows][other]
+        unit = apart / np.linalg.norm(apart, axis=1)[:, None]
+        changes_um.append(((moved_um[rows][one] - moved_um[rows][other]) * unit).sum(axis=1))
+    return np.concatenate(changes_um)
+
+
+def changes_left_um(measured: Session, expected: Floats) -> list[Floats]:
+    """Return what is left of the changes of distances between balls, cycle by cycle, shape (pairs,) each.
+
+    ``expected``, (cycles, coefficients): error motions that are taken off.
+    """
+    return [
+        distance_changes_um(where, moved - measured.artefact.predicted_um(where, values))
+        for (where, moved), values in zip(measured.moved, expected, strict=True)
+    ]

@@ -38,7 +38,7 @@ class _WarmMill(VirtualMachine):
         return Simulated(payload, [f"{cycles} cycles in {out}", f"next: dtwin ingest {out}"])
 
     def served(self, request: Request) -> ServedMachine:
-        from dtwin.kinds.volumetric._served import ServedMill
+        from dtwin.kinds.volumetric._simulate import ServedMill
 
         truth, schedule = request.options["truth"], request.options["schedule"]
         return ServedMill(request.plan, truth, schedule, request.seed, quick=request.quick)

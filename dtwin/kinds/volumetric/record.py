@@ -29,19 +29,19 @@ class _Volumetric(Kind):
     }
     places: ClassVar[Mapping[str, str]] = {
         "machines": "_machines:MACHINES",
-        "plan": "_planned:planned",
-        "draft": "_planned:draft",
+        "plan": "_plan:planned",
+        "draft": "_plan:draft",
         "completed": "_check:with_strokes",
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
-        "drawings": "_page:DRAWINGS",
+        "drawings": "twin_report:DRAWINGS",
         "twins": "dtwin.kinds.volumetric.heat_twins:HeatTwins",
         "twin_report": "dtwin.kinds.volumetric.twin_report",
         "training": "_training:train_volumetric",
-        "recognises": "_bundle:is_volumetric_bundle",
+        "recognises": "_training:is_volumetric_bundle",
         "gates": "_training:volumetric_gates",
-        "champion_error": "_drift:heat_error",
-        "held_out": "_drift:heat_held_out",
+        "champion_error": "_training:heat_error",
+        "held_out": "_training:heat_held_out",
     }
 
 

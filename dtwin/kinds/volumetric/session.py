@@ -14,8 +14,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._heat_series import require_temperatures
 from dtwin.kinds.volumetric._identify import Artefact, Balls, Identified, averaged_balls
-from dtwin.kinds.volumetric._spoilt import spoilt_in
-from dtwin.kinds.volumetric._strokes import stroke_mm
+from dtwin.kinds.volumetric._spoilt import spoilt_in, stroke_mm
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, of_one_way

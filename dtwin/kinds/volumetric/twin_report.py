@@ -1,23 +1,27 @@
-"""Twins of ball-array campaigns as text, and as sections of a report."""
+"""Twins of ball-array campaigns as text, and as sections of a report; pictures of a cycle."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.features.time_alone import TIME_ALONE
+from dtwin.kinds.kind import Drawing
 from dtwin.kinds.volumetric._chain import COEFFICIENTS
 from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric._movers import MATERIAL
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table
-from dtwin.report.plots import COLOURS, draw_line, styled
+from dtwin.report.plots import COLOURS, draw_line, lacks_columns, places_figure, styled
 from dtwin.report.text import micrometres, table
 from dtwin.report.told_twins import history_section as history_section
 from dtwin.report.told_twins import missing_section
+from dtwin.schema import Run
 
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
@@ -287,3 +291,21 @@ def _advice(name: str, result: Mapping[str, Any]) -> list[str]:
             "right shows when they part, and only then can the twin be trusted in another season"
         )
     return [*lines, f"remedy: {best['remedy']}"]
+
+
+_DRAWN = {f"{axis}_mm" for axis in "xyz"} | {f"error_{axis}_um" for axis in "xyz"}
+
+
+def _seen(run: Run, floor_um: Callable[[], float], axes: tuple[str, str]) -> go.Figure:
+    """Draw how far the machine was off at each ball of a cycle."""
+    if not set(run.samples) >= _DRAWN:
+        raise lacks_columns(run, "error at places", ", ".join(sorted(_DRAWN)))
+    off = np.sqrt(sum(run.samples[f"error_{axis}_um"] ** 2 for axis in "xyz"))
+    across, up = (run.samples[f"{axis.lower()}_mm"] for axis in axes)
+    return places_figure(across, up, off, title=f"Error at the balls, {axes[0]} and {axes[1]}", axes=axes)
+
+
+DRAWINGS = (
+    Drawing("above", "Error at the balls, seen from above", 460, partial(_seen, axes=("X", "Y")), half=True),
+    Drawing("front", "Error at the balls, seen from the front", 460, partial(_seen, axes=("X", "Z")), half=True),
+)

@@ -13,7 +13,7 @@ from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.linear.laser_file import LaserTest, linear_error, read_laser_file, sign_rule, write_laser_file
 from dtwin.lake.store import Lake
-from dtwin.positioning.order import sweeps
+from dtwin.positioning.matrix import sweeps
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
 

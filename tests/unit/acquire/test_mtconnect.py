@@ -17,11 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from system.mtconnect_agent import BEGUN_S, DEVICE, Agent, serving
 
-from dtwin.acquire._machine_events import event_findings
 from dtwin.acquire._mtconnect import MTConnectRecorder
 from dtwin.acquire._mtconnect_documents import Item, read_probe, read_streams
 from dtwin.acquire._recording import Recorder
-from dtwin.acquire._recovery import covariates_of, seal, signal_findings
+from dtwin.acquire._recovery import _event_findings, covariates_of, seal, signal_findings
 from dtwin.acquire.instrument import Reading, record
 from dtwin.errors import DeviceError, InputError
 
@@ -327,7 +326,7 @@ def test_a_killed_recording_keeps_its_events(tmp_path: Path) -> None:
 
 def test_many_alarms_are_counted(tmp_path: Path) -> None:
     events = [(float(n), f"a{n}", "Fault", True) for n in range(30)]
-    found = event_findings(events, 40.0)
+    found = _event_findings(events, 40.0)
     assert len(found) == 21
     assert found[-1].message == "the machine reported 10 alarms more"
 

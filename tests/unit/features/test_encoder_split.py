@@ -8,8 +8,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff, repeat_floor, seen_by_controller_um, slow_part, split
 from dtwin.machines.mill import SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.schema import RunMeta
 
 THETA = np.radians(np.arange(360) + 0.5)

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home, home
 from dtwin.errors import InputError, Interrupted, StoreError
-from dtwin.fleet.engine import engine as engine_of
+from dtwin.fleet.alerts import fleet_view
 from dtwin.fleet.jobs import DIAGNOSE, DIAGNOSES, TRAIN, Unit
+from dtwin.fleet.run import engine as engine_of
 from dtwin.fleet.run import run_fleet
-from dtwin.fleet.view import fleet_view
 from dtwin.locks import locked
 from dtwin.pipeline.kept import kept_already
 
@@ -171,7 +171,7 @@ def test_an_engine_that_cannot_be_used_is_refused_first(on: str, workers: int | 
 
 
 def test_a_scheduler_that_is_not_there_is_said(lake: Home, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dtwin.fleet.engine._CONNECT_S", 0.3)
+    monkeypatch.setattr("dtwin.fleet.run._CONNECT_S", 0.3)
     with pytest.raises(StoreError) as caught:
         run_fleet(lake, DIAGNOSE, on="dask://127.0.0.1:9")
     assert caught.value.code == "fleet.scheduler"

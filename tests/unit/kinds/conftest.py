@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dtwin.report._german import german_of
+from dtwin.report.certificate import _german_of
 from dtwin.schema import Finding
 
 _OF_CERTIFICATES = [
@@ -41,4 +41,4 @@ def _german(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
     monkeypatch.setattr(Finding, "__init__", tell)
     yield
-    assert [message for message in told if german_of(message, str) is None] == []
+    assert [message for message in told if _german_of(message, str) is None] == []

@@ -15,9 +15,8 @@ from dtwin.kinds.drift._check import judge_drift
 from dtwin.kinds.drift._data import Loaded
 from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose
 from dtwin.kinds.drift._effects import asked, joined, written
-from dtwin.kinds.drift._evidence import drift_errors
+from dtwin.kinds.drift._evidence import _AGAIN, _column_of, _probed, drift_errors, simulate_drift
 from dtwin.kinds.drift._model import Series
-from dtwin.kinds.drift._simulate import AGAIN, column_of, probed, simulate_drift
 from dtwin.kinds.drift._twins import DriftTwins
 from dtwin.schema import Run, RunMeta
 from dtwin.twins.shelf import TwinShelf
@@ -25,12 +24,12 @@ from dtwin.twins.shelf import TwinShelf
 
 @cache
 def log(truth: str, seed: int = 1) -> Series:
-    column = column_of(truth)
+    column = _column_of(truth)
     day = column.day(column.drawn_program_w(8.0, seed), seed)
-    at = probed(day)
+    at = _probed(day)
     read = {f"temperature_{name}_c": values[at] for name, values in day.read_c.items()}
     return Series(
-        day.t_s[at], column.probed_um(day.moved_um[at], seed), read, np.repeat(np.arange(at.size // AGAIN), AGAIN)
+        day.t_s[at], column.probed_um(day.moved_um[at], seed), read, np.repeat(np.arange(at.size // _AGAIN), _AGAIN)
     )
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind, NotOffered
-from dtwin.kinds.linear._program import CONTROLS
+from dtwin.kinds.linear._planned import _CONTROLS
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.physics.experiment import detectable
 from dtwin.physics.library import Library
@@ -132,7 +132,7 @@ def test_a_dialect_is_refused_where_programs_have_none(tmp_path: Path) -> None:
 
 
 def test_the_record_names_the_dialects_that_are_written() -> None:
-    assert kind_named("linear").controls == CONTROLS
+    assert kind_named("linear").controls == _CONTROLS
 
 
 @pytest.mark.parametrize("kind", ["linear", "sinusoidal"])

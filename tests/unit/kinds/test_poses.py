@@ -18,12 +18,12 @@ from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.poses._axis_rows import joined, lines_for
 from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
 from dtwin.kinds.poses._check import judge_poses
 from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
 from dtwin.kinds.poses._fit import Grams, Parameter, dof_of, held_out_mm, parameters_with, solve
-from dtwin.kinds.poses._foreign import joined, lines_for
 from dtwin.kinds.poses._iso9283 import measured_of
 from dtwin.kinds.poses._read import is_pose_table, read_poses
 from dtwin.kinds.poses._series import series_of

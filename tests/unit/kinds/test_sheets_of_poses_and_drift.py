@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
 from dtwin.config import Home
+from dtwin.kinds.poses._chain import left_by_setup
 from dtwin.kinds.poses._series import series_of_targets
-from dtwin.kinds.poses._setup import left_by_setup
 from dtwin.kinds.poses._sheet import scatter_of
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake

@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
-from dtwin.kinds.poses._chain import frames
-from dtwin.kinds.poses._data import chain_in
-from dtwin.kinds.poses._setup import fitted
-from dtwin.kinds.poses._urdf import urdf_chain
+from dtwin.kinds.poses._chain import fitted, frames
+from dtwin.kinds.poses._data import _urdf_chain, chain_in
 
 # Origins (m), turns (rad) and axes of six joints: crossing, skew, parallel, and one that lies on the one before.
 ARMS = {
@@ -73,7 +71,7 @@ def driven_mm(arm: list[tuple[tuple[float, ...], ...]], q: np.ndarray, tool_mm: 
 def test_rows_from_a_urdf_move_the_tool_as_the_joints_do(name: str, tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(urdf(ARMS[name]), encoding="utf-8")
-    rows = urdf_chain(path)
+    rows = _urdf_chain(path)
     assert rows.shape == (6, 4)
     q = np.random.default_rng(1).uniform(-2.5, 2.5, (60, 6))
     point = driven_mm(ARMS[name], q, np.array([30.0, -20.0, 50.0]))
@@ -93,7 +91,7 @@ def test_a_campaign_names_its_urdf_and_needs_no_known_robot(tmp_path: Path) -> N
     rest = '[[run]]\nid = "r"\nfile = "p.csv"\n'
     (tmp_path / "campaign.toml").write_text(told.format("r.urdf") + rest, encoding="utf-8")
     ((run,), _) = next(iter(open_source(tmp_path)[1]))
-    np.testing.assert_allclose(chain_in(run), urdf_chain(tmp_path / "r.urdf"), atol=1e-8)
+    np.testing.assert_allclose(chain_in(run), _urdf_chain(tmp_path / "r.urdf"), atol=1e-8)
     assert not [f for f in run.findings if f.severity == "error"]
     for name, code in (("../r.urdf", "campaign.escape"), ("none.urdf", "file.missing")):
         (tmp_path / "campaign.toml").write_text(told.format(name) + rest, encoding="utf-8")
@@ -121,7 +119,7 @@ def test_what_is_no_chain_is_refused(text: str, said: str, tmp_path: Path) -> No
     path = tmp_path / "r.urdf"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        urdf_chain(path)
+        _urdf_chain(path)
     assert said in str(caught.value.got)
 
 
@@ -132,9 +130,9 @@ def test_of_two_arms_one_is_named(tmp_path: Path) -> None:
     inner = second.split("<link", 2)[2].split(">", 1)[1].removesuffix("</robot>").replace('"world"', '"l0"')
     path.write_text(urdf(arm, inner + TWO), encoding="utf-8")
     with pytest.raises(InputError, match="cannot be taken") as caught:
-        urdf_chain(path)
+        _urdf_chain(path)
     assert "2 arms of 2 joints" in str(caught.value.got)
-    assert urdf_chain(path, "l2").shape == (2, 4)
+    assert _urdf_chain(path, "l2").shape == (2, 4)
     with pytest.raises(InputError) as unknown:
-        urdf_chain(path, "tool9")
+        _urdf_chain(path, "tool9")
     assert "k2" in str(unknown.value.allowed)

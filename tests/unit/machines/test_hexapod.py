@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.machines._ballbar import read_ballbar
+from dtwin.machines._sensors import read_ballbar
 from dtwin.machines.hexapod import OVERSHOOT_DEG, HexapodRecording, VirtualHexapod, leg_lengths_kernel, path_angle_rad
 from dtwin.machines.hexapod_parameters import CENTRE_MM, HexapodParameters
 from dtwin.machines.motion import CircleCondition

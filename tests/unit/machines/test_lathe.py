@@ -11,11 +11,10 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.linear._plan import LinearPlan
-from dtwin.kinds.linear._program import laser_program
+from dtwin.kinds.linear._planned import laser_program
 from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
 from dtwin.machines.laser_trigger import watch
-from dtwin.machines.lathe import NetworkScrew, ThreadScrew, VirtualLathe, Wander
-from dtwin.machines.lathe_control import run_program
+from dtwin.machines.lathe import NetworkScrew, ThreadScrew, VirtualLathe, Wander, run_program
 from dtwin.machines.printed_network import read_network
 from dtwin.report.checking import check_source
 

@@ -10,18 +10,19 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
-from dtwin.machines._ballbar import drift_kernel, read_ballbar
 from dtwin.machines._joints import (
+    _SHAPE,
     COMPLIANCE,
     gravity_torque_kernel,
     joint_table,
+    mode_table,
+    modes_kernel,
     play_kernel,
     transmission_kernel,
     transmission_table,
     wind_up_kernel,
 )
-from dtwin.machines._sensors import accelerometer_group, couple_kernel, resample_kernel
-from dtwin.machines._structure import SHAPE, mode_table, modes_kernel
+from dtwin.machines._sensors import accelerometer_group, couple_kernel, drift_kernel, read_ballbar, resample_kernel
 from dtwin.machines.parameters import load_parameters
 
 PARAMETERS = load_parameters()
@@ -104,7 +105,7 @@ def test_stretched_arm_has_the_textbook_torque() -> None:
 def test_mode_rings_at_its_damped_frequency_and_settles_at_the_static_bend() -> None:
     modes = mode_table(PARAMETERS.structure)[:1]
     state, history = np.zeros(2), []
-    shape = modes[0, SHAPE : SHAPE + 3]
+    shape = modes[0, _SHAPE : _SHAPE + 3]
     for _ in range(5000):
         tcp, flange = np.zeros(3), np.zeros(3)
         modes_kernel(modes, TICK_S, 0.0, REACH_MM, shape * 100.0, np.zeros(3), state, tcp, flange)

@@ -8,8 +8,7 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.machines.mill import Moment, SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 
 IDEAL = MillParameters()
 QUIET = NoiseParameters(rms_um=0.0)

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe

@@ -7,8 +7,7 @@ import pytest
 
 from dtwin.acquire.virtual_mill import standard_tests
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import MillParameters
+from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library

@@ -9,8 +9,7 @@ import pytest
 
 from dtwin.acquire.virtual_mill import standard_tests, virtual_mill
 from dtwin.machines.mill import Moment, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.physics._nameless import nameless
 from dtwin.physics._rivals import beside_a_part
 from dtwin.physics.candidates import Candidates, applicable, probes

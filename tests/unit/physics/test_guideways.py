@@ -10,8 +10,7 @@ from mill_and_laser import circular_tests
 
 from dtwin.acquire.virtual_mill import standard_tests
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import MillParameters
+from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
 from dtwin.physics.fit import Fit, fit

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnose import diagnose

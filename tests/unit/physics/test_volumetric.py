@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric._bundle import volumetric_bundle
 from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient, design, identifiability
 from dtwin.kinds.volumetric._identify import Artefact, Balls
 from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
+from dtwin.kinds.volumetric._training import _volumetric_bundle
 from dtwin.serve.runtime import CompiledBundle
 from studies.heat import interval_curve, reduction_pct, slot_errors_um, slot_places_mm, slot_ranges_um, worse_steps
 from studies.volumetric_paper import PRINTED
@@ -180,7 +180,7 @@ def test_the_served_equation_is_the_model() -> None:
     names = ["bed_c", "ram_c", "table_c"]
     models = [fit_thermal(name, rise @ RNG.normal(0, 3, 3), rise, names, static=True) for name in COEFFICIENTS]
     begun, seen = dict.fromkeys(names, 22.0), dict.fromkeys(names, (15.0, 30.0))
-    bundle = volumetric_bundle(models, STROKES, begun, seen, "heat", "mill", switched_off=("EXX2",))
+    bundle = _volumetric_bundle(models, STROKES, begun, seen, "heat", "mill", switched_off=("EXX2",))
     compiled = CompiledBundle(bundle)
     at, now = places(5), np.array([23.5, 21.0, 24.25])
     kept = [model for model in models if model.name != "EXX2"]
@@ -193,4 +193,4 @@ def test_the_served_equation_is_the_model() -> None:
         assert np.abs(np.asarray(got)[:3] - row).max() < 1e-9
     remembering = [ThermalModel("EZ0", ("bed_c",), np.ones(1), 0.5, 0.0)]
     with pytest.raises(InputError):
-        volumetric_bundle(remembering, STROKES, begun, seen, "heat", "mill")
+        _volumetric_bundle(remembering, STROKES, begun, seen, "heat", "mill")

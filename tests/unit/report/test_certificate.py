@@ -25,8 +25,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.pipeline.certificate import certificate, facts_of
-from dtwin.report._german import CLAUSES, german_of
-from dtwin.report.certificate import certificate_page
+from dtwin.report.certificate import _CLAUSES, _german_of, certificate_page
 from dtwin.schema import Run, RunMeta
 
 BASIS = "6.5 µm within 1 h, drift test night; what goes beyond the repeatability"
@@ -141,12 +140,12 @@ def test_a_german_budget_is_german_and_its_numbers_have_commas() -> None:
 )
 def test_a_text_made_to_be_looked_at_for_ever_stays_english(text: str) -> None:
     # Each part of it may be what stands between the words of several clauses.
-    assert german_of(text, str) is None
+    assert _german_of(text, str) is None
 
 
 def test_findings_are_german_as_a_whole_or_not_at_all() -> None:
     def told(text: str) -> str | None:
-        return german_of(text, lambda name: str(name).replace(".", ","))
+        return _german_of(text, lambda name: str(name).replace(".", ","))
 
     assert told("r-1: 3 of 4 conditions have no repeat: their noise floor is unknown.") == (
         "r-1: 3 von 4 Bedingungen sind nicht wiederholt: ihr Rauschen ist unbekannt."
@@ -171,7 +170,7 @@ def test_every_translated_clause_is_said_somewhere() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str)
         )
     said = re.sub(r"\{\w+\}", "\n", said)
-    pieces = {piece.strip(" ,:;") for clause in CLAUSES for piece in clause.split("{}")}
+    pieces = {piece.strip(" ,:;") for clause in _CLAUSES for piece in clause.split("{}")}
     assert [piece for piece in sorted(pieces) if piece not in said] == []
 
 

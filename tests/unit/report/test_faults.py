@@ -12,8 +12,7 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.effect_groups import grouped
-from dtwin.report.faults import size_of, sizes_of
+from dtwin.report.faults import grouped, size_of, sizes_of
 from dtwin.report.plots import polar_rings
 from dtwin.report.signature import signature_svg
 from dtwin.report.twins import found_table

@@ -11,8 +11,7 @@ import pytest
 from dtwin.config import Home
 from dtwin.links import state as layout
 from dtwin.serve import safety
-from dtwin.serve.live_board import live_board, read_board
-from dtwin.serve.live_state import live_state
+from dtwin.serve.live_board import live_board, live_state, read_board
 
 
 def told(

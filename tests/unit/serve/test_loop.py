@@ -29,9 +29,9 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.loop import ServeStatus, ServingLoop
+from dtwin.serve.realtime import stop_on_signals
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import REASONS
-from dtwin.serve.signals import stop_on_signals
 
 TCP_MM = np.array([0.0, 0.0, 158.3])
 CONDITION = CircleCondition("YZ", 100.0, 6000.0, "CW")

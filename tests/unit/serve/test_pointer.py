@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
-from dtwin.lifecycle._export_heads import whose
+from dtwin.lifecycle._export_records import whose
 from dtwin.machine_record import keep_record
 from dtwin.pipeline.home_check import check_home
 from dtwin.serve.barred import BarredWatch, bar, barred_why

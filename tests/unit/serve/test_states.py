@@ -7,13 +7,13 @@ import pytest
 
 from dtwin.kinematics import UR10E
 from dtwin.links import state as layout
-from dtwin.links.live_values import LiveValues
+from dtwin.links.state import LiveValues
 from dtwin.links.state_feed import REQUIRED, StateFeed
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
 from dtwin.serve import _state_limits as state_limits
 from dtwin.serve._journal import Sparing
-from dtwin.serve._stamps import SETTLE_S, StampWatch
+from dtwin.serve._timing import _SETTLE_S, StampWatch
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.decision import Decision
@@ -153,7 +153,7 @@ def test_after_a_jump_stamps_must_settle(jump_s: float) -> None:
     assert all(steady(watch, ticks(100).tolist(), ticks(100).tolist(), True))
     received = ticks(1000, 0.2)
     found = steady(watch, (received + jump_s - 0.002).tolist(), received.tolist(), True)
-    settled = round(SETTLE_S / 0.002)
+    settled = round(_SETTLE_S / 0.002)
     assert not any(found[: settled - 1])
     assert all(found[settled + 1 :])
 

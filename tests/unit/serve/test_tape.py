@@ -7,27 +7,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dtwin.serve._sine import sine_and_cosine
 from dtwin.serve._tape_program import MULTIPLY_ADD, SINE_AND_COSINE, tape_runs
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.tape import Tape
+from dtwin.serve.tape import Tape, _sine_and_cosine
 
 
 @settings(deadline=None)
 @given(st.one_of(st.floats(), st.floats(-1e6, 1e6), st.integers(-999, 999).map(math.radians)))
 def test_sine_and_cosine_are_those_of_the_library(x: float) -> None:
     expected = (np.nan, np.nan) if math.isinf(x) else (math.sin(x), math.cos(x))
-    np.testing.assert_allclose(sine_and_cosine(x), expected, rtol=0, atol=3e-16)
+    np.testing.assert_allclose(_sine_and_cosine(x), expected, rtol=0, atol=3e-16)
 
 
 def test_sine_keeps_the_sign_of_zero() -> None:
-    assert math.copysign(1.0, sine_and_cosine(-0.0)[0]) == -1.0
+    assert math.copysign(1.0, _sine_and_cosine(-0.0)[0]) == -1.0
 
 
 def test_sine_near_multiples_of_a_quarter_turn_is_exact_to_its_own_size() -> None:
     for k in range(-400, 400):
         x = k * math.pi / 2
-        s, c = sine_and_cosine(x)
+        s, c = _sine_and_cosine(x)
         small, true = (s, math.sin(x)) if k % 2 == 0 else (c, math.cos(x))
         assert small == pytest.approx(true, rel=1e-6, abs=0.0)
 

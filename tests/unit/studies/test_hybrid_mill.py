@@ -8,8 +8,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest
+from dtwin.machines.mill_parameters import CircularTest, NoiseParameters
 from studies.machines.hybrid_mill import ITEMS, MODE_HZ, SENSOR_NOISE_G, CorrectionInput, HybridMill, hybrid_parameters
 
 CORNERS = np.array([[0.0, 47.0], [47.0, 47.0], [47.0, 0.0]])

@@ -15,8 +15,8 @@ from dtwin.lake.store import Lake
 from dtwin.report.campaign import evidence_advice
 from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.train.evidence import Evidence, EvidenceRun, evidence_of_runs
-from dtwin.train.evidence_runs import Gathered, gathered
-from dtwin.train.measured_ways import MeasuredWays
+from dtwin.train.evidence_record import _Gathered, gathered
+from dtwin.train.oracle import MeasuredWays
 
 BUNDLE = small_bundle()
 SHA = BUNDLE.model_sha256
@@ -38,7 +38,7 @@ def code(runs: list[Run]) -> str:
     return refused.value.code
 
 
-def found(home: Home, without: str, with_: str, *, virtual: bool = False) -> Gathered:
+def found(home: Home, without: str, with_: str, *, virtual: bool = False) -> _Gathered:
     campaigns = {"without": [without], "with": [with_]}
     return gathered(home, MACHINE, SHA, campaigns, virtual=virtual)  # type: ignore[arg-type]
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.kinds.circular._gram import forward_order, solve, sums_of, total
+from dtwin.kinds.circular._term_columns import forward_order, solve, sums_of, total
 
 
 @pytest.fixture

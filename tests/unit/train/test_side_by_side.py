@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from dtwin.processors import processors
+from dtwin.processes import processors
 from dtwin.progress import Progress
 from dtwin.train.side_by_side import side_by_side
 

@@ -12,9 +12,9 @@ from dtwin.errors import InputError
 from dtwin.features.windows import StreamingWindow
 from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.kinds.sinusoidal._candidates import narx_candidate, searched_candidate
+from dtwin.kinds.sinusoidal._evidence import ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._gates import AnsweredWindow
 from dtwin.kinds.sinusoidal._groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
-from dtwin.kinds.sinusoidal._loop import ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, Grid, virtual_runs, virtual_slide
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle

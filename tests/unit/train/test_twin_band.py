@@ -10,7 +10,7 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.kinds.circular.freeze import twin_bundle
-from dtwin.kinds.sinusoidal._freeze import tone_twin_bundle
+from dtwin.kinds.sinusoidal._correction import _tone_twin_bundle
 from dtwin.kinds.sinusoidal._groups import SENT_FREQUENCY, SENT_RMS, groups_of
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning
 from dtwin.machines.mill import VirtualMill
@@ -26,9 +26,8 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.held_out_band import with_held_out_band
 from dtwin.train.results import OUTPUT_RMS, Candidate, Scores
-from dtwin.train.twin_band import parameter_factor
+from dtwin.train.twin_band import parameter_factor, with_held_out_band
 from studies.placement_model import TrainingPlacement, placement_bundle
 
 LIBRARY = Library()
@@ -117,7 +116,7 @@ def test_the_band_of_a_tone_follows_from_the_covariance(tmp_path_factory: pytest
     both = [with_noise(run, rng) for run in [*runs, *again]]
     obs, groups = observe(opened.campaign, both), groups_of(runs, "the test")
     twin = twin_with(["structural_mode", "servo_response"], obs)
-    made = tone_twin_bundle(twin, obs, groups).bundle
+    made = _tone_twin_bundle(twin, obs, groups).bundle
     window = {SENT_FREQUENCY: 21.0, SENT_RMS: 5.0 / np.sqrt(2.0)}
 
     def served(bundle: Bundle) -> tuple[Floats, Floats]:
@@ -134,7 +133,7 @@ def test_the_band_of_a_tone_follows_from_the_covariance(tmp_path_factory: pytest
                 half.append(float(compiled.band_um[0]))
         return np.array(out), np.array(half)
 
-    expected = by_hand(twin, obs, lambda other: served(tone_twin_bundle(other, obs, groups).bundle)[0])
+    expected = by_hand(twin, obs, lambda other: served(_tone_twin_bundle(other, obs, groups).bundle)[0])
     _, found = served(made)
     assert found == pytest.approx(expected, rel=0.02, abs=1e-6)
     assert found.min() > 0.0

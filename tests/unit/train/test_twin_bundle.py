@@ -10,8 +10,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import OUTPUT, twin_bundle, wrong_way
 from dtwin.machines.mill import SetupErrors, VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library, campaign_instances

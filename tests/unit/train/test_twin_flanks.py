@@ -12,8 +12,7 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
-from dtwin.kinds.linear._correction import test_of_runs
-from dtwin.kinds.linear._freeze import _Flanks, flanks_twin_bundle, pitch_mm, reach_mm
+from dtwin.kinds.linear._correction import _Flanks, _flanks_twin_bundle, _pitch_mm, _reach_mm, test_of_runs
 from dtwin.kinds.linear._gates import along, positioning_gates
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
@@ -91,9 +90,9 @@ def test_both_flanks_are_what_the_twin_foretells(worn: Observations, twin: Twin,
 
 
 def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observations, twin: Twin) -> None:
-    frozen = flanks_twin_bundle(twin, worn)
+    frozen = _flanks_twin_bundle(twin, worn)
     assert [t.label for t in frozen.terms if t.included] == list(twin.labels)
-    low, high = reach_mm(worn)
+    low, high = _reach_mm(worn)
     up = np.linspace(low, high, 400)
     served = along(frozen.bundle, np.concatenate([up, up[::-1]]))
     flanks = {way: partial(evaluated, twin, worn, way=way) for way, _ in BOTH}
@@ -101,13 +100,13 @@ def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observa
         moved = path - flanks[way](path) / UM_PER_MM
         # The first of the way back is still inside the play.
         assert answers[5:] == pytest.approx(flanks[way](moved)[5:], abs=1e-9)
-    assert all(v.passed for v in positioning_gates(frozen.bundle, pitch_mm(worn), (low, high)))
+    assert all(v.passed for v in positioning_gates(frozen.bundle, _pitch_mm(worn), (low, high)))
 
 
 def test_a_slide_with_play_follows_its_command_better(worn: Observations, twin: Twin) -> None:
-    bundle = flanks_twin_bundle(twin, worn).bundle
+    bundle = _flanks_twin_bundle(twin, worn).bundle
     lathe = virtual_lathe("mechanism", 5)
-    low, high = reach_mm(worn)
+    low, high = _reach_mm(worn)
     rng = np.random.default_rng(3)
     # Turning round anywhere, far from every sweep that the twin has seen.
     turns = np.concatenate([[low], rng.uniform(low + 2.5, high - 2.5, 25)])
@@ -120,7 +119,7 @@ def test_a_slide_with_play_follows_its_command_better(worn: Observations, twin: 
 def test_without_the_play_no_memory_can_carry_the_flanks(worn: Observations) -> None:
     terms = chosen_terms(["lead_error", "screw_error_by_direction"], LIBRARY, worn)
     with pytest.raises(InputError, match="play that the twin foretells is negative"):
-        flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
+        _flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
 
 
 def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> None:
@@ -145,7 +144,7 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
             correctable="yes",
         )
         terms = [*chosen_terms(["backlash"], LIBRARY, worn), Term(Instance(own, "Z"), {})]
-        frozen = flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
+        frozen = _flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
         assert [t.included for t in frozen.terms] == [True, False]
         assert told in frozen.terms[1].how
 
@@ -153,7 +152,7 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
 def test_heat_needs_a_channel_that_the_loop_is_not_told(worn: Observations) -> None:
     warm = replace(worn, columns=tuple({**c, "temperature_c": 20.0 + 0.1 * i} for i, c in enumerate(worn.columns)))
     terms = chosen_terms(["backlash", "thermal_growth:Z"], LIBRARY, warm)
-    frozen = flanks_twin_bundle(twin_from(fit(warm, terms), warm), warm)
+    frozen = _flanks_twin_bundle(twin_from(fit(warm, terms), warm), warm)
     assert "temperature_c, and the loop of an axis is told its position only" in frozen.terms[1].how
 
 
@@ -161,10 +160,10 @@ def test_runs_that_do_not_show_play_or_screw_are_refused(worn: Observations, tmp
     up = worn.take(np.flatnonzero(worn.sense > 0.0))
     lead = chosen_terms(["lead_error"], LIBRARY, up)
     with pytest.raises(InputError, match="cannot be made of these runs"):
-        flanks_twin_bundle(twin_from(fit(up, lead), up), up)
+        _flanks_twin_bundle(twin_from(fit(up, lead), up), up)
     coarse = measured(tmp_path / "coarse", step=0.5, end=31)
     with pytest.raises(InputError, match="do not show the screw"):
-        flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
+        _flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
 
 
 def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:

@@ -12,9 +12,9 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
-from dtwin.kinds.sinusoidal._freeze import response_at, tone_of, tone_twin_bundle
+from dtwin.kinds.sinusoidal._correction import _response_at, _tone_of, _tone_twin_bundle
+from dtwin.kinds.sinusoidal._evidence import ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of
-from dtwin.kinds.sinusoidal._loop import ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_slide
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
@@ -62,7 +62,7 @@ def twin_with(names: list[str], obs: Observations) -> Twin:
 def test_the_response_is_what_the_twin_foretells(truth: str, names: list[str], request: pytest.FixtureRequest) -> None:
     obs, groups = request.getfixturevalue(truth)
     twin = twin_with(names, obs)
-    frozen = tone_twin_bundle(twin, obs, groups)
+    frozen = _tone_twin_bundle(twin, obs, groups)
     assert all(t.included for t in frozen.terms)
     graph = frozen.bundle.window_graph
     assert graph is not None
@@ -70,8 +70,8 @@ def test_the_response_is_what_the_twin_foretells(truth: str, names: list[str], r
     for row in range(obs.n_rows):
         condition = obs.conditions[obs.condition_of[row]].as_dict()
         size = float(condition["amplitude_um"])
-        told = response_at(graph, float(condition["frequency_hz"]), size)
-        assert abs(told - tone_of(foretold, obs, row)) * size < 1e-9
+        told = _response_at(graph, float(condition["frequency_hz"]), size)
+        assert abs(told - _tone_of(foretold, obs, row)) * size < 1e-9
 
 
 def left_of_a_tone(bundle: object, truth: str, frequency_hz: float, amplitude_um: float) -> float:
@@ -92,7 +92,7 @@ def test_a_tone_that_was_never_measured_is_corrected(
     truth: str, names: list[str], share: float, request: pytest.FixtureRequest
 ) -> None:
     obs, groups = request.getfixturevalue(truth)
-    bundle = tone_twin_bundle(twin_with(names, obs), obs, groups).bundle
+    bundle = _tone_twin_bundle(twin_with(names, obs), obs, groups).bundle
     before, after = (left_of_a_tone(given, truth, 37.0, 8.0) for given in (None, bundle))
     assert before > 2.0
     assert after < share * before
@@ -100,7 +100,7 @@ def test_a_tone_that_was_never_measured_is_corrected(
 
 def test_outside_of_what_was_measured_nothing_is_corrected(linear: Measured) -> None:
     obs, groups = linear
-    bundle = tone_twin_bundle(twin_with(["structural_mode"], obs), obs, groups).bundle
+    bundle = _tone_twin_bundle(twin_with(["structural_mode"], obs), obs, groups).bundle
     for frequency, amplitude in ((46.0, 6.0), (20.0, 12.0), (20.0, 0.7)):
         before, after = (left_of_a_tone(b, "linear", frequency, amplitude) for b in (None, bundle))
         assert after == pytest.approx(before, rel=0.02)
@@ -108,11 +108,11 @@ def test_outside_of_what_was_measured_nothing_is_corrected(linear: Measured) -> 
 
 def test_what_is_no_sine_is_left_out_by_name(linear: Measured) -> None:
     obs, groups = linear
-    frozen = tone_twin_bundle(twin_with(["structural_mode", "guideway_friction", "backlash"], obs), obs, groups)
+    frozen = _tone_twin_bundle(twin_with(["structural_mode", "guideway_friction", "backlash"], obs), obs, groups)
     assert [t.included for t in frozen.terms] == [True, False, False]
     assert all("a sine cannot carry its corners" in t.how for t in frozen.terms[1:])
     with pytest.raises(InputError, match="no effect that offsets"):
-        tone_twin_bundle(twin_with(["guideway_friction"], obs), obs, groups)
+        _tone_twin_bundle(twin_with(["guideway_friction"], obs), obs, groups)
 
 
 def test_a_response_that_swings_between_the_tones_is_refused(linear: Measured) -> None:
@@ -122,14 +122,14 @@ def test_a_response_that_swings_between_the_tones_is_refused(linear: Measured) -
     # A narrow mode halfway between two tones: none of them sees it.
     narrow = replace(term, shape={"frequency_hz": 27.5, "damping": 0.006})
     with pytest.raises(InputError, match="swings between tones that were measured"):
-        tone_twin_bundle(replace(twin, terms=(narrow,)), obs, groups)
+        _tone_twin_bundle(replace(twin, terms=(narrow,)), obs, groups)
 
 
 def test_the_lag_has_the_sign_of_a_lag(linear: Measured) -> None:
     obs, groups = linear
-    graph = tone_twin_bundle(twin_with(["structural_mode"], obs), obs, groups).bundle.window_graph
+    graph = _tone_twin_bundle(twin_with(["structural_mode"], obs), obs, groups).bundle.window_graph
     assert graph is not None
     # The tool of this slide goes further and comes later.
-    told = response_at(graph, 40.0, 6.0)
+    told = _response_at(graph, 40.0, 6.0)
     assert abs(told) > 1.5
     assert cmath.phase(told) < 0.0
