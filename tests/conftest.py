@@ -18,6 +18,7 @@ import typer.testing
 from hypothesis import settings
 
 from dtwin.config import quiet_environment, sample_recording
+from dtwin.schema import Finding
 from dtwin.serve import realtime
 
 quiet_environment()
@@ -183,3 +184,42 @@ def artifacts(request: pytest.FixtureRequest) -> Path:
     folder = root / request.path.stem
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+_OF_CERTIFICATES = [
+    "angle",
+    "circle_table",
+    "circular",
+    "drift",
+    "laser",
+    "linear",
+    "poses",
+    "radius",
+    "reading",
+    "rotary",
+    "rotation",
+    "rtl",
+    "run",
+    "vendor",
+]
+
+
+@pytest.fixture(autouse=True)
+def _german(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What dtwin finds in a test of a kind of campaign that has a certificate can be said in German."""
+    if request.path.parent.name != "kinds":
+        yield
+        return
+    from dtwin.report.certificate import _german_of
+
+    told: set[str] = set()
+    made = Finding.__init__
+
+    def tell(self: Finding, *args: Any, **named: Any) -> None:
+        made(self, *args, **named)
+        if self.severity != "info" and self.code.partition(".")[0] in _OF_CERTIFICATES:
+            told.add(self.message)
+
+    monkeypatch.setattr(Finding, "__init__", tell)
+    yield
+    assert [message for message in told if _german_of(message, str) is None] == []

@@ -91,7 +91,7 @@ def _request(
 def _head(out: Path, robot: str | None) -> dict[str, dict[str, Any]]:
     """Return what a new campaign file says of the machine; runs of a virtual one must not hide it."""
     from dtwin.acquire.campaign_folder import open_campaign
-    from dtwin.serve._connection import is_virtual
+    from dtwin.serve.controller_kind import is_virtual
 
     if robot is None or not is_virtual(robot):
         return {}

@@ -17,8 +17,8 @@ from dtwin.pipeline._campaign_steps import Step, by_turns, circle_steps
 from dtwin.pipeline._machine_campaign import Job, measure_campaign
 from dtwin.pipeline.desk import Desk, enter_desk
 from dtwin.plan import Plan
-from dtwin.serve._connection import is_virtual
 from dtwin.serve.bundle import Bundle
+from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.pointer import on_trial
 from dtwin.serve.served_time import correction_in_force, serving_now
 

@@ -46,7 +46,8 @@ def distances_um(first_um: Floats, second_um: Floats) -> tuple[float, float]:
     The first is the root of the sum of squares along the path.
 
     Args:
-        first_um, second_um: Curves. Shapes (n,) and (m,).
+        first_um: Curve. Shape (n,).
+        second_um: Curve. Shape (m,).
 
     Raises:
         InputError: When a curve is empty, not finite or longer than ``MOST_READINGS``.

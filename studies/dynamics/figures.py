@@ -44,7 +44,8 @@ def dynamic_components(before_um: Floats, after_um: Floats) -> DynamicComponents
     """Compare radial errors about their least-squares centres before and after.
 
     Args:
-        before_um, after_um: Radial error at the same angles. Shape (n,).
+        before_um: Radial error before. Shape (n,).
+        after_um: Radial error after, at the same angles. Shape (n,).
 
     Raises:
         InputError: When there is nothing to compare.
@@ -64,7 +65,8 @@ def relative_difference(deviation_um: float, reference_um: float) -> float:
     """Return the relative difference of two circular deviations (eq. 14).
 
     Args:
-        deviation_um, reference_um: Circular deviation of the recording, and of the slow reference.
+        deviation_um: Circular deviation of the recording.
+        reference_um: That of the slow reference.
 
     Raises:
         InputError: When the reference is not above zero.
@@ -86,7 +88,9 @@ def eq15(dtw_um: float, frechet_um: float, difference: float) -> float:
     equal however small: a perfect fit is as bad as it gets. Kept to reproduce, not to be used.
 
     Args:
-        dtw_um, frechet_um, difference: Both distances, and the relative difference of circular deviation.
+        dtw_um: Distance by time warping.
+        frechet_um: Fréchet distance.
+        difference: Relative difference of circular deviation.
 
     Returns:
         NaN, with a warning, when all three are zero.
@@ -107,7 +111,9 @@ def weighted_sum(dtw_um: float, frechet_um: float, difference: float, readings: 
     ``ACCEPTED_DIFFERENCE`` costs 1 um per hundredth.
 
     Args:
-        dtw_um, frechet_um, difference: As for :func:`eq15`.
+        dtw_um: As for :func:`eq15`.
+        frechet_um: As for :func:`eq15`.
+        difference: As for :func:`eq15`.
         readings: Readings per revolution.
     """
     beyond = max(0.0, difference - ACCEPTED_DIFFERENCE)

@@ -278,7 +278,8 @@ def unscented_kernel(read: Floats, kind: int, radius_um: float, step_rad: float,
     Args:
         read: Deviation, um. Shape (n,).
         kind: Place of the model in ``MODELS``.
-        radius_um, step_rad: Nominal radius, and angle between readings.
+        radius_um: Nominal radius.
+        step_rad: Angle between readings.
         settings: alpha, and the variances Q, R and first P, um^2. Shape (4,).
 
     Returns:

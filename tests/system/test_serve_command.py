@@ -40,10 +40,11 @@ from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.features.windows import WindowContract
-from dtwin.serve._connection import is_virtual, require_evidence
+from dtwin.serve._connection import require_evidence
 from dtwin.serve.band import COVARIANCE, constant_band
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.interface import Input, Provenance, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.serve.serve_request import ServeRequest

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from dtwin.serve._connection import is_virtual
+from dtwin.serve.controller_kind import is_virtual
 
 
 @pytest.mark.parametrize("rubbish", [bytes(3), b"\x00\x05V", b"\xff"])
