@@ -43,7 +43,7 @@ _TOLD = {
 _AWAY = ("the shared store does not answer", "nothing is half-written; run this again when it is back")
 
 
-class Stored(NamedTuple):
+class _Stored(NamedTuple):
     """An object of the store: name below the folder, size, entity tag, and when the store says it was written."""
 
     name: str
@@ -109,7 +109,7 @@ class Objects:
         self.probe()
         return self._conditional(name, data, {"e_tag": tag})
 
-    def list(self, below: str = "", *, after: str = "") -> list[Stored]:
+    def list(self, below: str = "", *, after: str = "") -> list[_Stored]:
         """Return the objects whose names begin with a folder, in order; only those that come after a name."""
         import obstore
 
@@ -117,7 +117,7 @@ class Objects:
             pages = obstore.list(self._store, below or None, offset=after or None, chunk_size=1000)
             rows = [row for chunk in pages for row in chunk]
         return sorted(
-            Stored(str(row["path"]), int(row["size"]), str(row["e_tag"]), row["last_modified"]) for row in rows
+            _Stored(str(row["path"]), int(row["size"]), str(row["e_tag"]), row["last_modified"]) for row in rows
         )
 
     def delete(self, names: Sequence[str]) -> None:

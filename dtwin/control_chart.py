@@ -105,7 +105,7 @@ def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: flo
     ``run_length``: mean number of tests between two false alarms.
     """
     n = len(values)
-    limits = limits_for(run_length)
+    limits = _limits_for(run_length)
     shown = np.zeros((4, n))
     starts = sorted({0, *(r for r in restarts if 0 < r < n)})
     regimes: list[Regime] = []
@@ -132,7 +132,7 @@ def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: flo
     return Chart(single, ewma, up, down, limits, tuple(regimes), told)
 
 
-def self_starting(values: Floats) -> Floats:
+def _self_starting(values: Floats) -> Floats:
     """Return each value against those before it as a standard normal number, shape (n,); zero for the first two."""
     n = len(values)
     out = np.zeros(n)
@@ -147,7 +147,7 @@ def self_starting(values: Floats) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def limits_for(run_length: float) -> _ChartLimits:
+def _limits_for(run_length: float) -> _ChartLimits:
     """Return limits that together give a false alarm in this many values, or more: each has three times the run length."""
     from scipy.optimize import brentq
 
@@ -157,10 +157,10 @@ def limits_for(run_length: float) -> _ChartLimits:
         return float(brentq(lambda limit: math.log(length(limit) / each), low, high, xtol=1e-4))
 
     single = -float(special.ndtri(0.5 / each))
-    return _ChartLimits(single, solved(ewma_run_length, 0.1, 3.0), solved(cusum_run_length, 0.5, 15.0))
+    return _ChartLimits(single, solved(_ewma_run_length, 0.1, 3.0), solved(_cusum_run_length, 0.5, 15.0))
 
 
-def ewma_run_length(limit: float) -> float:
+def _ewma_run_length(limit: float) -> float:
     """Return the mean number of standard normal values until the EWMA is beyond ± limit."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     nodes, weights = nodes * limit, weights * limit
@@ -170,7 +170,7 @@ def ewma_run_length(limit: float) -> float:
     return float(1 + (_density(nodes / _WEIGHT) / _WEIGHT * weights) @ lengths)
 
 
-def cusum_run_length(limit: float) -> float:
+def _cusum_run_length(limit: float) -> float:
     """Return the mean number of standard normal values until either side of the CUSUM is beyond its limit."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     nodes, weights = np.r_[0.0, (nodes + 1) * limit / 2], np.r_[0.0, weights * limit / 2]
@@ -201,7 +201,7 @@ def crossing(days: Floats, values: Floats, limit: float) -> tuple[float, float, 
 
 def _watched(values: Floats) -> Floats:
     """Return single values, EWMA and both sides of the CUSUM, shape (4, n)."""
-    normal = self_starting(values)
+    normal = _self_starting(values)
     out = np.zeros((4, len(values)))
     ewma = up = down = 0.0
     for i, z in enumerate(normal):

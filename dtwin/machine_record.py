@@ -88,10 +88,10 @@ def read_record(home: Home, machine: str) -> MachineRecord | None:
         return None
     except (OSError, ValueError, RecursionError) as error:
         raise _refused(str(path), str(error)[:120], "a TOML file") from error
-    return record_from(machine, stated, str(path))
+    return _record_from(machine, stated, str(path))
 
 
-def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineRecord:
+def _record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineRecord:
     """Check what is stated of a machine, and return its record.
 
     Raises ``InputError`` when a field is unknown or not usable.
@@ -138,7 +138,7 @@ def record_with(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineR
                 f"{machine}: {key}", f"{strange[0]} taken back", ", ".join(document[key]) or "none is stated"
             )
         document[key] = {n: told for n, told in {**document[key], **value}.items() if n not in taken_back}
-    return record_from(machine, document, machine)
+    return _record_from(machine, document, machine)
 
 
 def keep_record(home: Home, machine: str, stated: Mapping[str, Any]) -> MachineRecord:

@@ -24,7 +24,7 @@ from dtwin.schema import require_name
 
 ROLES = ("look", "measure", "train", "promote", "stop")
 """What a person may do; everybody with a token may look."""
-AUDIT = "audit.jsonl"
+_AUDIT = "audit.jsonl"
 _FILE, _MAX_BYTES, _LONGEST = "people.toml", 200_000, 500
 # Four texts whose every character may become twelve, as those beyond 16 bits do in JSON.
 _LONGEST_LINE = 12 * 4 * _LONGEST + 1000
@@ -46,7 +46,7 @@ class Person:
 
 
 @dataclass(frozen=True)
-class People:
+class _People:
     """Who is known; ``second_person``: whether a champion needs two of them."""
 
     people: tuple[Person, ...] = ()
@@ -75,7 +75,7 @@ def act_as(name: str) -> None:
     _acting.set(name)
 
 
-def read_people(home: Home) -> People:
+def read_people(home: Home) -> _People:
     """Return who is known; nobody without the file. Raises ``InputError`` when the file is not usable."""
     path = home.root / _FILE
     try:
@@ -84,9 +84,9 @@ def read_people(home: Home) -> People:
         people = stated.pop("people", {})
         if stated or not isinstance(second, bool) or not isinstance(people, dict):
             raise ValueError("second_person, or a table people.NAME")
-        return People(tuple(_person(name, about) for name, about in people.items()), second)
+        return _People(tuple(_person(name, about) for name, about in people.items()), second)
     except FileNotFoundError:
-        return People()
+        return _People()
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             "the list of people is not usable",
@@ -111,7 +111,7 @@ def add_person(home: Home, name: str, roles: Sequence[str]) -> str:
     token = secrets.token_urlsafe(24)
     person = Person(name, tuple(r for r in ROLES if r in roles), hashlib.sha256(token.encode()).hexdigest())
     with _changing(home) as known:
-        _write(home, People((*(p for p in known.people if p.name != name), person), known.second_person))
+        _write(home, _People((*(p for p in known.people if p.name != name), person), known.second_person))
     note(home, f"a token for {name}: {', '.join(person.roles)}", "", "done")
     return token
 
@@ -126,14 +126,14 @@ def remove_person(home: Home, name: str) -> None:
         if others == known.people:
             names = ", ".join(p.name for p in others) or "nobody yet"
             raise InputError("nobody has this name", code="people.unknown", got=name[:80], allowed=names)
-        _write(home, People(others, known.second_person))
+        _write(home, _People(others, known.second_person))
     note(home, f"no token for {name} any more", "", "done")
 
 
 def require_second_person(home: Home, wanted: bool) -> None:
     """State whether a champion needs two people."""
     with _changing(home) as known:
-        _write(home, People(known.people, wanted))
+        _write(home, _People(known.people, wanted))
     note(home, f"a champion needs {'two people' if wanted else 'one person'}", "", "done")
 
 
@@ -144,7 +144,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
     Raises ``StoreError`` when it cannot be written.
     """
-    path = home.made().root / AUDIT
+    path = home.made().root / _AUDIT
     try:
         with locked(home.root / "locks" / "audit.lock", wait=True), path.open("a+b") as file:
             path.chmod(0o600)
@@ -168,7 +168,7 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
 def audit(home: Home) -> list[dict[str, Any]]:
     """Return the record, oldest first. Raises ``StoreError`` when a line was changed, taken out or put in."""
-    path, before, entries = home.root / AUDIT, _FIRST, []
+    path, before, entries = home.root / _AUDIT, _FIRST, []
     lines = path.read_bytes().splitlines() if path.exists() else []
     for number, line in enumerate(lines, start=1):
         try:
@@ -208,13 +208,13 @@ def _person(name: str, about: Mapping[str, Any]) -> Person:
 
 
 @contextmanager
-def _changing(home: Home) -> Iterator[People]:
+def _changing(home: Home) -> Iterator[_People]:
     """Hold the list, so that what two state at one moment is kept of both."""
     with locked(home.made().root / "locks" / "people.lock", wait=True):
         yield read_people(home)
 
 
-def _write(home: Home, people: People) -> None:
+def _write(home: Home, people: _People) -> None:
     content = {
         "second_person": people.second_person,
         "people": {p.name: {"roles": list(p.roles), "token_sha256": p.token_sha256} for p in people.people},

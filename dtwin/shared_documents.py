@@ -30,9 +30,9 @@ from dtwin.home_file import Bucket
 from dtwin.locks import locked
 from dtwin.processes import process, running_beside
 
-FOLDERS = ("bundles", "formulas", "machines", "plans", "recipes", "twins")
+_FOLDERS = ("bundles", "formulas", "machines", "plans", "recipes", "twins")
 """Folders of a home whose entries are shared; others are caches, logs, or of this computer alone."""
-LISTS, CONTENT = "documents", "content"
+_LISTS, _CONTENT = "documents", "content"
 _INDEX, _ASIDE = "shared.json", "set-aside"
 _EVERY_S, _TRIES, _MAX_LIST = 5.0, 12, 8_000_000
 _UNNAMED_FOR = timedelta(days=7)
@@ -144,7 +144,7 @@ class _Copy:
     def follow(self) -> None:
         """Bring units of the store and of this home together."""
         tags = {
-            unit: stored.tag for stored in self.objects.list(f"{LISTS}/") if _is_unit(unit := _unit_of(stored.name))
+            unit: stored.tag for stored in self.objects.list(f"{_LISTS}/") if _is_unit(unit := _unit_of(stored.name))
         }
         for unit in sorted({*tags, *self._units()}):
             known = self.known.setdefault(unit, _Known())
@@ -188,13 +188,13 @@ class _Copy:
             path = folder / unit / name if name else folder / unit
             data = path.read_bytes()
             if hashlib.sha256(data).hexdigest() == digest:
-                self.objects.put_new(f"{CONTENT}/{digest}", data)
-            elif not self.objects.has(f"{CONTENT}/{digest}"):
+                self.objects.put_new(f"{_CONTENT}/{digest}", data)
+            elif not self.objects.has(f"{_CONTENT}/{digest}"):
                 return None
         text = json.dumps(
             {"revision": uuid.uuid4().hex, "who": process(), "files": dict(sorted(merged.items()))}, indent=1
         ).encode()
-        name = f"{LISTS}/{unit}.json"
+        name = f"{_LISTS}/{unit}.json"
         return self.objects.replace(name, text, tag) if tag else self.objects.put_new(name, text)
 
     def _fetched(self, unit: str, mine: Files, theirs: Files, merged: Files) -> None:
@@ -230,7 +230,7 @@ class _Copy:
     def _units(self) -> Iterator[str]:
         """Yield the units that are here or were."""
         yield from self.known
-        for folder in FOLDERS:
+        for folder in _FOLDERS:
             for entry in (self.home.root / folder).glob("*"):
                 if _is_unit(f"{folder}/{entry.name}"):
                     yield f"{folder}/{entry.name}"
@@ -274,12 +274,12 @@ class _Copy:
 def shared_units(bucket: Bucket) -> dict[str, Files]:
     """Return the files of each unit that a store has, by the hash of their content; those of other versions of dtwin, too."""
     objects = Objects(bucket)
-    units = [_unit_of(stored.name) for stored in objects.list(f"{LISTS}/")]
+    units = [_unit_of(stored.name) for stored in objects.list(f"{_LISTS}/")]
     return {unit: _listed(objects, unit)[0] for unit in units}
 
 
 def _unit_of(name: str) -> str:
-    return name.removeprefix(f"{LISTS}/").removesuffix(".json")
+    return name.removeprefix(f"{_LISTS}/").removesuffix(".json")
 
 
 def drop_unnamed_content(bucket: Bucket) -> int:
@@ -290,9 +290,9 @@ def drop_unnamed_content(bucket: Bucket) -> int:
     """
     objects = Objects(bucket)
     before = datetime.now(UTC) - _UNNAMED_FOR
-    old = {stored.name for stored in objects.list(f"{CONTENT}/") if stored.changed < before}
+    old = {stored.name for stored in objects.list(f"{_CONTENT}/") if stored.changed < before}
     # The lists are read last: what was named meanwhile stays.
-    named = {f"{CONTENT}/{digest}" for files in shared_units(bucket).values() for digest in files.values()}
+    named = {f"{_CONTENT}/{digest}" for files in shared_units(bucket).values() for digest in files.values()}
     objects.delete(sorted(old - named))
     return len(old - named)
 
@@ -304,7 +304,7 @@ def shared_content(bucket: Bucket, digest: str) -> bytes:
 
 def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
     """Return the files that the store has of a unit, and the tag of their list; empty for none."""
-    name = f"{LISTS}/{unit}.json"
+    name = f"{_LISTS}/{unit}.json"
     try:
         raw, tag = objects.tagged(name)
     except FileNotFoundError:
@@ -321,14 +321,14 @@ def _listed(objects: Objects, unit: str) -> tuple[Files, str]:
 
 def _content(objects: Objects, digest: str) -> bytes:
     try:
-        data = objects.read(f"{CONTENT}/{digest}")
+        data = objects.read(f"{_CONTENT}/{digest}")
     except FileNotFoundError:
         data = b""
     if hashlib.sha256(data).hexdigest() != digest:
         raise StoreError(
             "a shared file is missing or damaged",
             code="shared.damaged",
-            where=f"{objects.bucket}/{CONTENT}/{digest}",
+            where=f"{objects.bucket}/{_CONTENT}/{digest}",
             hint="a computer that has it writes it again: remove the object, and let that one follow",
         )
     return data
@@ -371,7 +371,7 @@ def _stamps(place: Path) -> dict[str, list[int]]:
 
 def _is_unit(unit: str) -> bool:
     folder, _, name = unit.partition("/")
-    return folder in FOLDERS and bool(name) and _is_name(name)
+    return folder in _FOLDERS and bool(name) and _is_name(name)
 
 
 def _is_name(name: Any) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.machines import mechanism as m_
-from dtwin.machines._recording import path_geometry
+from dtwin.machines._recording import _path_geometry
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
 from dtwin.schema import Floats
@@ -21,6 +21,6 @@ def repeatable_error_um(cobot: VirtualCobot, condition: CircleCondition) -> tupl
     plan = cobot.plan(condition)
     truths = cobot.run(plan).truths
     vector_um = UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3])
-    _, _, radial = path_geometry(plan, condition.plane, truths[:, :3])
+    _, _, radial = _path_geometry(plan, condition.plane, truths[:, :3])
     t_s = np.arange(len(truths)) / cobot.parameters.controller.rate_hz
     return t_s, np.sum(vector_um * radial, axis=1), vector_um

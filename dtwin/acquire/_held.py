@@ -17,7 +17,7 @@ import numpy as np
 from dtwin.acquire.instrument import Description, Event, Reading
 from dtwin.units import unit_of
 
-STAMP = "timestamp_s"
+_STAMP = "timestamp_s"
 _COVARIATE_UNITS = ("degC", "%")
 _MOST_EVENTS = 2000
 _MOST_AT_ONCE = 100_000
@@ -58,7 +58,7 @@ class Held:
 
     def __init__(self, group: str, rate_hz: float, columns: Sequence[str], notes: dict[str, Any]) -> None:
         covariates = [c for c in columns if unit_of(c) in _COVARIATE_UNITS]
-        kinds = {name: np.dtype(np.float64) for name in (STAMP, *columns)}
+        kinds = {name: np.dtype(np.float64) for name in (_STAMP, *columns)}
         self.description = Description(group, rate_hz, kinds, notes | {"covariates": covariates})
         self._columns, self._rate_hz = tuple(columns), rate_hz
         self.restart()
@@ -126,7 +126,7 @@ class Held:
             table[row, 1:] = list(self._now.values())
         del self._waiting[:place]
         self._given += n
-        columns = {name: table[:, k].copy() for k, name in enumerate((STAMP, *self._columns))}
+        columns = {name: table[:, k].copy() for k, name in enumerate((_STAMP, *self._columns))}
         # Nobody keeps a reading that is empty.
         events = tuple(self._events) if n or lost else ()
         if events:

@@ -14,8 +14,8 @@ from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.units import G_MM_S2, LENGTHS_MM, TIMES_S, UM_PER_MM, UNITS, with_shares
 
-MOST_COLUMNS = 512
-MOST_PREAMBLE = 200
+_MOST_COLUMNS = 512
+_MOST_PREAMBLE = 200
 _Row = TypeVar("_Row", bound=Sequence[str])
 _MOST_GAPS = 20
 # Lengths of smaller units become µm.
@@ -150,12 +150,12 @@ def in_english(head: str) -> str:
 
 def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
     """Return which row holds the heads: the first before a row of as many cells with numbers, or with units."""
-    for n, row in enumerate(rows[:MOST_PREAMBLE]):
+    for n, row in enumerate(rows[:_MOST_PREAMBLE]):
         after = next((r for r in rows[n + 1 : n + _MOST_GAPS] if not all_units(r) and not _has_gaps(r)), [])
         named = sum(bool(cell.strip()) and not is_number(cell) for cell in row)
         # Spreadsheets leave blank columns at the end.
         width = max((i for i, cell in enumerate(row, start=1) if cell.strip()), default=0)
-        if 2 <= len(row) <= MOST_COLUMNS and 2 * named > width and named >= 2 and len(after) == len(row):
+        if 2 <= len(row) <= _MOST_COLUMNS and 2 * named > width and named >= 2 and len(after) == len(row):
             numbers = sum(is_number(cell) for cell in after)
             if numbers >= 2 and not all_units(row):
                 return n
@@ -164,7 +164,7 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         code="import.table",
         where=str(path),
         got=f"{len(rows)} lines",
-        allowed=f"a row of heads above rows of numbers, within {MOST_PREAMBLE} lines and {MOST_COLUMNS} columns",
+        allowed=f"a row of heads above rows of numbers, within {_MOST_PREAMBLE} lines and {_MOST_COLUMNS} columns",
         hint="write heads with units above numbers that have none, such as time [s], angle [deg]; dtwin check FILE reads the forms of instruments",
     )
 

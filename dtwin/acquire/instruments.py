@@ -37,7 +37,7 @@ class _Entry:
 def instrument(name: str, **settings: Any) -> Instrument:
     """Return a closed instrument.
 
-    ``name``: a key of ``ENTRIES`` with the role ``instrument``.
+    ``name``: a key of ``_ENTRIES`` with the role ``instrument``.
     ``**settings``: as its class takes them; see ``ENTRIES[name].make``.
     """
     made: Instrument = _make(name, "instrument", settings)
@@ -51,11 +51,11 @@ def bench(name: str, **settings: Any) -> Bench:
 
 
 def _make(name: str, role: str, settings: Mapping[str, Any]) -> Any:
-    known = [entry.name for entry in ENTRIES.values() if entry.role == role]
+    known = [entry.name for entry in _ENTRIES.values() if entry.role == role]
     if name not in known:
         raise InputError(f"there is no such {role}", code="instrument.unknown", got=name[:60], allowed=", ".join(known))
     try:
-        return ENTRIES[name].make(**settings)
+        return _ENTRIES[name].make(**settings)
     except TypeError as error:
         raise InputError(
             f"the settings do not fit the {role} {name}", code="instrument.settings", got=str(error)[:200]
@@ -135,7 +135,7 @@ _ALL = (
     ),
 )
 
-ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
+_ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""
 
 

@@ -27,7 +27,7 @@ _POLL_S = 0.05
 _SLOWEST, _SPARE_S = 10.0, 60.0
 # Between a state and the motion that its correction causes: an estimate, four servo periods.
 _LINK_DELAY_S = 0.004
-While = Callable[[Callable[[], None], Callable[[], bool]], None]
+_While = Callable[[Callable[[], None], Callable[[], bool]], None]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class CirclePlan:
         return float(turns * per_feed + moves * 2.0 * self.repeats)
 
 
-def run_circles(session: LinuxcncSession, circles: Sequence[Circle], during: While | None = None) -> list[Trace]:
+def run_circles(session: LinuxcncSession, circles: Sequence[Circle], during: _While | None = None) -> list[Trace]:
     """Run circles on a LinuxCNC while its sampler records, and return whole turns.
 
     ``circles``: in order.

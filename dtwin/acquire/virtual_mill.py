@@ -25,7 +25,7 @@ _REPEATS = 3
 _COOL_DOWN_S = 1800.0
 PERIOD_S = 0.002
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
-HIDDEN = ("backlash", "wobble", "servo", "none")
+_HIDDEN = ("backlash", "wobble", "servo", "none")
 _DECIMALS = {"t_s": 5, "angle_deg": 5, "deviation_um": 4}
 # What the control logs: a hundredth of a micrometre, as linear scales and resolvers give it.
 _LOG_DECIMALS = 5
@@ -39,9 +39,9 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
     behind its command, and its encoder sees it; the play in Y and what rings when Y breaks away, no encoder sees.
     Raises ``InputError`` when there is no such fault.
     """
-    if hidden not in HIDDEN:
+    if hidden not in _HIDDEN:
         raise InputError(
-            "the virtual mill has no such fault", code="simulate.hidden", got=hidden[:40], allowed=", ".join(HIDDEN)
+            "the virtual mill has no such fault", code="simulate.hidden", got=hidden[:40], allowed=", ".join(_HIDDEN)
         )
     made = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0)
     if hidden == "servo":
@@ -56,7 +56,7 @@ def virtual_mill(hidden: str = "backlash", **settings: Any) -> VirtualMill:
     return VirtualMill(tutorial_mill(hidden), disturbance=disturbance, **settings)
 
 
-def geometry_of_mill(hidden: str) -> dict[str, Any]:
+def _geometry_of_mill(hidden: str) -> dict[str, Any]:
     """Return what a campaign of the virtual mill says of its machine.
 
     ``hidden``: its fault; closed-loop evidence is measured on the same machine.
@@ -70,7 +70,7 @@ def geometry_of_mill(hidden: str) -> dict[str, Any]:
     }
 
 
-def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[CircularTest]:
+def _standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[CircularTest]:
     """Return the recommended set of circles: feeds crossed in every set-up, in random order.
 
     ``planes``: planes; each with two radii.
@@ -98,7 +98,7 @@ def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[Circu
     return out
 
 
-def planned_tests(plan: Plan) -> list[CircularTest]:
+def _planned_tests(plan: Plan) -> list[CircularTest]:
     """Return the circles of a plan in its order."""
     return [
         CircularTest(test.plane, direction, test.radius_mm, test.feed_mm_min, test.repeat, test.setup)
@@ -128,9 +128,9 @@ def simulate_mill(
     require_no_campaign(folder)
     mill = virtual_mill(hidden, seed=seed)
     usual = PLANES[:1] if quick else PLANES
-    runs = mill.measure(standard_tests(seed, planes=usual) if plan is None else planned_tests(plan))
+    runs = mill.measure(_standard_tests(seed, planes=usual) if plan is None else _planned_tests(plan))
     name, machine = (f"mill-{hidden}", "virtual-mill") if plan is None else (plan.name, plan.machine)
-    campaign = Campaign(name=name, machine=machine, machine_geometry=geometry_of_mill(hidden))
+    campaign = Campaign(name=name, machine=machine, machine_geometry=_geometry_of_mill(hidden))
     write_campaign(folder, campaign, runs, mill.parameters, progress)
     return runs
 

@@ -10,7 +10,7 @@ from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
 
-CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
+_CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
 Runs = Annotated[list[str], typer.Argument(help="Run ids.")]
 Because = Annotated[str, typer.Option(help="Why; it is kept and printed.")]
 Who = Annotated[str, typer.Option(help="Who says so; else the user of this computer.")]
@@ -20,7 +20,7 @@ app = typer.Typer()
 
 @app.command()
 def amend(
-    campaign: CampaignName,
+    campaign: _CampaignName,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="FIELD=VALUE as in campaign.toml, such as radius_mm=150.")
     ] = None,
@@ -44,14 +44,14 @@ def amend(
 
 
 @app.command("leave-out")
-def leave_out(campaign: CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False) -> None:
+def leave_out(campaign: _CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False) -> None:
     """Leave runs out of every figure, twin, report and training; nothing is deleted."""
     _left_out(campaign, runs, because, who, out=True, as_json=as_json)
 
 
 @app.command()
 def restore(
-    campaign: CampaignName,
+    campaign: _CampaignName,
     runs: Runs,
     because: Because = "they are needed after all",
     who: Who = "",

@@ -54,10 +54,10 @@ def campaign(
 def _desk(folder: Path) -> Desk:
     from dtwin.pipeline.desk import Desk
 
-    return Desk(folder, lambda line: print(line, file=sys.stderr, flush=True), typed_line)
+    return Desk(folder, lambda line: print(line, file=sys.stderr, flush=True), _typed_line)
 
 
-def typed_line() -> str | None:
+def _typed_line() -> str | None:
     """Return a line that was typed, None while there is none; never waits."""
     try:
         ready, _, _ = select.select([sys.stdin], [], [], 0.0)

@@ -13,12 +13,12 @@ from dtwin.errors import EXIT_INTERRUPTED
 from dtwin.report.text import table
 
 app = typer.Typer(name="cell", help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
-Cell = Annotated[str, typer.Option(help="Name of the cell.")]
+_Cell = Annotated[str, typer.Option(help="Name of the cell.")]
 
 
 @app.command("run")
 def run(
-    cell: Cell = "demo",
+    cell: _Cell = "demo",
     parts: Annotated[int, typer.Option(help="Parts to make.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Of both virtual machines.")] = 0,
     as_json: Json = False,
@@ -28,13 +28,13 @@ def run(
 
 
 @app.command("resume")
-def resume(cell: Cell = "demo", as_json: Json = False) -> None:
+def resume(cell: _Cell = "demo", as_json: Json = False) -> None:
     """Go on with a job that was stopped or interrupted."""
     _run(cell, {"resume": True}, as_json=as_json)
 
 
 @app.command("status")
-def status(cell: Cell = "demo", as_json: Json = False) -> None:
+def status(cell: _Cell = "demo", as_json: Json = False) -> None:
     """Show every step, the twin that is live, and whether the job runs."""
     from studies.cell import status as seen_now
     from studies.cell_state import CellFile
@@ -45,7 +45,7 @@ def status(cell: Cell = "demo", as_json: Json = False) -> None:
 
 @app.command("stop")
 def stop(
-    cell: Cell = "demo",
+    cell: _Cell = "demo",
     reason: Annotated[str, typer.Option(help="Kept with the run.")] = "stopped by the operator",
     as_json: Json = False,
 ) -> None:
@@ -57,7 +57,7 @@ def stop(
 
 
 @app.command("clear")
-def clear(cell: Cell = "demo", as_json: Json = False) -> None:
+def clear(cell: _Cell = "demo", as_json: Json = False) -> None:
     """Forget the job of a cell that is not running."""
     from studies.cell_state import CellFile
 

@@ -13,7 +13,7 @@ from dtwin.config import home
 from dtwin.errors import InputError
 
 app = typer.Typer()
-Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
+_Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
 
 
 @app.command()
@@ -42,7 +42,7 @@ def export(
     program: Annotated[Path | None, typer.Option(help="G-code to compensate.")] = None,
     tolerance_um: Annotated[float, typer.Option(help="How far chords may leave the compensated path.")] = 0.1,
     effects_path: Paths = None,
-    force: Force = False,
+    force: _Force = False,
     as_json: Json = False,
 ) -> None:
     """Write a registered correction as code, table or compensated program."""
@@ -140,7 +140,7 @@ def robot_program(
     limit_um: Annotated[float, typer.Option(help="Largest offset along each axis.")] = 500.0,
     slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
     watchdog_s: Annotated[float, typer.Option(help="Silence after which the offset goes back to zero.")] = 0.012,
-    force: Force = False,
+    force: _Force = False,
 ) -> None:
     """Write the URScript thread that lets a UR robot take corrections as a path offset."""
     from dtwin.atomic import write_text
@@ -161,7 +161,7 @@ def robot_targets(
     plane: Annotated[str, typer.Option(help="XY, YZ or ZX.")] = "XY",
     model: Annotated[str, typer.Option(help="latest or champion, trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
-    force: Force = False,
+    force: _Force = False,
     as_json: Json = False,
 ) -> None:
     """Rewrite a robot's next targets by a promoted correction, for controls that take no offset."""

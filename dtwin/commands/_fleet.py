@@ -22,7 +22,7 @@ On = Annotated[
     str | None,
     typer.Option(help="local, or a Dask scheduler: dask://host:port here, dask+tls://host:port; else DTWIN_ENGINE."),
 ]
-Workers = Annotated[
+_Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes of local, one a processor; 1 works in line.")
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")]
@@ -33,7 +33,7 @@ app = typer.Typer(
 
 
 @app.command()
-def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, as_json: Json = False) -> None:
+def diagnose(machine: Machines = None, on: On = None, workers: _Workers = None, as_json: Json = False) -> None:
     """Find from nothing what the runs of every campaign can tell; what was diagnosed before is passed over."""
     from dtwin.fleet.jobs import DIAGNOSE
 
@@ -42,7 +42,7 @@ def diagnose(machine: Machines = None, on: On = None, workers: Workers = None, a
 
 @app.command()
 def train(
-    machine: Machines = None, on: On = None, workers: Workers = None, seed: Seed = 1, as_json: Json = False
+    machine: Machines = None, on: On = None, workers: _Workers = None, seed: Seed = 1, as_json: Json = False
 ) -> None:
     """Train on the newest campaign of every machine that has new runs, and register; nothing is promoted."""
     from dtwin.fleet.jobs import TRAIN
@@ -55,7 +55,7 @@ def recheck(
     machine: Machines = None,
     days: Annotated[float, typer.Option(min=0.0, help="Pass over champions that were checked since.")] = 1.0,
     on: On = None,
-    workers: Workers = None,
+    workers: _Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -70,7 +70,7 @@ def nightly(
     folder: Annotated[Path | None, typer.Option(help="Where new measurements arrive.")] = None,
     machine: Machines = None,
     on: On = None,
-    workers: Workers = None,
+    workers: _Workers = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:

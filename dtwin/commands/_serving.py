@@ -100,7 +100,7 @@ def serve(
     )
     with _bundles(pull, machine):
         served = serve_session(request, home(), _announce, _sensors(sensors))
-    emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
+    emit(served.as_dict(), lambda: _render_served(served), as_json=as_json)
     if served.status.fault is not None:
         _announce(DtwinError(**served.status.fault).render())
     if served.exit_code == EXIT_INTERRUPTED:
@@ -130,7 +130,7 @@ def _when_expired(said: str) -> WhenExpired:
     )
 
 
-def render_served(served: Served) -> str:
+def _render_served(served: Served) -> str:
     """Return the status of a session for people."""
     status, timing = served.status, served.status.timing
     found = served.resolved

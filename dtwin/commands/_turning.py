@@ -11,7 +11,7 @@ from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
-Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
+_Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
 
 app = typer.Typer(
     name="turning",
@@ -72,7 +72,7 @@ def fit(
 @app.command("compensate")
 def compensate(
     model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest, which is champion, or trial.")],
-    truth: Truth = "linear",
+    truth: _Truth = "linear",
     frequency: Annotated[list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")] = None,
     machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of noise.")] = 1,

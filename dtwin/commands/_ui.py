@@ -22,7 +22,7 @@ from dtwin.errors import DtwinError, InputError
 if TYPE_CHECKING:
     from dtwin.config import Home
 
-LOOPBACK = "127.0.0.1"
+_LOOPBACK = "127.0.0.1"
 _OPENING = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
     '<meta http-equiv="refresh" content="0; url={to}"><p><a href="{to}">To the workbench</a></p>'
@@ -35,7 +35,7 @@ app = typer.Typer()
 def ui(
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="8765, or a free one when it is taken.")] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
-    host: Annotated[str, typer.Option(help="Address to listen on; others than loopback let others in.")] = LOOPBACK,
+    host: Annotated[str, typer.Option(help="Address to listen on; others than loopback let others in.")] = _LOOPBACK,
     effects_path: Annotated[
         Path | None, typer.Option(help="Folder of your own effects, to edit in the browser; their code is run.")
     ] = None,

@@ -12,7 +12,7 @@ from typer.models import TyperInfo
 
 from dtwin.errors import CommandLineError
 
-TASKS: dict[str, tuple[str, ...]] = {
+_TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": (
         "machine",
@@ -56,13 +56,13 @@ TASKS: dict[str, tuple[str, ...]] = {
         "people",
     ),
 }
-TWIN_TASKS: dict[str, tuple[str, ...]] = {
+_TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history", "budget"),
     "Find what is missing": ("diagnose", "discover", "learn"),
     "Change": ("add", "remove", "restore"),
     "Prove and use": ("confirm", "correct"),
 }
-FLEET_TASKS: dict[str, tuple[str, ...]] = {
+_FLEET_TASKS: dict[str, tuple[str, ...]] = {
     "Do for every machine": ("diagnose", "train", "recheck", "nightly"),
     "Look": ("show", "sisters"),
 }
@@ -90,14 +90,14 @@ class Commands(typer.Typer):
     def __call__(self, *arguments: Any, **settings: Any) -> Any:
         """Run the command line of this process."""
         asked = sys.argv[1] if len(sys.argv) > 1 else ""
-        holding = [branch for branch in self.registered_groups if asked in branch_names(branch)]
+        holding = [branch for branch in self.registered_groups if asked in _branch_names(branch)]
         alone = copy(self)
         if holding and not arguments and not settings:
             alone.registered_groups = holding
         return super(Commands, alone).__call__(*arguments, **settings)
 
 
-def branch_names(branch: TyperInfo) -> list[str]:
+def _branch_names(branch: TyperInfo) -> list[str]:
     """Return the names by which the command line knows a group, or the commands of one without a name."""
     held = branch.typer_instance
     if held is None:
@@ -111,7 +111,7 @@ def branch_names(branch: TyperInfo) -> list[str]:
 class ByTask(TyperGroup):
     """Commands of ``dtwin``."""
 
-    tasks = TASKS
+    tasks = _TASKS
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; a program that asked for JSON is told in JSON what is wrong with its command line."""
@@ -140,10 +140,10 @@ class ByTask(TyperGroup):
 class TwinCommands(ByTask):
     """Commands of ``dtwin twin``."""
 
-    tasks = TWIN_TASKS
+    tasks = _TWIN_TASKS
 
 
 class FleetCommands(ByTask):
     """Commands of ``dtwin fleet``."""
 
-    tasks = FLEET_TASKS
+    tasks = _FLEET_TASKS

@@ -144,7 +144,7 @@ class Split:
         chosen = np.ones(len(self.known), dtype=bool) if rows is None else rows
         known, conditions = self.known[chosen], self.condition_of[chosen]
         return {
-            name: _Part(rms(v[chosen][known]), repeat_floor(v[chosen], known, conditions))
+            name: _Part(rms(v[chosen][known]), _repeat_floor(v[chosen], known, conditions))
             for name, v in self.parts_um.items()
         }
 
@@ -184,7 +184,7 @@ def split(
     return Split(parts, known, condition_of)
 
 
-def repeat_floor(values: Floats, known: NDArray[np.bool_], condition_of: NDArray[np.int64]) -> float:
+def _repeat_floor(values: Floats, known: NDArray[np.bool_], condition_of: NDArray[np.int64]) -> float:
     """Return the RMS by which one run differs from the mean of its condition.
 
     ``values``, (rows, bins): one row for each run.

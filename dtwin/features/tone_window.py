@@ -8,7 +8,7 @@ from dtwin.features.catalogue import feature_column
 from dtwin.features.windows import WindowContract
 from dtwin.schema import Floats
 
-WINDOW_S, HORIZON_S = 5.0, 1.0
+_WINDOW_S, HORIZON_S = 5.0, 1.0
 # The twelve of the published table, in its order.
 TONE_FEATURES = (
     "dominant_frequency",
@@ -35,7 +35,7 @@ def tone_contract(rate_hz: float, channel: str) -> WindowContract:
     """Return the window of the sent command and one accelerometer channel, a column with its unit at the end."""
     return WindowContract(
         rate_hz=rate_hz,
-        n_samples=round(WINDOW_S * rate_hz),
+        n_samples=round(_WINDOW_S * rate_hz),
         hop=round(HORIZON_S * rate_hz),
         channels=(SENT, channel),
         features=TONE_FEATURES,

@@ -19,7 +19,7 @@ from dtwin.locks import locked
 from dtwin.physics.diagnosis import Verdict
 from dtwin.pipeline.kept import kept_already
 
-SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
+_SORTS = ("failed", "withdrawn", "drifted", "changed", "limit", "overdue")
 # What happens on one night and is not found again on the next.
 _PASSING = ("failed", "withdrawn")
 _MOST_DAYS = 3653
@@ -29,7 +29,7 @@ _MOST_DAYS = 3653
 class Alert:
     """One thing that somebody should look at.
 
-    ``sort``: one of ``SORTS``.
+    ``sort``: one of ``_SORTS``.
     ``about``: the machine, campaign or file.
     ``text``: what it is, one line.
     ``since``: day on which it began, where it may begin anew before it is over.
@@ -118,12 +118,12 @@ def silence(home: Home, key: str, days: float, today: date | None = None) -> str
     ``key``: sort and what it is about, as alerts are listed: ``overdue:mill-1``.
     """
     sort, colon, about = key.partition(":")
-    if not colon or not about or sort not in SORTS:
+    if not colon or not about or sort not in _SORTS:
         raise InputError(
             "no alert is called so",
             code="alert.key",
             got=key[:60],
-            allowed=", ".join(f"{name}:NAME" for name in SORTS),
+            allowed=", ".join(f"{name}:NAME" for name in _SORTS),
             hint="dtwin fleet nightly lists them",
         )
     if not 0 <= days <= _MOST_DAYS:
@@ -143,7 +143,7 @@ def _silence(home: Home, key: str, until: str) -> None:
 
 def sorted_alerts(alerts: Sequence[Alert]) -> list[Alert]:
     """Return alerts by sort and by what they are about."""
-    return sorted(alerts, key=lambda alert: (SORTS.index(alert.sort), alert.about))
+    return sorted(alerts, key=lambda alert: (_SORTS.index(alert.sort), alert.about))
 
 
 def _title(alerts: Sequence[Alert]) -> str:

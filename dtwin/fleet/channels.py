@@ -43,7 +43,7 @@ class Channel(Protocol):
 
 
 @dataclass(frozen=True)
-class Email:
+class _Email:
     """SMTP. Secrets are in the environment, never in the file.
 
     ``smtp``: ``host:port``. On another computer the connection is encrypted (STARTTLS).
@@ -72,7 +72,7 @@ class Email:
 
 
 @dataclass(frozen=True)
-class Webhook:
+class _Webhook:
     """A POST of JSON: ``title``, ``text``, ``alerts``. Not encrypted on this computer only.
 
     ``token_from``: environment variable that holds a bearer token.
@@ -96,7 +96,7 @@ class Webhook:
 
 
 @dataclass(frozen=True)
-class Mqtt:
+class _Mqtt:
     """One message of JSON, as a webhook gets it, kept by the broker until it was delivered (QoS 1)."""
 
     broker: str
@@ -128,10 +128,10 @@ class Mqtt:
             client.loop_stop()
 
 
-_KINDS: dict[str, type[Email] | type[Webhook] | type[Mqtt]] = {"email": Email, "webhook": Webhook, "mqtt": Mqtt}
+_KINDS: dict[str, type[_Email] | type[_Webhook] | type[_Mqtt]] = {"email": _Email, "webhook": _Webhook, "mqtt": _Mqtt}
 
 
-def alerts_file(home: Home) -> Path:
+def _alerts_file(home: Home) -> Path:
     """Return the file that states the channels."""
     return home.root / "alerts.toml"
 
@@ -141,7 +141,7 @@ def channels_of(home: Home) -> list[Channel]:
 
     Raises ``InputError`` when the file is not usable.
     """
-    path = alerts_file(home)
+    path = _alerts_file(home)
     try:
         stated = read_toml(path, _MAX_BYTES)
     except FileNotFoundError:
@@ -180,7 +180,7 @@ def try_channels(home: Home) -> dict[str, str]:
     """
     channels = channels_of(home)
     if not channels:
-        raise _refused(str(alerts_file(home)), "no such file, or nothing in it", ", ".join(_KINDS))
+        raise _refused(str(_alerts_file(home)), "no such file, or nothing in it", ", ".join(_KINDS))
     outcomes = {}
     for channel in channels:
         try:
@@ -207,14 +207,14 @@ def _settings(kind: type[_Settings], stated: object, where: str) -> _Settings:
     return kind(**stated)
 
 
-def _checked(channel: Email | Webhook | Mqtt, where: str) -> Channel:
+def _checked(channel: _Email | _Webhook | _Mqtt, where: str) -> Channel:
     """Refuse what could not be sent, or would be sent openly to another computer."""
-    if isinstance(channel, Email):
+    if isinstance(channel, _Email):
         _host_and_port(channel.smtp, f"{where}: email.smtp")
         for address in (channel.sender, *channel.to):
             if "@" not in parseaddr(address)[1] or any(ord(c) < 32 for c in address):
                 raise _refused(f"{where}: email", address[:60], "an address such as shop@example.com")
-    elif isinstance(channel, Webhook):
+    elif isinstance(channel, _Webhook):
         parts = urlsplit(channel.url)
         if "@" in parts.netloc:
             # What stands before it may be a password.

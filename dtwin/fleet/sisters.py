@@ -29,7 +29,7 @@ from dtwin.schema import Floats
 from dtwin.statistics import chi2_quantile, holm, t_tail
 from dtwin.twins.measured import load
 
-FEWEST = 4
+_FEWEST = 4
 _Flags = NDArray[np.bool_]
 _ALPHA = 0.05
 _CAUTION = 0.1
@@ -38,7 +38,7 @@ _ONE_WAY = re.compile(r"[↑↓]$|\(C?CW\)$")
 
 
 @dataclass(frozen=True)
-class Sister:
+class _Sister:
     """One size of one machine beside those of its sisters; unit of replication: the machine.
 
     ``value``, ``k2``: as its own runs tell it, with the uncertainty at k = 2.
@@ -58,7 +58,7 @@ class Sister:
 
 
 @dataclass(frozen=True)
-class SisterSize:
+class _SisterSize:
     """A size of an effect, or a figure of a test sheet, over machines of one type.
 
     ``effect``, ``title``: name and title of the effect; of a figure its symbol and what it is called.
@@ -73,7 +73,7 @@ class SisterSize:
     unit: str
     mean: float
     spread: float
-    machines: tuple[Sister, ...]
+    machines: tuple[_Sister, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -106,7 +106,7 @@ def pooled(values: Floats, errors: Floats, chance: float | None = None) -> tuple
 
 
 @dataclass(frozen=True)
-class Compared:
+class _Compared:
     """Sizes of n machines with what sisters say; arrays of shape (n,).
 
     ``values``, ``errors``: with sisters, and the standard uncertainties.
@@ -120,7 +120,7 @@ class Compared:
     differs: _Flags
 
 
-def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
+def compared(values: Floats, errors: Floats, many: int = 1) -> _Compared:
     """Compare each machine with its sisters: the prior is made without it, and without those that differ already.
 
     ``values``, ``errors``, shape (n,): sizes that the machines' own runs tell, and standard uncertainties.
@@ -136,7 +136,7 @@ def compared(values: Floats, errors: Floats, many: int = 1) -> Compared:
     shares = np.array([1.0 if differs[i] else p.share(errors[i]) for i, p in enumerate(careful)])
     means = np.array([p.mean for p in careful])
     spread = np.where(differs, own, np.sqrt(shares) * errors)
-    return Compared(shares * values + (1.0 - shares) * means, spread, p_values, differs)
+    return _Compared(shares * values + (1.0 - shares) * means, spread, p_values, differs)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _differing(values: Floats, errors: Floats, many: int) -> _Flags:
     """
     aside = np.zeros(values.size, dtype=bool)
     differs = aside.copy()
-    while np.sum(aside) < values.size // 3 and np.sum(~aside) > FEWEST:
+    while np.sum(aside) < values.size // 3 and np.sum(~aside) > _FEWEST:
         rest = [int(i) for i in np.flatnonzero(~aside)]
         chances = [_prior(values, errors, ~aside, i).p_value(values[i], errors[i]) for i in rest]
         aside[rest[int(np.argmin(chances))]] = True
@@ -184,7 +184,7 @@ def _prior(values: Floats, errors: Floats, usual: _Flags, but: int, chance: floa
 
 def sisters(
     home: Home, machines: Sequence[str] = (), type_name: str = "", progress: Progress | None = None
-) -> list[SisterSize]:
+) -> list[_SisterSize]:
     """Compare machines of one type by the newest campaign of each: figures of its test sheet, and sizes of effects.
 
     Figures are those of both directions and those with a tolerance; of tests in one direction all. Effects are those that a
@@ -199,20 +199,20 @@ def sisters(
     tests = _tests(home, wanted)
     names = {name for campaign in tests.values() for name in _found(home, campaign)}
     where = type_name or ", ".join(wanted)[:80]
-    if len(tests) < FEWEST:
+    if len(tests) < _FEWEST:
         raise InputError(
             "too few sister machines to compare",
             code="fleet.sisters",
             where=where,
             got=f"{len(tests)} machines with a campaign of one sort, of {len(wanted)} machines",
-            allowed=f"{FEWEST} machines at least",
+            allowed=f"{_FEWEST} machines at least",
             hint="dtwin machine add NAME --type TYPE; a sort is one kind of test under the same conditions",
         )
     sizes = _figures(home, tests)
     if names:
         sizes |= _sizes(home, tests, sorted(names), progress)
     # Those that enough machines tell; the others say nothing of a type.
-    common = {key: rows for key, rows in sizes.items() if len(rows) >= FEWEST}
+    common = {key: rows for key, rows in sizes.items() if len(rows) >= _FEWEST}
     if not common:
         raise InputError(
             "nothing to compare: no figure with an uncertainty under the same conditions, and no effect that a diagnosis found",
@@ -229,12 +229,12 @@ _Key = tuple[str, str, str, str]
 _Row = tuple[str, str, float, float]
 
 
-def _size(key: _Key, rows: Sequence[_Row], many: int) -> SisterSize:
+def _size(key: _Key, rows: Sequence[_Row], many: int) -> _SisterSize:
     values, errors = np.array([row[2] for row in rows]), np.array([row[3] for row in rows]) / 2.0
     comparison = compared(values, errors, many)
     mean, _, between = pooled(values[~comparison.differs], errors[~comparison.differs])
     of_machine = tuple(
-        Sister(
+        _Sister(
             machine,
             campaign,
             value,
@@ -246,7 +246,7 @@ def _size(key: _Key, rows: Sequence[_Row], many: int) -> SisterSize:
         )
         for i, (machine, campaign, value, k2) in enumerate(rows)
     )
-    return SisterSize(*key, mean, between, of_machine)
+    return _SisterSize(*key, mean, between, of_machine)
 
 
 def _figures(home: Home, tests: Mapping[str, str]) -> dict[_Key, list[_Row]]:

@@ -62,7 +62,7 @@ class Folder(Protocol):
         """Yield the files at any depth, without the log's, that are not kept and that nobody is about to keep."""
 
 
-class LocalFolder:
+class _LocalFolder:
     """A folder of this computer."""
 
     options = None
@@ -71,9 +71,9 @@ class LocalFolder:
         self.place: Place = place
         self._path = place
 
-    def below(self, name: str) -> LocalFolder:
+    def below(self, name: str) -> _LocalFolder:
         """Return a folder in it."""
-        return LocalFolder(self._path / name)
+        return _LocalFolder(self._path / name)
 
     def exists(self) -> bool:
         """Tell whether it is there."""
@@ -120,7 +120,7 @@ class LocalFolder:
                     yield name
 
 
-class SharedFolder:
+class _SharedFolder:
     """A folder of a shared store: a file is there whole as soon as the store has taken it."""
 
     def __init__(self, place: Bucket) -> None:
@@ -135,9 +135,9 @@ class SharedFolder:
         """Address and patience; keys come from the environment."""
         return delta_options(self._bucket)
 
-    def below(self, name: str) -> SharedFolder:
+    def below(self, name: str) -> _SharedFolder:
         """Return a folder in it."""
-        return SharedFolder(self._bucket / name)
+        return _SharedFolder(self._bucket / name)
 
     def exists(self) -> bool:
         """Tell whether there is anything: the first entry of a log is never deleted."""
@@ -198,4 +198,4 @@ class SharedFolder:
 
 def folder_at(place: Place) -> Folder:
     """Return the folder at a place."""
-    return SharedFolder(place) if isinstance(place, Bucket) else LocalFolder(place)
+    return _SharedFolder(place) if isinstance(place, Bucket) else _LocalFolder(place)

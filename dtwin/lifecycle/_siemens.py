@@ -19,7 +19,7 @@ from dtwin.units import UM_PER_MM
 _POINTS = 200
 
 
-def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
+def _siemens_file(table: AxisTable, said: Sequence[str]) -> str:
     """Return the leadscrew error compensation of a SINUMERIK, ``$AA_ENC_COMP``, in mm.
 
     A value is added to what the encoder reads, so that a positive one moves the axis backwards (function manual of the
@@ -61,7 +61,7 @@ def _notes(table: AxisTable) -> list[str]:
     ]
 
 
-FORM = AxisForm(siemens_file, _notes, _POINTS)
+FORM = AxisForm(_siemens_file, _notes, _POINTS)
 
 
 _CEC_POINTS = 200

@@ -24,7 +24,7 @@ from dtwin.links.opened import OpenAndClose
 from dtwin.links.serial_line import SerialLink
 
 AXES = ("x", "y", "z")
-BAUD = 250_000
+_BAUD = 250_000
 FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
@@ -126,7 +126,7 @@ class AnalogueOutput(OpenAndClose):
         output: Output = "dac",
         watchdog_ms: int = 20,
         in_flight: int = 4,
-        baud: int = BAUD,
+        baud: int = _BAUD,
         timeout_s: float = 0.25,
     ) -> None:
         if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:
@@ -284,7 +284,7 @@ class AnalogueOutput(OpenAndClose):
             raise DeviceError(
                 "the board refused a correction", code="analogue.refused", where=where, got=answer.refused
             )
-        wanted = codes if codes is None or self.output == "dac" else eight_bits(codes)
+        wanted = codes if codes is None or self.output == "dac" else _eight_bits(codes)
         if answer.read_back_wrong or (wanted is not None and answer.applied != wanted):
             self._waiting.clear()
             self.link.send(_REQUEST.pack(_RELEASE, 0, 0, 0))
@@ -298,7 +298,7 @@ class AnalogueOutput(OpenAndClose):
             )
 
 
-def eight_bits(codes: Codes) -> Codes:
+def _eight_bits(codes: Codes) -> Codes:
     """Return what is left of codes as pulse widths of eight bits."""
     x, y, z = (min(0xFF, (code + 0x80) >> 8) << 8 for code in codes)
     return x, y, z

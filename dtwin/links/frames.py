@@ -29,7 +29,7 @@ class Frame:
     payload: bytes
 
 
-def crc16(data: bytes) -> int:
+def _crc16(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF) of some bytes."""
     return binascii.crc_hqx(data, 0xFFFF)
 
@@ -48,7 +48,7 @@ def encode(sequence: int, payload: bytes) -> bytes:
             allowed=f"sequence below {SEQUENCES}, at most {_MAX_PAYLOAD} bytes",
         )
     body = _HEAD.pack(_VERSION, sequence) + payload
-    return _stuffed(body + _CRC.pack(crc16(body))) + b"\x00"
+    return _stuffed(body + _CRC.pack(_crc16(body))) + b"\x00"
 
 
 class FrameReader:
@@ -101,7 +101,7 @@ class FrameReader:
             return None
         content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
         version, sequence = _HEAD.unpack_from(content)
-        if crc != crc16(content) or version != _VERSION:
+        if crc != _crc16(content) or version != _VERSION:
             return None
         return Frame(sequence, content[_HEAD.size :])
 

@@ -90,7 +90,7 @@ end
 """
 
 
-def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -> str:
+def _correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -> str:
     """Return the arithmetic of one controller tick as URScript functions.
 
     ``limit_um``: largest offset along each axis.
@@ -121,7 +121,7 @@ def correction_program(limit_um: float = 500.0, slew_um_s: float = 20_000.0, wat
     outputs = registers.OUTPUT_DOUBLES
     x_out, y_out, z_out = (r for r, place in sorted(outputs.items()) if r >= 17)
     sequence_out = next(r for r, p in registers.OUTPUT_INTS.items() if p == APPLIED_SEQUENCE)
-    functions = correction_functions(limit_um, slew_um_s, watchdog_s)
+    functions = _correction_functions(limit_um, slew_um_s, watchdog_s)
     thread = _THREAD.format(
         limit_m=limit_um / 1e6,
         watchdog=round(watchdog_s * TICK_HZ),

@@ -29,7 +29,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class CobotTruth:
+class _CobotTruth:
     """What no instrument knows.
 
     ``bar_start_s``, ``bar_ppm``: machine time of the first ball-bar sample; error of the bar's clock.
@@ -68,7 +68,7 @@ class CobotRecording:
     deviation_mm: Floats
     window: tuple[int, int]
     groups: tuple[SignalGroup, ...]
-    truth: CobotTruth
+    truth: _CobotTruth
     duration_s: float
 
 
@@ -84,7 +84,7 @@ class RunTicks:
     truths: Floats
 
 
-def path_geometry(plan: MotionPlan, plane: str, path_mm: Floats) -> tuple[Floats, Floats, Floats]:
+def _path_geometry(plan: MotionPlan, plane: str, path_mm: Floats) -> tuple[Floats, Floats, Floats]:
     """Return path angle (unwrapped), distance from the centre in mm, and radial unit vector."""
     spoke = path_mm - plan.frame[2]
     first, second = spoke @ plan.frame[0], spoke @ plan.frame[1]
@@ -112,7 +112,7 @@ def record(
     setup_name, repeat, setup = mounting
     rate_hz, bar = parameters.controller.rate_hz, parameters.ballbar
     truths = ticks.truths
-    angle, distance_mm, radial = path_geometry(plan, condition.plane, truths[:, :3])
+    angle, distance_mm, radial = _path_geometry(plan, condition.plane, truths[:, :3])
     drift_um = rng.standard_normal((len(truths), 3))
     disturbance = parameters.disturbance
     drift_kernel(drift_um, disturbance.drift_rms_um, disturbance.drift_time_s, 1.0 / rate_hz)
@@ -134,7 +134,7 @@ def record(
     accelerometers = accelerometer_group(
         sensors, matrices, parameters.structure.base_share, motion, sensor_start_s, sensor_ppm, rng
     )
-    truth = CobotTruth(
+    truth = _CobotTruth(
         bar_start_s,
         bar_ppm,
         sensor_start_s,

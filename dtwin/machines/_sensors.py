@@ -13,7 +13,7 @@ _UG = 1e-6
 
 
 @kernel
-def resample_kernel(values: Floats, rate_hz: float, times_s: Floats, out: Floats) -> None:
+def _resample_kernel(values: Floats, rate_hz: float, times_s: Floats, out: Floats) -> None:
     """Interpolate columns at times by cubic Lagrange polynomials; ends are held.
 
     ``values``, (n, m): samples at multiples of ``1 / rate_hz`` from time 0.
@@ -40,7 +40,7 @@ def resample_kernel(values: Floats, rate_hz: float, times_s: Floats, out: Floats
 
 
 @kernel
-def couple_kernel(signal: Floats, corner_hz: float, rate_hz: float) -> None:
+def _couple_kernel(signal: Floats, corner_hz: float, rate_hz: float) -> None:
     """Apply a first-order high-pass in place, settled on the first sample.
 
     Bilinear transform with the corner prewarped; ``signal`` has shape (n, channels).
@@ -114,11 +114,11 @@ def accelerometer_group(
     n = int((len(flange_mm) / rate_hz - start_s) * parameters.rate_hz)
     times_s = start_s + np.arange(n) / (parameters.rate_hz * (1.0 + 1e-6 * ppm))
     signal = np.empty((n, 6))
-    resample_kernel(felt_g, rate_hz, times_s, signal)
+    _resample_kernel(felt_g, rate_hz, times_s, signal)
     hum = np.sin(2.0 * np.pi * (parameters.base_line_hz * times_s + rng.uniform()))
     signal[:, 5] += np.sqrt(2.0) * _UG * parameters.base_line_ug * hum
     signal[:, 3:] += _UG * parameters.base_floor_ug * rng.standard_normal((n, 3))
-    couple_kernel(signal, parameters.corner_hz, parameters.rate_hz)
+    _couple_kernel(signal, parameters.corner_hz, parameters.rate_hz)
     signal += _UG * parameters.noise_rms_ug * rng.standard_normal((n, 6))
     np.clip(signal, -parameters.range_g, parameters.range_g, out=signal)
     names = [f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz"]
@@ -161,7 +161,7 @@ def read_ballbar(
     start_s, ppm, n = clock
     times_s = start_s + np.arange(n) / (parameters.rate_hz * (1.0 + 1e-6 * ppm))
     tool = np.empty((n, 3))
-    resample_kernel(tool_mm, tool_rate_hz, times_s, tool)
+    _resample_kernel(tool_mm, tool_rate_hz, times_s, tool)
     length_mm = np.sqrt(np.sum((tool - centre_mm) ** 2, axis=1))
     deviation_um = UM_PER_MM * (length_mm - radius_mm) + noise_um
     quanta = np.round(deviation_um / parameters.quantum_um)

@@ -23,7 +23,7 @@ from dtwin.links.axis_link import LONGEST_LINE, PROTOCOL
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 
-WATCHDOG_S = 0.1
+_WATCHDOG_S = 0.1
 Clock = Literal["wall", "machine"]
 _AXES = ("x", "y", "z")
 _POLL_S = 0.2
@@ -135,7 +135,7 @@ class AxisServer:
             self._listen(max(wait_s, 0.0))
             if self._client is not None:
                 self._say(self._state(tick))
-            if self._offset_um.any() and time.monotonic() - self._heard_s > WATCHDOG_S:
+            if self._offset_um.any() and time.monotonic() - self._heard_s > _WATCHDOG_S:
                 self._drop()
                 self._let_go = True
                 self.watchdog_trips += 1
@@ -240,7 +240,7 @@ class AxisServer:
                 "control": self._machine.name,
                 "period_s": self._machine.period_s,
                 "clock": self._clock,
-                "watchdog_s": WATCHDOG_S,
+                "watchdog_s": _WATCHDOG_S,
                 "axes": list(self._machine.axes),
                 "missing": [name for name in asked if name not in provides]
                 + ([f"channels at {hello['channels_hz']:g} Hz"] if rate_differs else []),

@@ -23,7 +23,7 @@ from dtwin.units import G_MM_S2, UM_PER_MM
 
 _RATE_HZ = 2048.0
 """Rate of the simulation and of the accelerometer."""
-OVERSHOOT_DEG, _TURN_DEG = 180.0, 360.0
+_OVERSHOOT_DEG, _TURN_DEG = 180.0, 360.0
 _REST_S = 0.25
 _ROUNDS = 8
 # Constants of the legs, as the kernel takes them.
@@ -32,7 +32,7 @@ _RADII_MM, _FEEDS_MM_MIN = (10.0, 100.0), (50.0, 12_000.0)
 
 
 @dataclass(frozen=True)
-class HexapodRecording:
+class _HexapodRecording:
     """What the instruments recorded, and what happened.
 
     ``condition``: in standard form.
@@ -62,7 +62,7 @@ class VirtualHexapod:
         self.seed = seed
         self.legs = build_legs(self.parameters, np.random.default_rng([seed, 1]))
 
-    def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> HexapodRecording:
+    def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> _HexapodRecording:
         """Return the recording of one run with half a turn before and after.
 
         Set-up and errors as for :meth:`dtwin.machines.cobot.VirtualCobot.measure`.
@@ -86,7 +86,7 @@ class VirtualHexapod:
         t_s = np.arange(n) / p.bar.rate_hz
         degrees = np.degrees(np.interp(t_s, np.arange(len(angle)) / _RATE_HZ, angle))
         inside = np.flatnonzero((degrees * condition.sign >= 0.0) & (np.abs(degrees) < _TURN_DEG))
-        return HexapodRecording(
+        return _HexapodRecording(
             condition,
             t_s,
             UM_PER_MM * bar,
@@ -142,7 +142,7 @@ class VirtualHexapod:
     def _inverse(self) -> Floats:
         rows = np.empty((LEGS, 6))
         platform = CENTRE_MM - np.array([0.0, 0.0, self.parameters.tool_mm])
-        leg_lengths_kernel(platform, np.zeros(3), self.legs.true, np.empty(LEGS), rows)
+        _leg_lengths_kernel(platform, np.zeros(3), self.legs.true, np.empty(LEGS), rows)
         return np.asarray(np.linalg.inv(rows), dtype=np.float64)
 
 
@@ -156,11 +156,11 @@ def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) ->
     jerk_s = p.acceleration_mm_s2 / p.jerk_mm_s3
     speed = condition.feed_mm_min / 60.0
     ramp_s = speed / p.acceleration_mm_s2
-    length_mm = np.radians(_TURN_DEG + 2.0 * OVERSHOOT_DEG) * condition.radius_mm
+    length_mm = np.radians(_TURN_DEG + 2.0 * _OVERSHOOT_DEG) * condition.radius_mm
     moving_s = length_mm / speed + ramp_s + jerk_s
     ticks = np.arange(round((moving_s + 2.0 * _REST_S) * _RATE_HZ)) / _RATE_HZ - _REST_S
     way_mm = np.array([travelled_kernel(min(max(t, 0.0), moving_s), moving_s, speed, ramp_s, jerk_s) for t in ticks])
-    return condition.sign * (way_mm / condition.radius_mm - np.radians(OVERSHOOT_DEG))
+    return condition.sign * (way_mm / condition.radius_mm - np.radians(_OVERSHOOT_DEG))
 
 
 def _felt(tool_mm: Floats, noise_g: float, rng: np.random.Generator) -> SignalGroup:
@@ -190,7 +190,7 @@ def _cross(a: Floats, b: Floats, i: int) -> float:
 
 
 @kernel
-def leg_lengths_kernel(
+def _leg_lengths_kernel(
     position_mm: Floats, turned_rad: Floats, joints: Floats, length_mm: Floats, rows: Floats
 ) -> None:
     """Write the leg lengths of a pose, and by what each changes with the pose.
@@ -250,7 +250,7 @@ def _follow_kernel(
     rigid, bend, first, second = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     state, jolt, flange = np.zeros(2 * modes.shape[0]), np.zeros(3), np.zeros(3)
     for n in range(path_mm.shape[0]):
-        leg_lengths_kernel(path_mm[n] - tool, flat, believed, wanted, rows)
+        _leg_lengths_kernel(path_mm[n] - tool, flat, believed, wanted, rows)
         if n == 0:
             before[:], actual[:], behind[:] = wanted, wanted, wanted
         for leg in range(LEGS):
@@ -268,7 +268,7 @@ def _follow_kernel(
             reached[leg] = behind[leg] * (1.0 + legs[1, leg]) + legs[0, leg] + shake
             before[leg] = wanted[leg]
         for _ in range(_ROUNDS):
-            leg_lengths_kernel(pose[:3], pose[3:], true, length, rows)
+            _leg_lengths_kernel(pose[:3], pose[3:], true, length, rows)
             for i in range(6):
                 for leg in range(LEGS):
                     pose[i] += inverse[i, leg] * (reached[leg] - length[leg])

@@ -109,7 +109,7 @@ class Schedule:
         return out + (self.night_rise_c if night and self.off_from_h < 24.0 else 0.0)
 
 
-TRAINING = Schedule(
+_TRAINING = Schedule(
     "training",
     (
         _Segment(71),
@@ -151,7 +151,7 @@ _VALIDATION = Schedule(
     begun_c=25.6,
     season_c=24.6,
 )
-SCHEDULES = {schedule.name: schedule for schedule in (TRAINING, _VALIDATION)}
+SCHEDULES = {schedule.name: schedule for schedule in (_TRAINING, _VALIDATION)}
 
 
 def temperatures_c(schedule: Schedule, step_s: float, *, pump: bool = False) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from dtwin.machines._wandering import wandering
 from dtwin.schema import Floats
 
 SERVO_HZ = 8000.0
-UM_S2_PER_G = 9.80665e6
+_UM_S2_PER_G = 9.80665e6
 MM_PER_UM = 1e-3
 # Below this deflection a hardening joint is a spring: no joint is infinitely soft.
 _SOFTEST_UM = 0.02
@@ -48,7 +48,7 @@ class Slide:
 
 
 @dataclass(frozen=True)
-class Accelerometer:
+class _Accelerometer:
     """What stands near the tool.
 
     ``gain_1``: sensitivity over its nominal value, with what its place off the tool adds.
@@ -156,13 +156,13 @@ class Instruments:
 
     probe_um: float = 0.005
     encoder_um: float = 0.001
-    accelerometer: Accelerometer = field(default_factory=Accelerometer)
+    accelerometer: _Accelerometer = field(default_factory=_Accelerometer)
 
 
 class AccelerationChannel:
     """The accelerometer with its amplifier; filter and wander go on from call to call."""
 
-    def __init__(self, sensor: Accelerometer, rng: np.random.Generator) -> None:
+    def __init__(self, sensor: _Accelerometer, rng: np.random.Generator) -> None:
         from scipy.signal import butter
 
         self.sensor, self._rng = sensor, rng
@@ -177,7 +177,7 @@ class AccelerationChannel:
 
         sensor, n = self.sensor, len(motion.tool_um)
         noise = sensor.noise_g_per_root_hz * np.sqrt(SERVO_HZ / 2.0) * self._rng.normal(size=n)
-        felt = motion.acceleration_um_s2 / UM_S2_PER_G * sensor.gain_1 + noise
+        felt = motion.acceleration_um_s2 / _UM_S2_PER_G * sensor.gain_1 + noise
         passed, self._memory = lfilter(self._b, self._a, felt, zi=self._memory)
         pushes = sensor.drift_g * np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=n)
         wander, self._wander = lfilter([1.0], [1.0, -self._keep], pushes, zi=self._wander)

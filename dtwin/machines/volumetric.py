@@ -48,7 +48,7 @@ _SENSORS = {
 
 # What moves with which body: its motion in um (um/m for turns) per kelvin. The letters are those of
 # ISO 230-1: what moves (E, direction), of which axis, and the power of the travel.
-SENSITIVITY: Mapping[str, Mapping[str, float]] = {
+_SENSITIVITY: Mapping[str, Mapping[str, float]] = {
     "EX0": {"column_side": 3.6, "column_back": -1.1, "bed": 1.6, "foundation": -6.0},
     "EZ0": {"column_side": 1.8, "column_back": 1.8, "column_top": 2.4, "table": -3.0},
     "EY0": {"column_back": -2.6, "column_top": -1.2, "ram": 2.2, "back_air": -0.7, "foundation": 3.0},
@@ -142,7 +142,7 @@ class VolumetricMill:
         ``hour`` (n,): time since the campaign began.
         """
         named = {body: np.interp(hour, self.hour, self.bodies_c[:, _deforming(body)]) - _REFERENCE_C for body in BODIES}
-        every = {**SENSITIVITY, **self.parameters.hidden}
+        every = {**_SENSITIVITY, **self.parameters.hidden}
         return {
             name: sum((k * named[body] for body, k in of.items()), start=np.zeros(len(hour)))
             for name, of in every.items()

@@ -15,7 +15,7 @@ from dtwin.machines.thermal_network import conductances, exact_step
 from dtwin.schema import Floats
 
 STEP_S = 5.0
-SENSORS = ("spindle", "front", "back", "hall")
+_SENSORS = ("spindle", "front", "back", "hall")
 _BODIES = ("spindle", "front_skin", "front_core", "back_skin", "back_core", "bed")
 # Heat capacity in kJ/K.
 _CAPACITY = (15.0, 18.0, 110.0, 15.0, 90.0, 250.0)
@@ -125,7 +125,7 @@ class WarmColumn:
         true["front"] = true["front"] + made.curve_per_k * (true["front"] - 20.0) ** 2
         share = 1.0 - np.exp(-STEP_S / made.sensor_s)
         out = {}
-        for name in SENSORS:
+        for name in _SENSORS:
             read = np.empty(hall_c.size)
             now = true[name][0]
             for i, value in enumerate(true[name]):

@@ -101,7 +101,7 @@ def described(
                 for c in group[1:]
                 if c.term.label in absorbed
                 or (_is_like(top, c) and c.score.gain > _NO_LESS * top.score.gain)
-                or adds_nothing(beside, top, c, everywhere, rough)
+                or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
@@ -110,7 +110,7 @@ def described(
         sets = _sets(problem, candidates, terms, term, rivals, group, level)
         group += sets
         two = _two_instead(given, few, candidates, top, rivals, group, level)
-        group += two or beside_a_part(given, candidates, top, group, level)
+        group += two or _beside_a_part(given, candidates, top, group, level)
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
@@ -178,7 +178,7 @@ def _group(
         invisible = not candidates.visible(beside, other.term).shape[1]
         if in_part and invisible and candidates.numbers(other.term) < candidates.numbers(top.term):
             hidden.add(other.term.label)
-        elif not _as_good(problem, top, other) and not adds_nothing(problem, top, other, candidates, level):
+        elif not _as_good(problem, top, other) and not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
     return tuple(group), frozenset(hidden)
@@ -262,7 +262,7 @@ def _two_instead(
     return ()
 
 
-def beside_a_part(
+def _beside_a_part(
     problem: Problem, candidates: Candidates, top: Candidate, group: Sequence[Candidate], level: NoiseLevel
 ) -> tuple[Candidate, ...]:
     """Return each effect that at one speed is, together with a part of an effect, exactly that effect.
@@ -301,7 +301,9 @@ def refined_candidate(
     return candidates.at(problem, candidate, term, level)
 
 
-def adds_nothing(problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel) -> bool:
+def _adds_nothing(
+    problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel
+) -> bool:
     visible = candidates.visible(problem, other.term)
     given = problem.extended(visible, candidates.whitened(problem, other.term))
     simpler = candidates.numbers(other.term) < candidates.numbers(top.term)

@@ -29,7 +29,7 @@ _COVERAGE_FACTOR = 2.0
 # An effect is no cause when what another test sees is so many times likelier without it.
 _ODDS = 20.0
 
-Said = Literal["agrees", "is a part", "refuted"]
+_Said = Literal["agrees", "is a part", "refuted"]
 Cause = tuple[str, str]
 
 
@@ -99,7 +99,7 @@ class _Judged:
     """
 
     label: str
-    said: Said
+    said: _Said
     here: Size
     there: Size
 
@@ -307,7 +307,7 @@ def _mates(label: str, group: tuple[str, ...]) -> list[str]:
     return [other for other in group if axis and other != label and other.startswith(f"{name} ")]
 
 
-def _said(here: Size, there: Size) -> Said | None:
+def _said(here: Size, there: Size) -> _Said | None:
     """Return what the size of a cause in other tests says of it; None when it is neither seen there nor ruled out."""
     if not _differs(here, there):
         if _is_there(there):

@@ -267,7 +267,7 @@ def as_seen(part: Part, x: Floats, wide: Floats, hidden: NDArray[np.bool_]) -> F
     )
 
 
-def estimates_in(fitted: Fit, term: Term) -> list[Estimate]:
+def _estimates_in(fitted: Fit, term: Term) -> list[Estimate]:
     """Return the parameters of a term in a campaign."""
     where = term.instance.effect.name, term.instance.axis
     return [e for e in fitted.estimates if (e.effect, e.axis) == where]
@@ -298,7 +298,7 @@ def of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
 def seen_estimates(pool: Pool, fits: Sequence[Fit], number: int) -> dict[int, list[Estimate]]:
     """Return the parameters of a term of the machine in each campaign that sees it, by number of campaign."""
     return {
-        c: estimates_in(fitted, part.terms[part.number_of.index(number)])
+        c: _estimates_in(fitted, part.terms[part.number_of.index(number)])
         for c, (part, fitted) in enumerate(zip(pool.parts, fits, strict=True))
         if number in part.number_of
     }

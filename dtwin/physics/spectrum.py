@@ -28,10 +28,10 @@ def strongest_lines(
     peaks = 1 + np.flatnonzero((inner > amplitude[:-2]) & (inner >= amplitude[2:]))
     strongest = peaks[np.argsort(-amplitude[peaks])][:count]
     lines = [_refined(amplitude, int(k), rate_hz / n) for k in strongest]
-    return lines, band_rms_um(signal_um, rate_hz)
+    return lines, _band_rms_um(signal_um, rate_hz)
 
 
-def band_rms_um(
+def _band_rms_um(
     signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = _BANDS_HZ
 ) -> list[tuple[float, float, float]]:
     """Return (from_hz, to_hz, rms_um) of each band; by Parseval their squares add up.

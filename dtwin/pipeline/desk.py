@@ -83,7 +83,7 @@ class Desk:
             (self._folder / name).unlink(missing_ok=True)
 
 
-def open_question(folder: Path) -> Mapping[str, Any] | None:
+def _open_question(folder: Path) -> Mapping[str, Any] | None:
     """Return what is asked in a campaign folder, None when nothing is."""
     try:
         stated: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
@@ -110,7 +110,7 @@ def desks(home: Home) -> dict[str, tuple[Path, Mapping[str, Any]]]:
             folder = Path(entry.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
-        question = open_question(folder)
+        question = _open_question(folder)
         if question is not None and _alive(question["asked_by"]):
             by_name[entry.name] = folder, question
     return by_name
@@ -123,7 +123,7 @@ def _alive(stated: object) -> bool:
 
 def give_answer(folder: Path, question_id: str, answer: str) -> None:
     """Answer a question. Raises ``InputError`` when this is not asked now, or not answered so."""
-    asked = open_question(folder)
+    asked = _open_question(folder)
     if asked is None or asked["id"] != question_id or answer not in asked["answers"]:
         raise InputError(
             "this is not asked now",

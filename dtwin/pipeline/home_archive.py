@@ -36,7 +36,7 @@ _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
-class Archived:
+class _Archived:
     """A home that was written to a file, or read from one.
 
     ``path``: the file, or the home that was made.
@@ -50,7 +50,7 @@ class Archived:
     left: tuple[str, ...] = ()
 
 
-def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
+def backup(home: Home, out: Path, progress: Progress | None = None) -> _Archived:
     """Write all that a home holds to one file, which only its owner can read.
 
     Ingests wait meanwhile; databases are copied as of one moment. Caches, logs and locks are left out.
@@ -84,10 +84,10 @@ def backup(home: Home, out: Path, progress: Progress | None = None) -> Archived:
             }
             text = json.dumps(about | {"files": entries}, indent=0).encode()
             archive.addfile(_head(MANIFEST, len(text), 0.0), BytesIO(text))
-    return Archived(out, len(entries), sum(size for size, _ in entries.values()))
+    return _Archived(out, len(entries), sum(size for size, _ in entries.values()))
 
 
-def restore(archive: Path, home: Home, progress: Progress | None = None) -> Archived:
+def restore(archive: Path, home: Home, progress: Progress | None = None) -> _Archived:
     """Make a home from a backup; every file is compared with its hash before the home gets its name.
 
     Raises ``InputError`` when the home is there already, or the file is no backup.
@@ -122,7 +122,7 @@ def restore(archive: Path, home: Home, progress: Progress | None = None) -> Arch
     finally:
         shutil.rmtree(made, ignore_errors=True)
     left = tuple(map(str, sorted(home.root.parent.glob(f".{home.root.name}.*.restoring"))))
-    return Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()), left)
+    return _Archived(home.root, len(about["files"]), sum(size for size, _ in about["files"].values()), left)
 
 
 def _require_local(home: Home) -> None:

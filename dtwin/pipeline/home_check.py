@@ -23,7 +23,7 @@ from dtwin.shared_documents import shared_content, shared_units
 
 
 @dataclass(frozen=True)
-class HomeCheck:
+class _HomeCheck:
     """What was looked at, and what is wrong.
 
     ``looked_at``: number of runs, documents, records, databases and served bundles; of a shared home also what the
@@ -56,7 +56,7 @@ def shared_parts(home: Home) -> dict[str, dict[str, int]]:
     return parts
 
 
-def check_home(home: Home, progress: Progress | None = None) -> HomeCheck:
+def check_home(home: Home, progress: Progress | None = None) -> _HomeCheck:
     """Read everything that a home has a hash of, and ask its databases."""
     looked_at: dict[str, int] = {}
     wrong: dict[str, str] = {}
@@ -74,7 +74,7 @@ def check_home(home: Home, progress: Progress | None = None) -> HomeCheck:
             looked_at[name] += 1
             if said:
                 wrong[what] = said
-    return HomeCheck(looked_at, wrong)
+    return _HomeCheck(looked_at, wrong)
 
 
 def _runs(home: Home, progress: Progress | None) -> Iterator[tuple[str, str]]:

@@ -19,7 +19,7 @@ from dtwin.units import shown_unit
 
 TESTS_PER_FALSE_ALARM = 200.0
 """Tests of a machine where nothing changes, all its series together, in which one false alarm is expected at most."""
-RESTARTS = ("repair", "compensated", "moved")
+_RESTARTS = ("repair", "compensated", "moved")
 """Events after which another value is expected."""
 ALARMS = ("changed", "trend", "slow trend")
 """States of a series that are no rest, the most urgent first."""
@@ -186,7 +186,7 @@ def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str
     reasons: dict[int, str] = {}
     for i, (before, after) in enumerate(pairwise(points), start=1):
         between = [
-            e for e in events if e.what in RESTARTS and before.started[:10] < e.on.isoformat() <= after.started[:10]
+            e for e in events if e.what in _RESTARTS and before.started[:10] < e.on.isoformat() <= after.started[:10]
         ]
         if between:
             reasons[i] = ", ".join(e.note or e.what for e in between)

@@ -28,7 +28,7 @@ from dtwin.serve.bundle_file import parse_json, read_bytes
 from dtwin.serve.interface import mapping
 from dtwin.serve.sealed import CHAMPION, SEALED, TRIAL, is_sealed, write_sealed
 
-BEFORE, MADE = "lake.before-migration", "lake.migrating"
+_BEFORE, _MADE = "lake.before-migration", "lake.migrating"
 _LARGEST = 100_000
 _DOCUMENT = 50_000_000
 
@@ -62,13 +62,13 @@ def migrate(home: Home, progress: Progress) -> _Migrated:
     documents = [path for path in sorted((home.root / "twins").rglob("*.json")) if _sealed_now(path)]
     folders = sorted(path.parent for path in home.bundles.glob("*/machine.json"))
     machines = tuple(folder.name for folder in folders if _seal(folder))
-    before = home.root / BEFORE
+    before = home.root / _BEFORE
     return _Migrated(campaigns, n_runs, len(documents), machines, before if campaigns else None)
 
 
 def _lake(home: Home, progress: Progress) -> tuple[tuple[str, ...], int]:
     """Write the lake anew, put it in the place of the old one, and return its campaigns and runs."""
-    before, made = home.root / BEFORE, home.root / MADE
+    before, made = home.root / _BEFORE, home.root / _MADE
     place = home.lake
     if isinstance(place, Bucket):
         # No version without hashes ever wrote there.

@@ -104,7 +104,7 @@ def foretold(
     kind = kind_named(planned.kind)
     obs = kind.foreseen(planned) if kind.offers("foreseen") and planned.duration_s <= longest_s else None
     shown = [] if obs is None else detectable(obs, library, noise_um=planned.noise_um)
-    virtual = virtual_machine(home, str(planned.summary["machine"]), kind)
+    virtual = _virtual_machine(home, str(planned.summary["machine"]), kind)
     return {
         "name": planned.summary["name"],
         "machine": planned.summary["machine"],
@@ -150,7 +150,7 @@ def _alike(obs: Observations, library: Mapping[str, Effect]) -> list[list[str]]:
     return [[label for label in seen if label in group] for group in groups]
 
 
-def virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachine, dict[str, str]] | None:
+def _virtual_machine(home: Home, machine: str, kind: Kind) -> tuple[VirtualMachine, dict[str, str]] | None:
     """Return the virtual machine that a machine is by its newest campaign of a kind, with its options.
 
     None for a real one, and for a virtual one of which that campaign does not state every option.
@@ -174,7 +174,7 @@ def measured_by(home: Home, document: Mapping[str, Any]) -> tuple[str, dict[str,
     The seed is another one for each test, where a seed is of noise and set-ups alone.
     """
     planned = planned_document(document, "the plan")
-    virtual = virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
+    virtual = _virtual_machine(home, str(planned.summary["machine"]), kind_named(planned.kind))
     if virtual is None:
         return None
     machine, options = virtual

@@ -19,7 +19,7 @@ from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.pipeline.machine_history import instrument_of, record_of
 from dtwin.report.sheet import number_of
 
-CHANGED, SAME, OPEN = "changed", "not changed", "cannot be said"
+_CHANGED, _SAME, OPEN = "changed", "not changed", "cannot be said"
 _FALSE_ALARMS = 0.05
 _LOOKED_AT = 12
 _COVERAGE_FACTOR = 2.0
@@ -129,7 +129,7 @@ def sheet_changes(home: Home, campaign: str, earlier: str = "", machine: str = "
         "days": [day[:10] for day in days],
         "events": [event.as_dict() for event in events],
         "instruments": instruments,
-        "figures": sorted(figures, key=lambda one: (CHANGED, OPEN, SAME).index(one["said"])),
+        "figures": sorted(figures, key=lambda one: (_CHANGED, OPEN, _SAME).index(one["said"])),
         "counts": dict(Counter(one["said"] for one in figures)),
         "alone": [
             f"{symbol}, {title}"
@@ -155,9 +155,9 @@ def _compared(key: tuple[str, str], old: Mapping[str, Any], new: Mapping[str, An
         # With what was assumed twice as large: its variance four times.
         widest = math.hypot(k2 / _COVERAGE_FACTOR, *(math.sqrt(3.0) * float(c[f"standard_{unit}"]) for c in assumed))
         if abs(difference) > critical * widest:
-            said = CHANGED
+            said = _CHANGED
         elif abs(difference) <= k2 < max(abs(float(number_of(old, "value"))), abs(float(number_of(new, "value")))):
-            said = SAME
+            said = _SAME
     return {
         "condition": key[0],
         "symbol": key[1],

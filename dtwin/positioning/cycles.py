@@ -48,7 +48,7 @@ _MANY_TIMES = 2.0
 
 
 @dataclass(frozen=True)
-class SpoiltReading:
+class _SpoiltReading:
     """A reading that the other cycles contradict.
 
     ``cycle``: from 0.
@@ -64,7 +64,7 @@ class SpoiltReading:
     span_um: float
 
 
-def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
+def spoilt_readings(test: LinearTest) -> list[_SpoiltReading]:
     """Return the readings that the others of their target contradict, as they stand, else beside what each sweep is off as a whole."""
     if test.forward_um.shape[1] < _FEWEST_CYCLES:
         return []
@@ -75,7 +75,7 @@ def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
     return [s for s in _contradicted(test, ways) if _stands_alone(ways[s.way], s)]
 
 
-def _stands_alone(values: Floats, spoilt: SpoiltReading) -> bool:
+def _stands_alone(values: Floats, spoilt: _SpoiltReading) -> bool:
     """Return whether those before and after a reading of its sweep are not off with it: a shift in a sweep leaves a part of it so."""
     off = (values - _of_others(values, np.median))[:, spoilt.cycle]
     beside = (
@@ -98,7 +98,7 @@ def _beside_its_sweep(values: Floats) -> Floats:
     return np.asarray(values - lines - np.median(off - lines, axis=0))
 
 
-def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[SpoiltReading]:
+def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[_SpoiltReading]:
     off = {way: values - _of_others(values, np.median) for way, values in ways.items()}
     span = {way: _of_others(values, np.ptp) for way, values in ways.items()}
     every = np.concatenate([o.ravel() for o in off.values()])
@@ -106,7 +106,7 @@ def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[SpoiltRe
     step_um = _step_um(np.concatenate([test.forward_um, test.reverse_um]))
     limit = _FAR * max(usual_size(every), step_um / math.sqrt(12.0))
     found = [
-        SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
+        _SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
         for way in ways
         for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * (span[way] + step_um)))
     ]
@@ -136,13 +136,13 @@ def spoilt_finding(test: LinearTest) -> Finding | None:
         f"{test.scale.kind}.spoilt_readings",
         "error",
         f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
-        f"{with_all:z.4g} {test.scale.fine} with {'it' if one else 'them'} and {repeatability_without(test, found):z.4g} {test.scale.fine} without; measure "
+        f"{with_all:z.4g} {test.scale.fine} with {'it' if one else 'them'} and {_repeatability_without(test, found):z.4g} {test.scale.fine} without; measure "
         "that sweep again, or leave that cycle out",
         {"readings_1": float(len(found)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in found)},
     )
 
 
-def repeatability_without(test: LinearTest, spoilt: Sequence[SpoiltReading]) -> float:
+def _repeatability_without(test: LinearTest, spoilt: Sequence[_SpoiltReading]) -> float:
     """Return R when at each target the cycles with a spoilt reading there are left out."""
     largest = 0.0
     for i in range(len(test.position_mm)):
@@ -197,7 +197,7 @@ def zero_of_each_cycle(test: LinearTest) -> Finding | None:
 
 
 @dataclass(frozen=True)
-class MovingZero:
+class _MovingZero:
     """How readings move from cycle to cycle.
 
     ``shift_um`` (ways, targets, cycles): from the first reading, of what settles from where it settles to; slip is taken for steady.
@@ -207,7 +207,7 @@ class MovingZero:
     shift_um: Floats
 
 
-def moving_zero(test: LinearTest) -> MovingZero | None:
+def moving_zero(test: LinearTest) -> _MovingZero | None:
     """Return how readings move from cycle to cycle: by jumps, steadily, or as something that warms; None when they do not.
 
     The first sweep of each direction tells what belongs to the targets; the rest is described by a shift that grows by the
@@ -316,7 +316,7 @@ def moving_zero(test: LinearTest) -> MovingZero | None:
         f"cycles differ: {words}",
         {f"size_{test.scale.figure}": float(sizes[0])},
     )
-    return MovingZero(finding, np.asarray(shift))
+    return _MovingZero(finding, np.asarray(shift))
 
 
 _SUDDEN = ("slip", "jump", "jumps")

@@ -139,7 +139,7 @@ def read_position_runs(
     lengths = any(map(is_length, first)) or assigned_unit(text) in LENGTHS.units
     if not scale.turn and turns and not lengths:
         raise of_other_unit(scale, path, turns.strip()[:60])
-    table = table_in(text, rows, path, str(condition.get("instrument", "")), scale)
+    table = _table_in(text, rows, path, str(condition.get("instrument", "")), scale)
     said = [*stated_figures(text, table.forward_um, table.reverse_um), *said_of(table)]
     if others:
         only = f"the file holds other axes, too: what is called {axis} in it was read"
@@ -158,7 +158,7 @@ def _names_angles(title: str) -> bool:
     return is_angle(title) and re.search(r"\d\s*°", title) is None
 
 
-def table_in(
+def _table_in(
     text: str, rows: Sequence[Sequence[str]], path: Path, instrument: str = "", scale: Scale = LENGTHS
 ) -> PositionTable:
     """Return the table of a text of any of the forms, whose cells are ``rows``; ``instrument``: of a report of several.

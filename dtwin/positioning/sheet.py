@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 Asked = Callable[[LinearTest], list[str]]
-Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
+_Uncertain = Callable[[str, LinearTest], tuple[Contribution, ...]]
 _FIGURES = (
     ("A", "bi-directional accuracy", "accuracy_um"),
     ("A↑", "accuracy, forward", "accuracy_forward_um"),
@@ -43,7 +43,7 @@ _FIGURES = (
 )
 
 
-def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: Uncertain, scale: Scale = LENGTHS) -> Sheet:
+def positioning_sheet(runs: Sequence[Run], asked: Asked, uncertain: _Uncertain, scale: Scale = LENGTHS) -> Sheet:
     """Evaluate every axis of a campaign.
 
     ``runs``: with all columns; runs with an error of quality are left out where there are others, and named. Runs of one
@@ -79,7 +79,7 @@ def evaluated_tests(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[LinearT
 
 
 def _evaluated(
-    title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: Uncertain, scale: Scale
+    title: str, every: Sequence[Run], ways: Ways, asked: Asked, uncertain: _Uncertain, scale: Scale
 ) -> tuple[Part | None, list[str]]:
     members, notes = sound_runs(every)
     sound = not any(f.severity == "error" for run in members for f in run.findings)
@@ -111,7 +111,7 @@ def _evaluated(
     return Part(f"{title}, {span}, {targets}", ids, _figures(test, ways, uncertain), sound), notes
 
 
-def _figures(test: LinearTest, ways: Ways, uncertain: Uncertain) -> tuple[Characteristic, ...]:
+def _figures(test: LinearTest, ways: Ways, uncertain: _Uncertain) -> tuple[Characteristic, ...]:
     n = test.forward_um.shape[1]
     named = [figure for figure in _FIGURES if can_be_told(figure[0], ways, n)]
     if n == 1:

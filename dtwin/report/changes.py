@@ -15,7 +15,7 @@ def change_table(found: Mapping[str, Any]) -> tuple[Sequence[str], list[list[str
     """Return head and rows of the figures side by side, ``found`` as ``sheet_changes`` returns it."""
     unit = shown_unit(found["unit"])
     head = ("figure", "condition", f"before, {unit}", f"now, {unit}", f"difference, {unit} (k = 2)", "said")
-    return head, [[c["symbol"], c["condition"], *c["shown"], difference_words(c), c["said"]] for c in found["figures"]]
+    return head, [[c["symbol"], c["condition"], *c["shown"], _difference_words(c), c["said"]] for c in found["figures"]]
 
 
 def changes_title(found: Mapping[str, Any]) -> str:
@@ -50,7 +50,7 @@ def changes_text(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def difference_words(figure: Mapping[str, Any]) -> str:
+def _difference_words(figure: Mapping[str, Any]) -> str:
     """Return the difference of a figure with its uncertainty."""
     k2, difference = number_of(figure, "difference_k2"), number_of(figure, "difference")
     if k2 is None:

@@ -30,7 +30,7 @@ _MANY_ROWS = 0.1
 """Share of a table that is not used, from which on it is a warning."""
 _LISTED_ROWS = 8
 Tolerances = Callable[[str], Mapping[str, Limits]]
-Surroundings = Callable[[str], Variation | None]
+_Surroundings = Callable[[str], Variation | None]
 
 
 def _no_tolerances(machine: str) -> Mapping[str, Limits]:
@@ -43,7 +43,7 @@ def _no_surroundings(machine: str) -> Variation | None:
     return None
 
 
-def sheet_of(
+def _sheet_of(
     kind: Kind,
     campaign: Campaign,
     runs: Sequence[Run],
@@ -83,7 +83,7 @@ def check_source(
     progress: Progress | None = None,
     told: Mapping[str, Any] | None = None,
     tolerances: Tolerances = _no_tolerances,
-    surroundings: Surroundings = _no_surroundings,
+    surroundings: _Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
@@ -102,7 +102,7 @@ def check_campaign(
     name: str,
     progress: Progress | None = None,
     tolerances: Tolerances = _no_tolerances,
-    surroundings: Surroundings = _no_surroundings,
+    surroundings: _Surroundings = _no_surroundings,
 ) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
     campaign = lake.campaign(name)
@@ -123,7 +123,7 @@ def campaign_sheet(
     kind.require("sheet")
     runs = (lake.load(row, signals=False) for row in lake.runs(name))
     kept = [without_samples(replace(run, findings=tuple(_findings_of(run))), kind.sheet_columns) for run in runs]
-    return sheet_of(kind, campaign, kept, limits, variation)
+    return _sheet_of(kind, campaign, kept, limits, variation)
 
 
 def _checked(
@@ -133,7 +133,7 @@ def _checked(
     total: int,
     progress: Progress | None,
     tolerances: Tolerances,
-    surroundings: Surroundings,
+    surroundings: _Surroundings,
 ) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
@@ -167,7 +167,7 @@ def _checked(
     sheet = {}
     if kind.offers("sheet"):
         machine = campaign.machine
-        sheet = {"sheet": sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
+        sheet = {"sheet": _sheet_of(kind, campaign, light, tolerances(machine), surroundings(machine))}
     return {
         **kind.campaign_figures(of_one_way(light)),
         **sheet,

@@ -23,7 +23,7 @@ def twin_text(twin: Any) -> str:
     )
     lines = [head, _as_text(campaign_table(document))]
     if document["shared"]:
-        lines.append(_as_text(shared_table(document)))
+        lines.append(_as_text(_shared_table(document)))
     lines += contradiction_lines(document)
     return "\n\n".join(["\n".join(lines), *(report_of(one.as_dict()).twin_text(one) for one in twin.members)])
 
@@ -72,7 +72,7 @@ def captioned(twin: Any) -> list[tuple[str, Table]]:
     document = twin.as_dict()
     out = [("What the twin leaves of each campaign", campaign_table(document))]
     if document["shared"]:
-        out.append(("Sizes that several campaigns tell", shared_table(document)))
+        out.append(("Sizes that several campaigns tell", _shared_table(document)))
     for one in twin.members:
         caption = f"Effects in {', '.join(one.campaigns)}, and their sizes"
         out += [(caption, shown) for shown in report_of(one.as_dict()).twin_section(one).tables[:1]]
@@ -106,7 +106,7 @@ def campaign_table(document: Mapping[str, Any]) -> Table:
     return Table(("campaign", "kind", "begun", "before, µm RMS", "left, µm RMS", "noise floor, µm"), rows)
 
 
-def shared_table(document: Mapping[str, Any]) -> Table:
+def _shared_table(document: Mapping[str, Any]) -> Table:
     """Return the sizes that several fits tell, with what each says alone."""
     rows = [
         (

@@ -34,7 +34,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
 def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal: of all together, and what each campaign says by itself."""
     shown = _said_table(result)
-    lines = [*contradiction_lines(result), *explanation_lines(result), *settled_lines(result)]
+    lines = [*contradiction_lines(result), *_explanation_lines(result), *_settled_lines(result)]
     return "\n".join([twins.diagnosis_text(name, result), table(shown.head, shown.rows), *lines])
 
 
@@ -42,7 +42,7 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
     made = twins.diagnosis_section(name, result)
     told = [("warning", line) for line in contradiction_lines(result)]
-    told += [("info", line) for line in (*explanation_lines(result), *settled_lines(result))]
+    told += [("info", line) for line in (*_explanation_lines(result), *_settled_lines(result))]
     return Section(made.title, made.paragraphs, [*made.findings, *told], [_said_table(result)], made.figures, made.code)
 
 
@@ -111,12 +111,12 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def explanation_lines(result: Mapping[str, Any]) -> list[str]:
+def _explanation_lines(result: Mapping[str, Any]) -> list[str]:
     """Return which effects would make a contradiction vanish."""
     return [f"{name} would explain what campaigns say of {what}" for name, what in result["explained"].items()]
 
 
-def settled_lines(result: Mapping[str, Any]) -> list[str]:
+def _settled_lines(result: Mapping[str, Any]) -> list[str]:
     """Return which groups one campaign leaves open and another settles."""
     words = {"agrees": "agrees with", "is a part": "is a part of it by", "refuted": "is ruled out by"}
     out = []

@@ -13,7 +13,7 @@ from dtwin.schema import Run
 from dtwin.tolerances import Limits
 from dtwin.units import shown_unit
 
-INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
+_INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Characteristic:
         under = -math.inf if self.limits.low_um is None else self.limits.low_um - self.value_um
         known = math.isfinite(self.expanded_um)
         if known and max(over, under) <= -self.expanded_um:
-            return OPEN if self.too_small and self.limits.high_um is not None else INSIDE
+            return OPEN if self.too_small and self.limits.high_um is not None else _INSIDE
         # Bounds are included: what may lie on a bound is not proved to be outside. Nor is what is too small, by a lower bound.
         beyond = over if self.too_small else max(over, under)
         return OUTSIDE if known and beyond > self.expanded_um else OPEN
@@ -143,7 +143,7 @@ class Sheet:
 def _worst(decisions: Iterable[str]) -> str:
     """Return the worst of some decisions; empty when none was made."""
     made = set(decisions)
-    return next((d for d in (OUTSIDE, OPEN, INSIDE) if d in made), "")
+    return next((d for d in (OUTSIDE, OPEN, _INSIDE) if d in made), "")
 
 
 def sound_runs(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:

@@ -112,7 +112,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Stated:
+class _Stated:
     """A number, and whether nobody stated it."""
 
     value: float
@@ -138,14 +138,14 @@ class Circumstances:
     variation: Variation | None = None
     where: str = "instrument"
 
-    def stated(self, name: str, otherwise: float) -> Stated:
+    def stated(self, name: str, otherwise: float) -> _Stated:
         """Return a number of the instrument's table, ``otherwise`` when it is not there.
 
         Raises ``InputError`` when it is no number from 0 to a million.
         """
         value = self.instrument.get(name)
         if value is None:
-            return Stated(otherwise, True)
+            return _Stated(otherwise, True)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < _LARGEST:
             raise InputError(
                 "the uncertainty of the instrument is not usable",
@@ -154,7 +154,7 @@ class Circumstances:
                 got=str(value)[:60],
                 allowed=f"a number from 0 to {_LARGEST:g}",
             )
-        return Stated(float(value), False)
+        return _Stated(float(value), False)
 
     def reading(self, otherwise: float, unit: str = "um") -> Contribution:
         """Return what the instrument contributes to a difference of two readings, ``uncertainty_um`` (k = 2), or in another unit."""

@@ -33,13 +33,13 @@ class AxisInputs:
         rates = {i.name: i.rate_hz for i in bundle.inputs}
         asked = [n for n in bundle.tick_inputs if n not in STANDARD_INPUTS and n not in given]
         window = None if sensors else bundle.window
-        self.windows = ChannelWindows(window) if window else None
+        self.windows = _ChannelWindows(window) if window else None
         self.channels = window.channels if window else ()
         self.channels_hz = window.rate_hz if window else 0.0
-        self.watch: ToneWatch | None = None
+        self.watch: _ToneWatch | None = None
         wanted = {name: rates[name] for name in asked}
         if window and COMMAND_PHASE in asked and SENT in self.channels:
-            self.watch = ToneWatch(window.hop)
+            self.watch = _ToneWatch(window.hop)
             wanted[COMMANDED] = window.rate_hz
         self.live = LiveValues(wanted)
         self._of_watch = [self.live.names.index(n) if self.watch else 0 for n in (COMMANDED, COMMAND_PHASE)]
@@ -61,7 +61,7 @@ class AxisInputs:
             self.watch.forget()
 
 
-class ToneWatch:
+class _ToneWatch:
     """Feeds a :class:`DivergenceWatch` from the samples of a control.
 
     ``n``: samples of one hop.
@@ -105,7 +105,7 @@ class ToneWatch:
         self._seen, self._watch = 0, DivergenceWatch()
 
 
-class ChannelWindows:
+class _ChannelWindows:
     """The newest window of sampled channels, a hop after the one before.
 
     ``ready``: whether a whole window has come since the last :meth:`forget`.

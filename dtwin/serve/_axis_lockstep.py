@@ -27,7 +27,7 @@ _SHOWN_EVERY_S = 0.02
 _ASKED_EVERY_S = 0.1
 
 
-class LockstepControl:
+class _LockstepControl:
     """A control at the other end of a link, as the lock-step loop sees it.
 
     ``link``: open, with its first state received.
@@ -147,7 +147,7 @@ def serve_machine_clock(
     """
     if link.wait_state(_ANSWER_S) is None:
         raise DeviceError("the control sends no states", code="states.silent", where=request.place)
-    control = LockstepControl(link, decision, inputs, request.longest_s, asked, withdrawn, board, note)
+    control = _LockstepControl(link, decision, inputs, request.longest_s, asked, withdrawn, board, note)
     status = serve_lockstep(decision, control, period_s=link.greeting.period_s, mode=request.mode, stop=control.stops)
     if status.fault is not None:
         note(LINK_LOST, why=status.ended, said=status.fault["message"])

@@ -71,7 +71,7 @@ class Connection:
     def judge(self, device: str) -> None:
         """Take what answered, and refuse what the evidence does not carry."""
         self.device = device
-        require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
+        _require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
 
 
 class AxisConnection(Connection):
@@ -170,7 +170,7 @@ def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
     return compiled.limited(dataclasses.replace(safety, clamp_um=_TRIAL_SHARE * safety.clamp_um))
 
 
-def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
+def _require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
     """Refuse to move a real device on evidence from a virtual one, outside a trial."""
     evidence = bundle.provenance.evidence
     if device == "virtual" or mode != "live" or trial or evidence == "real":

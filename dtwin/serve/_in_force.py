@@ -20,7 +20,7 @@ _REMEMBERED = 256
 
 
 @compiled
-def farthest_kernel(sent_um: Floats, last: int, behind: int, out_um: Floats) -> float:
+def _farthest_kernel(sent_um: Floats, last: int, behind: int, out_um: Floats) -> float:
     """Return the longest distance in um from ``out_um`` to the newest ``behind + 1`` vectors.
 
     ``sent_um`` (n, 3): ring of vectors.
@@ -117,4 +117,4 @@ class InForce:
             return step_um
         if self._behind >= _REMEMBERED:
             return 0.0
-        return max(step_um - farthest_kernel(self._sent_um, self._n, self._behind, out_um), 0.0)
+        return max(step_um - _farthest_kernel(self._sent_um, self._n, self._behind, out_um), 0.0)

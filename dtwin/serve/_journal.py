@@ -93,7 +93,7 @@ class Sparing:
         self._left_out.clear()
 
 
-class Journal:
+class _Journal:
     """The loop's end of the pipe. ``dropped``: lines that did not fit the pipe."""
 
     def __init__(self, path: Path) -> None:
@@ -137,12 +137,12 @@ class Journal:
 
 
 @contextlib.contextmanager
-def journal(path: Path, announce: Callable[[str], None]) -> Iterator[Journal]:
+def journal(path: Path, announce: Callable[[str], None]) -> Iterator[_Journal]:
     """Keep a journal while the block runs; an exception that leaves the block is its reason.
 
     ``announce``: is told, at the end, when lines could not be written.
     """
-    kept = Journal(path)
+    kept = _Journal(path)
     try:
         yield kept
     except BaseException as error:

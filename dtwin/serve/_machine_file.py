@@ -18,14 +18,14 @@ from dtwin.serve._fields import number, one_of, only_fields
 from dtwin.serve.sealed import MACHINE, read_sealed, write_sealed
 
 _CHAINS = {"ur10e": UR10E}
-MACHINE_TYPES = tuple(_CHAINS)
+_MACHINE_TYPES = tuple(_CHAINS)
 
 
 @dataclass(frozen=True)
 class MachineGeometry:
     """What serving must know of a machine.
 
-    ``type``: one of ``MACHINE_TYPES``; it fixes the kinematic chain.
+    ``type``: one of ``_MACHINE_TYPES``; it fixes the kinematic chain.
     ``tcp_mm``: tool centre point in the flange frame.
     """
 
@@ -97,4 +97,4 @@ def _geometry(data: object, where: str) -> MachineGeometry:
             allowed="[x, y, z] in mm, in the flange frame",
         )
     x, y, z = (number(value, "tcp_mm") for value in listed)
-    return MachineGeometry(one_of(fields["type"], MACHINE_TYPES, "type"), (x, y, z))
+    return MachineGeometry(one_of(fields["type"], _MACHINE_TYPES, "type"), (x, y, z))

@@ -10,7 +10,7 @@ from dtwin.schema import Floats
 from dtwin.serve._journal import Bucket, Note, no_journal
 from dtwin.serve.safety import REASONS
 
-SETTLE_S = 1.0
+_SETTLE_S = 1.0
 """How long a robot must have run again, after a stop, before it is corrected again."""
 
 _NOTE_EVERY_S = 0.05
@@ -35,11 +35,11 @@ def condition_of(state: Floats) -> str:
 class ProgramWatch:
     """Holds the correction back while the program stands, and notes why.
 
-    ``settle_s``: as ``SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
+    ``settle_s``: as ``_SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
     ``condition``: as :func:`condition_of`.
     """
 
-    def __init__(self, note: Note = no_journal, settle_s: float = SETTLE_S) -> None:
+    def __init__(self, note: Note = no_journal, settle_s: float = _SETTLE_S) -> None:
         self.condition = ""
         self.since_s = math.nan
         self._note, self._settle_s = note, settle_s

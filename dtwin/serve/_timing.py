@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-STAGES = ("window", "path", "equation", "guard", "send", "total")
+_STAGES = ("window", "path", "equation", "guard", "send", "total")
 _EDGES_US = (0, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 
@@ -21,7 +21,7 @@ class LoopTiming:
         self.late = 0
         self.missed = 0
         self.timeouts = 0
-        self._stages: NDArray[np.int64] = np.zeros((capacity, len(STAGES)), dtype=np.int64)
+        self._stages: NDArray[np.int64] = np.zeros((capacity, len(_STAGES)), dtype=np.int64)
         self._interval_s = np.zeros(capacity)
         self._age_s = np.zeros(capacity)
         self._window_age_s = np.zeros(capacity)
@@ -118,7 +118,7 @@ class LoopTiming:
             "timeouts": self.timeouts,
             "late_share": self.late_share,
             "period_ms": _percentiles(interval * 1e3),
-            "stage_us": {name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)},
+            "stage_us": {name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(_STAGES)},
             "state_age_ms": _percentiles(self._age_s[:n] * 1e3),
             "answer_ms": _percentiles(_finite(self._answer_s) * 1e3),
             "window_age_ms": _percentiles(_finite(self._window_age_s[:n]) * 1e3),

@@ -21,7 +21,7 @@ from dtwin.train.symbolic import Engine, FittedFormula, refit
 # Ratios and pure numbers only, so that no formula can mix units; its value is in um.
 # Harmonics instead of the angle itself, so that every formula closes on itself after a turn.
 _HARMONICS = range(1, 9)
-INPUTS = (*(f"{w}{h}" for h in _HARMONICS for w in "cs"), "f", "r", "d")
+_INPUTS = (*(f"{w}{h}" for h in _HARMONICS for w in "cs"), "f", "r", "d")
 _REFERENCE_FEED_MM_S = 50.0
 _REFERENCE_RADIUS_MM = 100.0
 _BINS_TOGETHER = 3
@@ -86,7 +86,7 @@ def formula_effect(name: str, text: str) -> Effect:
     ``text``: the formula; nothing but numbers, the inputs, arithmetic and known functions.
     Raises ``InputError`` when it holds anything else.
     """
-    formula, constants = parse_formula(text, INPUTS)
+    formula, constants = parse_formula(text, _INPUTS)
 
     def columns(state: State, axis: str, shape: Shape) -> Floats:
         values = formula.values(_inputs(state.angle_rad, state.feed_mm_s, state.radius_mm, state.direction), constants)
@@ -128,7 +128,7 @@ def _table(obs: Observations, residual_um: Floats) -> tuple[dict[str, Floats], F
         sign = 1.0 if condition.direction == "CCW" else -1.0
         parts.append(_inputs(theta, float(obs.feed_mm_s[rows].mean()), condition.radius_mm, sign))
     n = N_BINS // _BINS_TOGETHER
-    inputs = {name: np.concatenate([part[name] for part in parts]) for name in INPUTS}
+    inputs = {name: np.concatenate([part[name] for part in parts]) for name in _INPUTS}
     place = [int(obs.place_of[obs.condition_of == c][0]) for c in range(len(obs.conditions))]
     return inputs, target.ravel(), np.repeat(place, n)
 

@@ -140,10 +140,10 @@ class PySREngine:
         model = PySRRegressor(**self.arguments(seed))
         names = list(inputs)
         model.fit(np.column_stack([inputs[n] for n in names]), target, variable_names=names)
-        return read_hall_of_fame(model.equations_)
+        return _read_hall_of_fame(model.equations_)
 
 
-def read_hall_of_fame(equations: Any) -> list[Found]:
+def _read_hall_of_fame(equations: Any) -> list[Found]:
     """Return the front from PySR's table of equations.
 
     ``equations``: with the columns ``equation``, ``complexity`` and ``loss``.

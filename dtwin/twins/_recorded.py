@@ -15,7 +15,7 @@ from dtwin.physics.twin import Twin
 
 
 @dataclass(frozen=True)
-class RecordedContradiction(Contradiction):
+class _RecordedContradiction(Contradiction):
     """A contradiction, and what was recorded of the machine meanwhile.
 
     ``between``: start of the last test with the older value, and of the first with the newer one, ISO 8601; of a single
@@ -47,11 +47,11 @@ def recorded(
     return tuple(_recorded(one, started, events) for one in contradictions)
 
 
-def _recorded(one: Contradiction, started: Mapping[str, str], events: Sequence[Event]) -> RecordedContradiction:
+def _recorded(one: Contradiction, started: Mapping[str, str], events: Sequence[Event]) -> _RecordedContradiction:
     between = _between(*([started[name] for name in names] for names in (one.campaigns, one.others)))
     pairs = itertools.pairwise(between)
     told = tuple(tuple(e.as_dict() for e in events_between(events, *days)) for days in pairs)
-    return RecordedContradiction(**{**vars(one), "between": between, "events": told})
+    return _RecordedContradiction(**{**vars(one), "between": between, "events": told})
 
 
 def _between(mine: Sequence[str], theirs: Sequence[str]) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ _DAMAGED = (
     SyntaxError,
     tokenize.TokenError,
 )
-Reduced = tuple[Observations, Floats | None]
+_Reduced = tuple[Observations, Floats | None]
 
 
 def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -56,7 +56,7 @@ def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return digest.hexdigest()
 
 
-def read_reduced(home: Home, campaign: str, stamp: str) -> Reduced | None:
+def read_reduced(home: Home, campaign: str, stamp: str) -> _Reduced | None:
     """Return the runs and what the controller saw; None when they are to be made.
 
     ``stamp``: as ``stamp_of`` gives it.
@@ -88,7 +88,7 @@ def read_reduced(home: Home, campaign: str, stamp: str) -> Reduced | None:
     return obs, controller
 
 
-def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> None:
+def keep_reduced(home: Home, campaign: str, stamp: str, reduced: _Reduced) -> None:
     """Keep reduced runs; where there is no room they are made again the next time.
 
     ``home``, ``campaign``, ``stamp``: as in ``read_reduced``.

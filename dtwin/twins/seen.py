@@ -36,7 +36,7 @@ from dtwin.twins.verbs import Twins
 
 Rows = Callable[[Observations], Indices]
 """Which rows of a campaign a fit takes."""
-Agree = Callable[[PathMember, Sizes], Sizes]
+_Agree = Callable[[PathMember, Sizes], Sizes]
 """What fits of other kinds make of the sizes of one."""
 
 
@@ -166,7 +166,7 @@ def _of_one(twins: Twins, twin: Twin) -> Seen:
 def _of_several(
     member: PathMember,
     twin: SeveralTwin,
-    agree: Agree,
+    agree: _Agree,
     on: str,
     contradictions: Sequence[Contradiction],
     diagnosed: Twins | None = None,
@@ -204,7 +204,7 @@ def _without(terms: Sequence[Term], gone: tuple[str, str]) -> tuple[Term, ...]:
 
 
 def _fitted(
-    member: PathMember, twin: SeveralTwin, agree: Agree, *, refine: bool = True, of: int = 0
+    member: PathMember, twin: SeveralTwin, agree: _Agree, *, refine: bool = True, of: int = 0
 ) -> tuple[SeveralTwin, np.ndarray]:
     """Return the effects of a twin fitted to campaigns, and the covariance of the parameters that one of them sees."""
     terms = [t for t in twin.terms if any(seen_by(t, obs, member.library) for obs in member.observations)]

@@ -35,7 +35,7 @@ router = APIRouter()
 _TITLES = {"together": "Tests of {} together", "next": "Next test of {}"}
 
 
-class EventTold(BaseModel):
+class _EventTold(BaseModel):
     """What happened; an empty day is today."""
 
     what: str = Field(max_length=40)
@@ -43,13 +43,13 @@ class EventTold(BaseModel):
     note: str = Field("", max_length=400)
 
 
-class NotedEvent(EventTold):
+class _NotedEvent(_EventTold):
     """An event as it is noted; a command may have noted more than the page takes."""
 
     note: str = Field("", max_length=2000)
 
 
-class FactsTold(BaseModel):
+class _FactsTold(BaseModel):
     """What is known of a machine; what is empty is not known."""
 
     type: str = Field("", max_length=2000)
@@ -60,13 +60,13 @@ class FactsTold(BaseModel):
     notes: str = Field("", max_length=2000)
 
 
-class MachineTold(FactsTold):
+class _MachineTold(_FactsTold):
     """A machine that has no test yet."""
 
     machine: str = Field(max_length=128)
 
 
-class AxisTold(BaseModel):
+class _AxisTold(BaseModel):
     """An axis with lengths in mm; None where one is not known, and an axis without any is taken back."""
 
     axis: str = Field(max_length=8, pattern=r"^[A-Za-z0-9]+$")
@@ -76,19 +76,19 @@ class AxisTold(BaseModel):
     high_mm: float | None = None
 
 
-class SymbolTold(BaseModel):
+class _SymbolTold(BaseModel):
     """A figure of a test sheet."""
 
     symbol: str = Field(max_length=40)
 
 
-class ToleranceTold(SymbolTold):
+class _ToleranceTold(_SymbolTold):
     """The largest value that a figure may have, in µm."""
 
     high_um: float
 
 
-class ScheduleTold(BaseModel):
+class _ScheduleTold(BaseModel):
     """Days between two tests; 0 takes a schedule back."""
 
     days: float
@@ -211,51 +211,51 @@ def control_chart(bench: Here, name: str, of: str) -> Response:
 
 
 @router.post("/api/machines/{name}/event")
-def tell_event(bench: Here, name: str, told: EventTold) -> JSONResponse:
+def tell_event(bench: Here, name: str, told: _EventTold) -> JSONResponse:
     """Note what happened to a machine."""
     return _noted(bench, name, "Note for", with_event, told)
 
 
 @router.post("/api/machines/{name}/event/drop")
-def drop_event(bench: Here, name: str, told: NotedEvent) -> JSONResponse:
+def drop_event(bench: Here, name: str, told: _NotedEvent) -> JSONResponse:
     """Take back the note of an event."""
     return _noted(bench, name, "Note taken back for", without_event, told)
 
 
 @router.post("/api/machines")
-def add_machine(bench: Here, told: MachineTold) -> JSONResponse:
+def add_machine(bench: Here, told: _MachineTold) -> JSONResponse:
     """Add a machine before its first test; one that is there keeps what is known of it."""
     facts = {key: value for key, value in told.model_dump(exclude={"machine"}).items() if value}
     return _stated(bench, told.machine, "Record", facts)
 
 
 @router.post("/api/machines/{name}/facts")
-def tell_facts(bench: Here, name: str, told: FactsTold) -> JSONResponse:
+def tell_facts(bench: Here, name: str, told: _FactsTold) -> JSONResponse:
     """State what is known of a machine."""
     return _stated(bench, name, "Record", told.model_dump())
 
 
 @router.post("/api/machines/{name}/axis")
-def tell_axis(bench: Here, name: str, told: AxisTold) -> JSONResponse:
+def tell_axis(bench: Here, name: str, told: _AxisTold) -> JSONResponse:
     """State what is known of an axis, or take it back."""
     known = told.model_dump(exclude={"axis"}, exclude_none=True)
     return _stated(bench, name, f"Axis {told.axis}", {"axes": {told.axis: known or None}})
 
 
 @router.post("/api/machines/{name}/tolerance/drop")
-def drop_tolerance(bench: Here, name: str, told: SymbolTold) -> JSONResponse:
+def drop_tolerance(bench: Here, name: str, told: _SymbolTold) -> JSONResponse:
     """Take back what is stated of a figure."""
     return _stated(bench, name, "Tolerance taken back", {"tolerances": {told.symbol: None}})
 
 
 @router.post("/api/machines/{name}/tolerance")
-def tell_tolerance(bench: Here, name: str, told: ToleranceTold) -> JSONResponse:
+def tell_tolerance(bench: Here, name: str, told: _ToleranceTold) -> JSONResponse:
     """State the largest value that a figure may have."""
     return _stated(bench, name, "Tolerance", {"tolerances": {told.symbol: told.high_um}})
 
 
 @router.post("/api/machines/{name}/schedule")
-def tell_schedule(bench: Here, name: str, told: ScheduleTold) -> JSONResponse:
+def tell_schedule(bench: Here, name: str, told: _ScheduleTold) -> JSONResponse:
     """State how often a machine is tested."""
     return _stated(bench, name, "Tests", {"test_every_days": told.days})
 
@@ -285,7 +285,7 @@ def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JS
 
 
 def _noted(
-    bench: Bench, name: str, title: str, change: Callable[..., object], told: EventTold | NotedEvent
+    bench: Bench, name: str, title: str, change: Callable[..., object], told: _EventTold | _NotedEvent
 ) -> JSONResponse:
     bench.history(name)
     note = partial(change, bench.home, name, told.what, told.on, told.note)

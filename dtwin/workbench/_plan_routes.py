@@ -48,7 +48,7 @@ _LONGEST, _MOST_SETTINGS = 400, 60
 # Of plans of hours, too, which no column of a measurement counts in.
 # A feed of a linear plan is in its own unit a minute.
 _UNITS = {"um_h": "um/h", **UNITS, "h": "h", "min": "unit/min"}
-Ending = Literal["toml", "zip"]
+_Ending = Literal["toml", "zip"]
 
 
 class _PlanTold(BaseModel):
@@ -94,14 +94,14 @@ def plan_page(request: Request, bench: Here, name: str) -> Response:
 
 
 @router.get("/machines/{name}/plan.{ending}")
-def plan_files(request: Request, bench: Here, name: str, ending: Ending) -> Response:
+def plan_files(request: Request, bench: Here, name: str, ending: _Ending) -> Response:
     """Return what the form says as a plan file, or as plan file and programs."""
     kind, told = _told(request.url.query)
     return _files(with_settings(draft_of(bench.home, name, kind), told), ending)
 
 
 @router.get("/machines/{name}/plans/{plan}.{ending}")
-def kept_files(bench: Here, name: str, plan: str, ending: Ending) -> Response:
+def kept_files(bench: Here, name: str, plan: str, ending: _Ending) -> Response:
     """Return a plan that was kept as its file, or as plan file and programs."""
     return _files(kept_plan(bench.home, plan), ending)
 
@@ -181,7 +181,7 @@ def _told(query: str) -> tuple[str, dict[str, str]]:
     return told.pop("kind", drafting_kinds()[0]), told
 
 
-def _files(document: Mapping[str, Any], ending: Ending) -> Response:
+def _files(document: Mapping[str, Any], ending: _Ending) -> Response:
     name = str(document["plan"]["name"])
     if ending == "toml":
         planned_document(document, name)

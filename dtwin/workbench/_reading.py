@@ -57,7 +57,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class View:
+class _View:
     """A twin against its runs, ready to draw.
 
     ``key``: twin, version and table version that it was made from.
@@ -143,7 +143,7 @@ def version_file(bench: Bench, name: str, version: int) -> Path:
     return bench.twins.root / require_name(name, "the twin") / f"{version_name(version)}.json"
 
 
-def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:
+def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> _View:
     """Return a twin against runs.
 
     ``version``: the newest without.
@@ -154,7 +154,7 @@ def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> V
     made = version_file(bench, name, twin.version).stat().st_mtime_ns
     key = ("view", name, twin.version, made, campaign, bench.stamp(campaign))
 
-    def compared() -> View:
+    def compared() -> _View:
         return _viewed(key, bench.twins.compared(twin, _loaded(bench, campaign)))
 
     return bench.cache.get(key, compared)
@@ -166,7 +166,7 @@ def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None
     return read_document(path) if path.exists() else None
 
 
-def floor_of(bench: Bench, view: View) -> Floor:
+def floor_of(bench: Bench, view: _View) -> Floor:
     """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
     if math.isfinite(view.floor_um):
         return Floor(view.floor_um, "repeats")
@@ -181,20 +181,20 @@ def floor_of(bench: Bench, view: View) -> Floor:
     return Floor(math.nan, "none")
 
 
-def chosen_conditions(view: View, wanted: Sequence[int]) -> list[int]:
+def chosen_conditions(view: _View, wanted: Sequence[int]) -> list[int]:
     """Return valid numbers of conditions; the one with the largest residual without any."""
     here = [c for c in dict.fromkeys(wanted) if 0 <= c < len(view.obs.conditions)]
     return here or [int(np.argmax(np.nanmean(view.residual_um**2, axis=1)))]
 
 
-def both_ways(view: View, number: int) -> list[int]:
+def both_ways(view: _View, number: int) -> list[int]:
     """Return a condition with the one that differs from it by its direction only."""
     conditions = view.obs.conditions
     shape = [(c.plane, c.radius_mm, c.feed_mm_min) for c in conditions]
     return [number, *(other for other in range(len(shape)) if other != number and shape[other] == shape[number])]
 
 
-def overlay(view: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
+def overlay(view: _View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
     """Return curves by name.
 
     ``conditions``: conditions, means over their repeats.
@@ -217,13 +217,13 @@ def overlay(view: View, conditions: Sequence[int], show: Sequence[str], runs: Se
     return curves
 
 
-def runs_of(view: View, conditions: Sequence[int]) -> list[str]:
+def runs_of(view: _View, conditions: Sequence[int]) -> list[str]:
     """Return the runs of conditions, in the order of measurement."""
     rows = np.flatnonzero(np.isin(view.obs.condition_of, conditions))
     return list(dict.fromkeys(view.obs.runs[int(row)].run_id for row in rows))
 
 
-def floor_harmonics_um(view: View) -> Floats | None:
+def floor_harmonics_um(view: _View) -> Floats | None:
     """Return the amplitude by which repeats disagree at each harmonic, shape (n // 2 + 1,).
 
     Mean square over the rows of what each differs from the mean of its condition, with the
@@ -240,7 +240,7 @@ def floor_harmonics_um(view: View) -> Floats | None:
     return np.asarray(np.sqrt(total / dof)) if dof else None
 
 
-def taken_away_um(bench: Bench, view: View, label: str) -> Floats:
+def taken_away_um(bench: Bench, view: _View, label: str) -> Floats:
     """Return what adding an effect would take from the mean residual of every condition.
 
     ``label``: effect with axis, for example ``backlash X``.
@@ -266,9 +266,9 @@ def _loaded(bench: Bench, campaign: str) -> Loaded:
     return bench.cache.get(key, lambda: load(bench.home, campaign))
 
 
-def _viewed(key: tuple[str | int, ...], comparison: Comparison) -> View:
+def _viewed(key: tuple[str | int, ...], comparison: Comparison) -> _View:
     obs = comparison.obs
-    return View(
+    return _View(
         key,
         comparison,
         comparison.as_dict(),

@@ -46,7 +46,7 @@ def told_page(request: Request, name: str, on: str = "") -> Response:
         name=name,
         twin=twin,
         on=on,
-        campaigns=sorted(name for kind in kinds_of(bench, twin) for name in bench.campaigns_of(twin.machine, kind)),
+        campaigns=sorted(name for kind in _kinds_of(bench, twin) for name in bench.campaigns_of(twin.machine, kind)),
         compared=report_of(compared).comparison_text(compared),
         figures=[figure.layout.title.text for figure in figures],
         contradictions=contradiction_lines(twin.as_dict()),
@@ -103,7 +103,7 @@ def _comparison(bench: Bench, name: str, on: str) -> tuple[dict[str, Any], list[
     return bench.cache.get(key, compared)
 
 
-def kinds_of(bench: Bench, twin: AnyTwin) -> list[str]:
+def _kinds_of(bench: Bench, twin: AnyTwin) -> list[str]:
     """Return the kinds of campaign that a twin was fitted to."""
     return list(dict.fromkeys(bench.lake.campaign(name).kind for name in twin.campaigns))
 

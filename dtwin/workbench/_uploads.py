@@ -19,7 +19,7 @@ from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.errors import InputError
 
 MAX_TRAY_BYTES = 512 * 1024 * 1024
-MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
+_MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
 _MAX_FILES = 5000
 # Uploads that were begun and not ingested; those of yesterday were given up.
 _MAX_TRAYS, _GIVEN_UP_S = 50, 24 * 3600.0
@@ -167,7 +167,7 @@ def _unpack(archive: Path, target: Path) -> None:
             members = [m for m in opened.infolist() if not m.is_dir() and not LEFT_BY_SYSTEMS.search(m.filename)]
             if len(members) > _MAX_FILES:
                 raise _too_much("files", str(len(members)), str(_MAX_FILES))
-            left = MAX_UNPACKED_BYTES
+            left = _MAX_UNPACKED_BYTES
             for member in members:
                 left -= _extract(opened, member, coming, left)
         coming.rename(target)
@@ -211,7 +211,7 @@ def _extract(opened: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, lef
                 raise _too_much(
                     "bytes when unpacked",
                     f"{member.filename[:60]}: more than {size}",
-                    f"{MAX_UNPACKED_BYTES} in all, {_MAX_RATIO} times its packed size",
+                    f"{_MAX_UNPACKED_BYTES} in all, {_MAX_RATIO} times its packed size",
                 )
             out.write(chunk)
     return size

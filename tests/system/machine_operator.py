@@ -30,12 +30,12 @@ from dtwin.acquire.linuxcnc import run_circles
 from dtwin.acquire.linuxcnc import run_of as run_of_trace
 from dtwin.acquire.virtual import VirtualCobotBench, run_of
 from dtwin.acquire.virtual_mill import virtual_mill
-from dtwin.kinds.circular._evidence import CorrectedCircles
+from dtwin.kinds.circular._evidence import _CorrectedCircles
 from dtwin.machines.cobot import CircleCondition
 from dtwin.machines.linuxcnc.circles import Circle
 from dtwin.machines.linuxcnc.session import LinuxcncSession
 from dtwin.machines.mill_parameters import CircularTest
-from dtwin.pipeline.desk import DONE, REPEAT, give_answer, open_question
+from dtwin.pipeline.desk import DONE, REPEAT, _open_question, give_answer
 from dtwin.plan import PlannedTest
 from dtwin.schema import Direction, Plane, Run
 from dtwin.serve.bundle_file import load_bundle
@@ -76,7 +76,7 @@ def cobot(held: ExitStack) -> Move:
                 served = load_bundle(Path(bundle), "virtual-cobot").bundle
                 condition = CircleCondition(motion.plane, motion.radius_mm, motion.feed_mm_min, direction)
                 tcp = np.array([0.0, 0.0, bench.cobot.parameters.motion.tcp_z_mm])
-                circles = CorrectedCircles(bench.cobot, served, tcp)
+                circles = _CorrectedCircles(bench.cobot, served, tcp)
                 found, _ = circles.measure(condition, "shop", 50 + number, "compensated")
                 runs.append(run_of(found, direction.lower(), motion.plane, datetime.now(UTC)))
             else:
@@ -146,7 +146,7 @@ def save(path: Path, runs: list[Run], machine: str, *, spoilt: bool) -> None:
 def questions(folder: Path, until_s: float) -> Iterator[dict[str, Any]]:
     last = ""
     while time.monotonic() < until_s:
-        found = open_question(folder)
+        found = _open_question(folder)
         if found is not None and found["id"] != last:
             last = found["id"]
             yield dict(found)

@@ -23,7 +23,7 @@ from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.links.state import LiveValues
 from dtwin.links.virtual_key import proof
-from dtwin.machines.axis_server import WATCHDOG_S, AxisServer
+from dtwin.machines.axis_server import _WATCHDOG_S, AxisServer
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -209,7 +209,7 @@ def test_on_the_wall_clock_the_control_lets_go_by_itself(home: Home) -> None:
         link.close()
     held = sledge.offset_um[:, 2]
     in_force = np.flatnonzero(held == 7.0)
-    assert 1 <= len(in_force) <= round(WATCHDOG_S / PERIOD_S) + 3
+    assert 1 <= len(in_force) <= round(_WATCHDOG_S / PERIOD_S) + 3
     assert (held == 8.0).any()
     assert not (held == 9.0).any()
     assert not held[-5:].any()

@@ -21,7 +21,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lifecycle.evidence import make_champion, measure
 from dtwin.lifecycle.train import put_on_trial
-from dtwin.pipeline.desk import open_question
+from dtwin.pipeline.desk import _open_question
 from dtwin.plan import EvidencePlan
 from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
@@ -154,7 +154,7 @@ def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_pat
     inbox.mkdir()
 
     def play() -> None:
-        wait_for(lambda: open_question(folder), "nothing is asked")
+        wait_for(lambda: _open_question(folder), "nothing is asked")
         runs = [replace(run, window=(0, 360)) for run in circles([""])]
         write_b5r(inbox / "result.b5r", runs, name="result", machine="mill-a")
 

@@ -18,7 +18,7 @@ from dtwin.config import home
 from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric._simulate import TRUTHS, simulate_volumetric
 from dtwin.kinds.volumetric.heat_twins import HeatTwins
-from dtwin.machines.volumetric import SENSITIVITY, VolumetricParameters
+from dtwin.machines.volumetric import _SENSITIVITY, VolumetricParameters
 from dtwin.plan_file import planned_campaign
 from dtwin.train.registry import Registry
 from dtwin.twins.on_campaign import look_at
@@ -32,7 +32,7 @@ NO_THERMOCOUPLE = ("foundation", "coolant_tank")
 # sensors on the surface a twin without memory does not come down to the floor.
 SEEN = {
     name: {body: k for body, k in of.items() if body not in NO_THERMOCOUPLE}
-    for name, of in SENSITIVITY.items()
+    for name, of in _SENSITIVITY.items()
     if set(NO_THERMOCOUPLE) & set(of)
 }
 Said = Callable[..., dict[str, Any]]

@@ -27,7 +27,7 @@ from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.config import Home
 from dtwin.lake.store import Lake
-from dtwin.pipeline.desk import REPEAT, give_answer, open_question
+from dtwin.pipeline.desk import REPEAT, _open_question, give_answer
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
 from dtwin.train.registry import Registry
@@ -96,19 +96,19 @@ def operator(folder: Path, inbox: Path, machine: str, name: str, *more: str) -> 
 def asked(folder: Path, words: str, but: str = "") -> dict[str, Any]:
     until = time.monotonic() + 300.0
     while time.monotonic() < until:
-        found = open_question(folder)
+        found = _open_question(folder)
         if found is not None and words in found["text"] and found["id"] != but:
             return dict(found)
         time.sleep(0.05)
-    raise AssertionError(f"was never asked {words!r}: {open_question(folder)}")
+    raise AssertionError(f"was never asked {words!r}: {_open_question(folder)}")
 
 
 def keep_if_asked(process: subprocess.Popen[str], folder: Path) -> None:
     """Keep a run that a busy test computer spoilt by losing samples of the controller."""
     until = time.monotonic() + 300.0
     while process.poll() is None:
-        assert time.monotonic() < until, open_question(folder)
-        found = open_question(folder)
+        assert time.monotonic() < until, _open_question(folder)
+        found = _open_question(folder)
         if found is not None and found["answers"] == [REPEAT, "keep"]:
             give_answer(folder, found["id"], "keep")
             return

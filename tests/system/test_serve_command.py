@@ -40,7 +40,7 @@ from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.features.windows import WindowContract
-from dtwin.serve._connection import require_evidence
+from dtwin.serve._connection import _require_evidence
 from dtwin.serve.band import COVARIANCE, constant_band
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import save_bundle
@@ -420,13 +420,13 @@ def test_only_the_virtual_controller_is_virtual(robot: VirtualRobot) -> None:
 def test_real_device_wants_real_evidence(evidence: str) -> None:
     made = bundle(provenance=Provenance(evidence=evidence))
     with pytest.raises(GateRefusal, match="real machine") as refused:
-        require_evidence(made, "real", mode="live", trial=False)
+        _require_evidence(made, "real", mode="live", trial=False)
     assert refused.value.exit_code == 3
-    require_evidence(made, "real", mode="live", trial=True)
-    require_evidence(made, "real", mode="shadow", trial=False)
-    require_evidence(made, "virtual", mode="live", trial=False)
+    _require_evidence(made, "real", mode="live", trial=True)
+    _require_evidence(made, "real", mode="shadow", trial=False)
+    _require_evidence(made, "virtual", mode="live", trial=False)
     real = dataclasses.replace(made, provenance=Provenance(evidence="real"))
-    require_evidence(real, "real", mode="live", trial=False)
+    _require_evidence(real, "real", mode="live", trial=False)
 
 
 class PacedWindows:
@@ -474,4 +474,4 @@ def test_sensors_are_opened_with_the_contract_and_closed(robot: VirtualRobot, ho
     assert [(s.contract, s.closed) for s in opened] == [(contract, True)]
     assert served_now.status.largest_um == pytest.approx(10.0, rel=0.3)
     assert served_now.status.timing["window_age_ms"]["max"] > 1.0
-    assert "sensor window age" in serving.render_served(served_now)
+    assert "sensor window age" in serving._render_served(served_now)

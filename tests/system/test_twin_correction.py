@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_mill import geometry_of_mill, virtual_mill
+from dtwin.acquire.virtual_mill import _geometry_of_mill, virtual_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DtwinError
@@ -219,7 +219,7 @@ def _served(model: str, home: Path) -> Bundle:
 
 
 def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Evidence:
-    geometry = geometry_of_mill("backlash")
+    geometry = _geometry_of_mill("backlash")
     measured = measured_mill(
         bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan, delay_s=geometry["correction_delay_s"]
     )

@@ -18,14 +18,14 @@ from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.volumetric._check import judge_volumetric_run
-from dtwin.kinds.volumetric._evidence import distance_changes_um, judged_hours
+from dtwin.kinds.volumetric._evidence import _judged_hours, distance_changes_um
 from dtwin.kinds.volumetric._identify import Artefact, Balls, averaged_balls
 from dtwin.kinds.volumetric._plan import BallPlan
 from dtwin.kinds.volumetric._simulate import ServedMill, simulate_volumetric
 from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.schedule import scheduled_training
-from dtwin.machines.thermal_network import TRAINING
+from dtwin.machines.thermal_network import _TRAINING
 from dtwin.machines.volumetric import HELD_OUT_POSES, STROKES_MM, VolumetricMill, VolumetricParameters
 from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.serve.bundle import Bundle
@@ -64,7 +64,7 @@ def balls(mill: VolumetricMill, cycle: int) -> Balls:
 def test_a_motion_that_the_model_lacks_shows_in_the_held_out_poses() -> None:
     left = {}
     for name, hidden in (("none", {}), ("ECX1", {"ECX1": {"bed": 12.0}})):
-        mill = VolumetricMill(TRAINING, VolumetricParameters(hidden=hidden), 0)
+        mill = VolumetricMill(_TRAINING, VolumetricParameters(hidden=hidden), 0)
         artefact = Artefact(STROKES_MM, HELD_OUT_POSES, 1.5)
         reference = averaged_balls([balls(mill, 0)])
         where, moved = artefact.variation_um(balls(mill, 158), reference)
@@ -163,7 +163,7 @@ def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
     registry, lake = Registry(home()), Lake(home().lake)
     bundle = Bundle.from_dict(registry.bundle(registry.version("mill", "champion")))
     abrupt = replace(bundle, safety=replace(bundle.safety, outside="zero"))
-    again = judged_hours(abrupt, session_in(lake, "summer", lambda *_: None))
+    again = _judged_hours(abrupt, session_in(lake, "summer", lambda *_: None))
     kept, dropped = (sum(day["after_um"] for day in found) for found in (days, again))
     assert dropped > 1.3 * kept
     with pytest.raises(InputError, match="every campaign has judged this champion before"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import GateRefusal, InputError
-from dtwin.links.analogue import AxisCalibration, eight_bits, step_um
+from dtwin.links.analogue import AxisCalibration, _eight_bits, step_um
 from dtwin.links.analogue_calibration import HEAD, calibrate, load, read_points, save
 
 VOLTS = np.repeat([3.0, 4.0, 5.0, 6.0, 7.0], 3)
@@ -103,6 +103,6 @@ def test_codes_round_clamp_and_lose_bits_as_they_must() -> None:
     assert axis.offset_um(axis.code(12.5)) == pytest.approx(12.5, abs=step_um(axis, "dac") / 2)
     assert axis.code(1e6) == axis.code(125.0) == 65535
     assert axis.code(-1e6) == axis.code(-125.0) == 0
-    assert eight_bits((32768, 65535, 127)) == (32768, 65280, 0)
+    assert _eight_bits((32768, 65535, 127)) == (32768, 65280, 0)
     assert step_um(axis, "pwm") == pytest.approx(0.98, abs=0.005)
     assert step_um(axis, "dac") == pytest.approx(0.0038, abs=0.0001)

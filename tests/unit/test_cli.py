@@ -18,7 +18,7 @@ from command_here import command_here
 
 from dtwin import __version__, cli
 from dtwin.cli import app, main
-from dtwin.commands.tasks import branch_names
+from dtwin.commands.tasks import _branch_names
 from dtwin.config import home
 from dtwin.machine_record import keep_record
 
@@ -81,10 +81,10 @@ def test_every_command_has_its_place_and_every_place_its_command() -> None:
     from typer.main import get_command
 
     from dtwin.cli import app
-    from dtwin.commands.tasks import FLEET_TASKS, TASKS, TWIN_TASKS
+    from dtwin.commands.tasks import _FLEET_TASKS, _TASKS, _TWIN_TASKS
 
     main = get_command(app)
-    for group, tasks in ((main, TASKS), (main.commands["twin"], TWIN_TASKS), (main.commands["fleet"], FLEET_TASKS)):
+    for group, tasks in ((main, _TASKS), (main.commands["twin"], _TWIN_TASKS), (main.commands["fleet"], _FLEET_TASKS)):
         placed = [name for task in tasks.values() for name in task]
         assert sorted(placed) == sorted(group.commands)
     assert "More:" not in here("--help").stdout
@@ -363,7 +363,7 @@ def test_a_branch_alone_knows_every_command_of_the_whole_tree_and_says_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = typer.main.get_command(app)
-    held = [name for branch in app.registered_groups for name in branch_names(branch)]
+    held = [name for branch in app.registered_groups for name in _branch_names(branch)]
     assert sorted(held) == sorted(whole.commands)  # type: ignore[attr-defined]
     for words in (["leave-out", "--help"], ["twin", "--help"], ["twin", "fitt"], ["nonsense"], []):
         monkeypatch.setattr(sys, "argv", ["dtwin", *words])

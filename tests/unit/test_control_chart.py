@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from dtwin.control_chart import chart, crossing, cusum_run_length, ewma_run_length, limits_for, self_starting
+from dtwin.control_chart import _cusum_run_length, _ewma_run_length, _limits_for, _self_starting, chart, crossing
 
 DAYS = np.arange(24.0) * 30.0
 
 
 def test_run_lengths_are_those_of_published_tables() -> None:
     # Montgomery, Introduction to Statistical Quality Control: k = 1/2 and h = 5 give 465; lambda = 0.2, L = 2.86: 370.
-    assert cusum_run_length(5.0) == pytest.approx(465.0, rel=0.005)
-    assert ewma_run_length(2.86 * math.sqrt(0.2 / 1.8)) == pytest.approx(370.0, rel=0.01)
+    assert _cusum_run_length(5.0) == pytest.approx(465.0, rel=0.005)
+    assert _ewma_run_length(2.86 * math.sqrt(0.2 / 1.8)) == pytest.approx(370.0, rel=0.01)
 
 
 def test_all_limits_together_give_at_most_the_stated_rate_of_false_alarms() -> None:
-    stated, limits = 50.0, limits_for(50.0)
+    stated, limits = 50.0, _limits_for(50.0)
     rng, runs = np.random.default_rng(5), 2000
     ewma, up, down, length = (np.zeros(runs) for _ in range(4))
     going = np.full(runs, True)
@@ -36,7 +36,7 @@ def test_all_limits_together_give_at_most_the_stated_rate_of_false_alarms() -> N
 
 def test_values_against_those_before_them_are_standard_normal_however_few() -> None:
     rng = np.random.default_rng(2)
-    found = np.array([self_starting(rng.normal(7.0, 0.3, 6)) for _ in range(4000)])
+    found = np.array([_self_starting(rng.normal(7.0, 0.3, 6)) for _ in range(4000)])
     assert (found[:, :2] == 0.0).all()
     assert found[:, 2:].std(axis=0) == pytest.approx(1.0, abs=0.04)
     assert np.abs(np.corrcoef(found[:, 2:].T) - np.eye(4)).max() < 0.06

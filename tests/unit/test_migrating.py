@@ -10,7 +10,7 @@ import pytest
 from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
 from dtwin.lake.store import Lake
-from dtwin.pipeline.migrating import BEFORE, MADE, migrate
+from dtwin.pipeline.migrating import _BEFORE, _MADE, migrate
 from dtwin.serve.pointer import resolve
 from dtwin.twins.shelf import PATHS, TwinShelf
 
@@ -47,7 +47,7 @@ def test_an_earlier_home_is_refused_until_it_is_migrated_and_then_all_of_it_open
     # The second time there is nothing to do, and what was set aside stays.
     again = migrate(home, _quiet)
     assert (again.campaigns, again.documents, again.machines, again.before) == ((), 0, (), None)
-    assert (home.root / BEFORE / "runs").is_dir()
+    assert (home.root / _BEFORE / "runs").is_dir()
 
 
 def test_a_changed_run_of_an_earlier_home_is_refused_and_nothing_is_replaced(home: Home) -> None:
@@ -56,13 +56,13 @@ def test_a_changed_run_of_an_earlier_home_is_refused_and_nothing_is_replaced(hom
     first.write_bytes(second.read_bytes())
     with pytest.raises(StoreError, match="not what was ingested"):
         migrate(home, _quiet)
-    assert not (home.root / BEFORE).exists()
+    assert not (home.root / _BEFORE).exists()
     with pytest.raises(DtwinError):
         Lake(home.lake).runs()
 
 
 def test_a_kill_between_the_two_renames_is_mended(home: Home) -> None:
     migrate(home, _quiet)
-    home.lake.rename(home.root / MADE)
+    home.lake.rename(home.root / _MADE)
     migrate(home, _quiet)
     assert len(Lake(home.lake).runs()) == 4

@@ -17,7 +17,7 @@ from dtwin.config import Home, home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.machine_record import keep_record
 from dtwin.people import (
-    AUDIT,
+    _AUDIT,
     act_as,
     acting,
     add_person,
@@ -87,7 +87,7 @@ def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
     state = Home(tmp_path / "home")
     for k in range(4):
         note(state, f"did {k}", "because", "done")
-    path = state.root / AUDIT
+    path = state.root / _AUDIT
     assert [line["what"] for line in audit(state)] == [f"did {k}" for k in range(4)]
     lines = path.read_text().splitlines(keepends=True)
     for spoilt in (

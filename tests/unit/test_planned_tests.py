@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
-from dtwin.acquire.virtual_mill import planned_tests, simulate_mill
+from dtwin.acquire.virtual_mill import _planned_tests, simulate_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
@@ -257,7 +257,7 @@ def test_the_virtual_mill_measures_a_plan_in_its_order() -> None:
         "grid": {"plane": ["XY"], "radius_mm": [50.0], "feed_mm_min": [1000.0, 2000.0], "repeats": 2},
     }
     planned = planned_document(document, "here").plan
-    tests = planned_tests(replace(planned, directions=("CW",)))
+    tests = _planned_tests(replace(planned, directions=("CW",)))
     assert [(t.feed_mm_min, t.repeat, t.direction) for t in tests] == [
         (t.feed_mm_min, t.repeat, "CW") for t in planned.tests
     ]

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
-from dtwin.features.tone_window import HORIZON_S, WINDOW_S
+from dtwin.features.tone_window import _WINDOW_S, HORIZON_S
 from dtwin.kinds.sinusoidal._plan import FORETOLD_S, LEARNED_S, duration_s, tone_advice, tone_plan
-from dtwin.kinds.sinusoidal._simulate import planned_runs, virtual_slide
-from dtwin.kinds.volumetric._plan import ball_advice, ball_plan
+from dtwin.kinds.sinusoidal._simulate import _planned_runs, virtual_slide
+from dtwin.kinds.volumetric._plan import _ball_plan, ball_advice
 from dtwin.machines.turning import RoomDrift
 from dtwin.plan_file import planned_campaign
 
@@ -35,7 +35,7 @@ def told(**changes: Any) -> set[str]:
 
 
 def said(**changes: Any) -> set[str]:
-    return {f.code for f in ball_advice(ball_plan(BALLS | changes, "test"))}
+    return {f.code for f in ball_advice(_ball_plan(BALLS | changes, "test"))}
 
 
 def test_every_repeat_is_a_pass_over_all_tones_in_an_order_of_its_own() -> None:
@@ -62,7 +62,7 @@ def test_advice_on_tones_names_what_harms_and_what_cannot_be_told() -> None:
     assert told(repeats=99) == {"plan.long"}
     assert told(frequencies_hz=[0.5, 10, 20]) == {"plan.too_slow", "plan.weak"}
     # What the plan calls long enough is what the window of the features takes.
-    assert (LEARNED_S, FORETOLD_S) == (WINDOW_S + HORIZON_S, HORIZON_S)
+    assert (LEARNED_S, FORETOLD_S) == (_WINDOW_S + HORIZON_S, HORIZON_S)
 
 
 def test_advice_on_balls_follows_the_heat_and_the_unknowns() -> None:
@@ -88,9 +88,9 @@ def test_advice_on_balls_follows_the_heat_and_the_unknowns() -> None:
         (tone_plan, TONES | {"repeats": 1.5}, "repeats"),
         (tone_plan, TONES | {"axis": "B"}, "axis"),
         (tone_plan, TONES | {"spindle": 3}, "setting"),
-        (ball_plan, {"name": "balls", "machine": "mill"}, "setting"),
-        (ball_plan, BALLS | {"every_h": 0.5}, "every_h"),
-        (ball_plan, BALLS | {"hours": "long"}, "hours"),
+        (_ball_plan, {"name": "balls", "machine": "mill"}, "setting"),
+        (_ball_plan, BALLS | {"every_h": 0.5}, "every_h"),
+        (_ball_plan, BALLS | {"hours": "long"}, "hours"),
     ],
 )
 def test_plans_that_break_a_rule_are_refused(plan: Any, table: dict[str, Any], name: str) -> None:
@@ -123,7 +123,7 @@ def test_repeats_on_the_virtual_slide_differ_because_the_room_does() -> None:
     spread = {}
     rooms = {"still": RoomDrift(room_c=0.0), "usual": RoomDrift(), "draughty": RoomDrift(3.0, 1.0)}
     for name, room in rooms.items():
-        runs = list(planned_runs(plan, virtual_slide("linear"), 3, drift=room))
+        runs = list(_planned_runs(plan, virtual_slide("linear"), 3, drift=room))
         assert [run.meta.repeat for run in runs] == [1, 2, 3, 4]
         tones = [fit_tone(r.samples["t_s"], 1e3 * r.samples["tool_z_mm"], 40.0) for r in runs]
         size = [tone.amplitude for tone in tones]
@@ -133,7 +133,7 @@ def test_repeats_on_the_virtual_slide_differ_because_the_room_does() -> None:
     warmth = [run.meta.covariates["room_c"] for run in runs]
     assert sorted(range(4), key=lambda i: size[i]) == sorted(range(4), key=lambda i: warmth[i])
     with pytest.raises(InputError, match="cannot do this"):
-        next(planned_runs(tone_plan(TONES | {"axis": "X"}, "t"), virtual_slide("linear"), 1))
+        next(_planned_runs(tone_plan(TONES | {"axis": "X"}, "t"), virtual_slide("linear"), 1))
 
 
 def test_the_order_is_not_that_of_the_list() -> None:

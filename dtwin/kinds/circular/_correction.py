@@ -27,13 +27,13 @@ from dtwin.twins.seen import Seen
 _VISIBLE_SHARE = 0.1
 
 
-def freeze_circles(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
+def _freeze_circles(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of circles; the geometry may state a delay of the correction."""
     delay = obs.campaign.machine_geometry.get("correction_delay_s", 0.0)
     return twin_bundle(twin, obs, horizon_s=float(delay))
 
 
-def judge_circles(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
+def _judge_circles(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     """Fit the twin without one feed, then without one radius at a time, and predict it.
 
     What is left out is left out of all circles of the twin.
@@ -120,4 +120,4 @@ def _other_rows(obs: Observations, kind: str, group: str, value: float) -> Indic
     return np.flatnonzero(_labels(obs, group) != value) if obs.grid.kind == kind else np.arange(obs.n_rows)
 
 
-WAY = TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
+WAY = TwinWay(_freeze_circles, _judge_circles, BY_LAW, ("nothing_missing",), 0.0)

@@ -200,7 +200,7 @@ class Library:
 
         seen, travel = turned("radial"), turned("tangent")
         feed = 0.001 * b.input("programmed_feed_mm_min")
-        a = free_step(mode, 1.0 / TICK_HZ)
+        a = _free_step(mode, 1.0 / TICK_HZ)
         w = 2.0 * np.pi * mode.frequency_hz
         for event, happened in events.items():
             kick = happened * feed
@@ -255,7 +255,7 @@ def _balanced(builder: GraphBuilder, parts: Sequence[Expression]) -> Expression:
     return _balanced(builder, parts[:half]) + _balanced(builder, parts[half:])
 
 
-def free_step(mode: Mode, dt_s: float) -> list[list[float]]:
+def _free_step(mode: Mode, dt_s: float) -> list[list[float]]:
     """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = 0``: ``[x, v] <- step [x, v]``."""
     w, zeta = 2.0 * np.pi * mode.frequency_hz, mode.damping_ratio
     wd = w * np.sqrt(1.0 - zeta**2)

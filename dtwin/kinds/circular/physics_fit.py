@@ -81,7 +81,7 @@ def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progre
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class _LeftOut:
     """A fit that sees nothing of one group, and will predict it.
 
     ``group``, ``value``: field of the condition, and its value that is left out.
@@ -95,7 +95,9 @@ class LeftOut:
     predicted: Future[Floats]
 
 
-def leave_out(rows: Rows, groups: Sequence[str], columns: TermColumns, pool: Executor, step: Progress) -> list[LeftOut]:
+def leave_out(
+    rows: Rows, groups: Sequence[str], columns: TermColumns, pool: Executor, step: Progress
+) -> list[_LeftOut]:
     """Begin to predict every row by equations that saw nothing of the row's group.
 
     Orders, modes, alignment of the runs, number of terms and coefficients are all found again
@@ -106,7 +108,7 @@ def leave_out(rows: Rows, groups: Sequence[str], columns: TermColumns, pool: Exe
     ``pool``, ``step``: threads in which the fits run side by side, and what each calls after every order it finds.
     """
     return [
-        LeftOut(
+        _LeftOut(
             group, rows.label(group)[outside][0], outside, pool.submit(_predicted, rows, columns, inside, outside, step)
         )
         for group in groups
@@ -114,7 +116,7 @@ def leave_out(rows: Rows, groups: Sequence[str], columns: TermColumns, pool: Exe
     ]
 
 
-def predicted_left_out(folds: Sequence[LeftOut], progress: Progress) -> dict[str, Floats]:
+def predicted_left_out(folds: Sequence[_LeftOut], progress: Progress) -> dict[str, Floats]:
     """Return what every row of each group, (n,), is predicted to be by the fits without it."""
     predicted: dict[str, Floats] = {}
     for done, fold in enumerate(folds, start=1):

@@ -65,7 +65,7 @@ _SAME = 1e-6
 _STEP_SAID = re.compile(r"^#.*\bstep_(?:dist|mm)\s*=\s*([0-9.eE+-]+)", re.M)
 
 
-def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
+def _read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return each displacement of a log as a run, and the rows that hold no usable number.
 
     Raises ``InputError`` when there is no displacement or no time, beside columns that are not known no temperature,
@@ -382,4 +382,4 @@ def _seconds(cells: Sequence[str], unit_s: float, path: Path, head: str, *, stam
     )
 
 
-READERS = dict.fromkeys(SUFFIXES, read_drift)
+READERS = dict.fromkeys(SUFFIXES, _read_drift)

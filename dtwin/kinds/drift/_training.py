@@ -114,7 +114,7 @@ def drift_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     ]
 
 
-def drift_bundle(
+def _drift_bundle(
     model: Fitted, series: Series, name: str, machine: str, axis: str, table_versions: Mapping[str, int]
 ) -> Bundle:
     """Return the error of an axis from what its sensors read: zero where the log began.
@@ -174,7 +174,7 @@ def log_candidate(
     title: str, model: Fitted, series: Series, machine: str, axis: str, table_versions: Mapping[str, int]
 ) -> Candidate:
     """Return a model of a log as an equation, judged by stretches of time that were left out of its fit."""
-    bundle = drift_bundle(model, series, title, machine, axis, table_versions) if model.terms else None
+    bundle = _drift_bundle(model, series, title, machine, axis, table_versions) if model.terms else None
     equation = " ".join(f"{v:+.4g} µm/K {t.label}" for t, v in zip(model.terms, model.value[1:], strict=True))
     return Candidate(
         name=title,

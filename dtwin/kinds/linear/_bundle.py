@@ -123,7 +123,7 @@ class _Harmonics:
         return np.arange(1.0, len(self.sine) + 1.0)
 
 
-def fit_harmonics(position_mm: Floats, error_um: Floats, pitch_mm: float, orders: int) -> _Harmonics:
+def _fit_harmonics(position_mm: Floats, error_um: Floats, pitch_mm: float, orders: int) -> _Harmonics:
     """Fit a cyclic error by least squares.
 
     ``position_mm``, ``error_um``, (n,): positions at enough angles of the screw, and what is left at them.
@@ -179,7 +179,7 @@ def flanks_of(
         error - _slow_um(full, np.full(len(x), way), x)
         for way, error in ((0.0, averages.forward_um), (1.0, averages.reverse_um))
     ]
-    forward, reverse = (fit_harmonics(x, r, pitch_mm, orders) for r in rest)
+    forward, reverse = (_fit_harmonics(x, r, pitch_mm, orders) for r in rest)
     return Flanks(full, forward, reverse, pitch_mm, reach_mm)
 
 

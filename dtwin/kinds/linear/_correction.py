@@ -48,13 +48,13 @@ from dtwin.twins.seen import Seen
 _FEWEST_RUNS = 2
 
 
-def freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
+def _freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of an axis, when there are runs enough to judge it by."""
-    test_of_runs(obs)
+    _test_of_runs(obs)
     return _flanks_twin_bundle(twin, obs)
 
 
-def judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
+def _judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     """Fit the twin without one run of this axis at a time, and predict it.
 
     The unit of replication is the run, one sweep up and one down. The zero of the laser is taken from
@@ -63,7 +63,7 @@ def judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     ``home``: not used: the runs say everything.
     """
     obs = seen.obs
-    test = test_of_runs(obs)
+    test = _test_of_runs(obs)
     left = runs_left_out(test, lambda run: _foretold_um(frozen, seen, run))
     error = stacked(test)[2]
     floor = noise_floor_um(test)
@@ -90,7 +90,7 @@ def judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     return Judged(candidate, floor, rms(error), ((obs.axes[0], *reach),))
 
 
-def test_of_runs(obs: Observations) -> LinearTest:
+def _test_of_runs(obs: Observations) -> LinearTest:
     """Return the readings of a campaign in matrices, targets that some run missed left out."""
     both = [_rows(obs, run) for run in np.unique(obs.run_of).tolist()]
     ways = [obs.sense[rows].tolist() for rows in both]
@@ -118,7 +118,7 @@ def test_of_runs(obs: Observations) -> LinearTest:
     )
 
 
-test_of_runs.__test__ = False  # type: ignore[attr-defined]
+_test_of_runs.__test__ = False  # type: ignore[attr-defined]
 
 
 def _rows(obs: Observations, run: int) -> Indices:
@@ -156,7 +156,7 @@ def _equation(twin: Twin) -> str:
     )
 
 
-WAY = TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
+WAY = TwinWay(_freeze_axis, _judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
 
 
 _CLAMP_SHARE = 1.25

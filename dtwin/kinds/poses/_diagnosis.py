@@ -170,7 +170,7 @@ def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None
     headline += _far_off(held_out_mm(grams, terms), rows)
     idle: tuple[Term, ...] = ()
     if terms and not group:
-        idle = tuple(idle_terms(grams, terms))
+        idle = tuple(_idle_terms(grams, terms))
         figures["nested_mean_mm"] = nested_mean_mm(grams)
     return PoseDiagnosis(verdict, headline, figures, shown, tuple(group), _invisible(grams, terms), idle, p)
 
@@ -180,7 +180,7 @@ def selected(grams: Grams) -> tuple[Term, ...]:
     chosen: list[Term] = []
     while found := _group(grams, chosen, _candidates(grams, chosen)):
         chosen += found[0].terms
-    idle = idle_terms(grams, chosen)
+    idle = _idle_terms(grams, chosen)
     return tuple(term for term in chosen if term not in idle)
 
 
@@ -199,7 +199,7 @@ def nested_mean_mm(grams: Grams, folds: int = 4) -> float:
     return total / len(grams.series.error_mm)
 
 
-def idle_terms(grams: Grams, terms: Sequence[Term]) -> list[Term]:
+def _idle_terms(grams: Grams, terms: Sequence[Term]) -> list[Term]:
     """Return the terms that pay nothing on poses left out beside the others, the most idle first."""
     kept, idle = list(terms), []
     now = _left(grams, kept)

@@ -48,7 +48,7 @@ _UNDER = re.compile(
 _NEEDED = ("joint_", "measured_", "error_")
 
 
-def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
+def _read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return one table as a run, and the rows that hold no usable number.
 
     Raises ``InputError`` when a column is missing, with those that the file has.
@@ -289,4 +289,4 @@ def _seconds(stamps: Floats) -> Floats:
         return np.zeros(len(stamps))
 
 
-READERS = dict.fromkeys((".csv", *SPREADSHEETS), read_poses)
+READERS = dict.fromkeys((".csv", *SPREADSHEETS), _read_poses)

@@ -80,7 +80,7 @@ def _figures(series: Series, under: Circumstances) -> tuple[Characteristic, ...]
     if repeated:
         rng = np.random.default_rng(0)
         # The floor is of three directions; a pose is drawn about its own mean.
-        found = scatter_of(error_um, place, 1000.0 * series.floor_mm / math.sqrt(3.0))
+        found = _scatter_of(error_um, place, 1000.0 * series.floor_mm / math.sqrt(3.0))
         dof = {name: found.dof_of_one if name in _LARGEST else found.dof for name in told}
         one_um = found.of_reading[:, None]
         mean = means_of(error_um, place)[place]
@@ -238,7 +238,7 @@ class _Scatter:
     dof_of_one: float
 
 
-def scatter_of(error: Floats, place: Floats, usual: float) -> _Scatter:
+def _scatter_of(error: Floats, place: Floats, usual: float) -> _Scatter:
     """Return the scatter of poses that were measured again.
 
     Poses far out or fast may scatter more than others. By how much more than chance the mean squares of poses differ tells

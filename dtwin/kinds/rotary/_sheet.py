@@ -39,10 +39,10 @@ def asked(test: LinearTest) -> list[str]:
 
 def noted(test: LinearTest) -> list[str]:
     """Return what is to be noted of a test: what it lacks, and how turns close."""
-    return [*asked(test), *(finding.message for finding in closures(test))]
+    return [*asked(test), *(finding.message for finding in _closures(test))]
 
 
-def closures(test: LinearTest) -> list[Finding]:
+def _closures(test: LinearTest) -> list[Finding]:
     """Return by how much the readings of one place differ that was a target at two angles, a turn apart: of several the place with the most; empty of none."""
     at = np.round(test.position_mm / TARGET_MM).astype(int)
     turn, runs = round(ANGLES.turn / TARGET_MM), test.forward_um.shape[1]
@@ -78,7 +78,7 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     whole = [run for run in runs if run.samples]
     for test in tests_by_axis(whole, ANGLES) if whole else []:
         found += [Finding("rotary.asked", "warning", said) for said in asked(test)]
-        found += closures(test)
+        found += _closures(test)
     return found
 
 

@@ -17,7 +17,7 @@ _BACK = 0.1
 
 
 @dataclass(frozen=True)
-class AtRest:
+class _AtRest:
     """Whole turns of readings at the same places.
 
     ``angle_deg`` (places,): ascending. ``read_um`` (turns, places).
@@ -47,7 +47,7 @@ def is_at_rest(angle_deg: Floats) -> bool:
     return _FEWEST <= len(places) <= _MOST and bool(gaps.max() < _WIDEST_DEG)
 
 
-def at_rest(run: Run) -> AtRest:
+def at_rest(run: Run) -> _AtRest:
     """Return what was read in whole turns; a place that is read again is of the next one."""
     seen: Counter[float] = Counter()
     turns: list[dict[float, float]] = []
@@ -64,7 +64,7 @@ def at_rest(run: Run) -> AtRest:
     turned = np.radians(places)
     design = np.column_stack([np.ones(len(places)), np.cos(turned), np.sin(turned)])
     _, cosine, sine = np.linalg.lstsq(design, read.T, rcond=None)[0]
-    return AtRest(np.array(places), read, cosine + 1j * sine, max(again, default=float("nan")))
+    return _AtRest(np.array(places), read, cosine + 1j * sine, max(again, default=float("nan")))
 
 
 def judge_at_rest(run: Run) -> list[Finding]:

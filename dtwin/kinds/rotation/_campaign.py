@@ -25,7 +25,7 @@ _SAME_ORDER = 0.02
 _APART = 0.2
 
 
-def over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
+def _over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
     """Return every probe of a campaign over its speeds."""
     return [over_speed(key, points) for key, points in points_of(runs).items()]
 
@@ -33,7 +33,7 @@ def over_speeds(runs: Sequence[Run]) -> list[OverSpeed]:
 def judge_speeds(runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield what changes with speed or time, and what cannot be told."""
     whole = [run for run in runs if run.samples]
-    for found in over_speeds(whole):
+    for found in _over_speeds(whole):
         yield from _judge(found)
     for told in run_outs(whole):
         yield from (
@@ -262,7 +262,7 @@ def rotation_figures(runs: Sequence[Run]) -> dict[str, Any]:
                 "vector": _law(s.vector),
                 "mean": _law(s.mean),
             }
-            for s in over_speeds(runs)
+            for s in _over_speeds(runs)
             if len(s.points) > 1
         ],
         "run_out": [

@@ -37,7 +37,7 @@ _FEWEST_ROWS = 50
 """At one speed of several in a file."""
 
 
-def read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
+def _read_rotation(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return a run for each probe of a file, and the rows that hold no usable number.
 
     Raises ``InputError`` when there is no probe, and neither angle nor pulse nor speed.
@@ -271,4 +271,4 @@ def _safe(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_+-]+", "-", name).strip("-_+")[:60] or "probe"
 
 
-READERS = dict.fromkeys(SUFFIXES, read_rotation)
+READERS = dict.fromkeys(SUFFIXES, _read_rotation)

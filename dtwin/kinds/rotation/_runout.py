@@ -27,7 +27,7 @@ _FEWEST_NEIGHBOURS = 8
 
 
 @dataclass(frozen=True)
-class SpeedGroup:
+class _SpeedGroup:
     """Run-outs at one speed, in µm."""
 
     speed_rpm: float
@@ -35,7 +35,7 @@ class SpeedGroup:
 
 
 @dataclass(frozen=True)
-class RunOut:
+class _RunOut:
     """Run-outs of a probe over speed.
 
     ``repeat_um``: standard deviation of one run-out by repeats, NaN without.
@@ -49,7 +49,7 @@ class RunOut:
 
     run_id: str
     probe: str
-    groups: tuple[SpeedGroup, ...]
+    groups: tuple[_SpeedGroup, ...]
     repeat_um: float
     dof: int
     differs_p: float
@@ -60,12 +60,12 @@ class RunOut:
     smooth_p: float
 
 
-def groups_in(run: Run) -> tuple[SpeedGroup, ...]:
+def groups_in(run: Run) -> tuple[_SpeedGroup, ...]:
     """Return the run-outs of a table by speed, ascending, without those that are spoilt."""
     sound = ~spoilt(run)
     speed, runout = run.samples["speed_rpm"][sound], run.samples["runout_um"][sound]
     group = groups_of(speed)
-    return tuple(SpeedGroup(float(speed[group == g].mean()), runout[group == g]) for g in np.unique(group))
+    return tuple(_SpeedGroup(float(speed[group == g].mean()), runout[group == g]) for g in np.unique(group))
 
 
 def spoilt(run: Run) -> NDArray[np.bool_]:
@@ -96,12 +96,12 @@ def is_over_speed(run: Run) -> bool:
     return run.meta.condition.get("form") == OVER_SPEED or "runout_um" in run.samples
 
 
-def run_outs(runs: Sequence[Run]) -> list[RunOut]:
+def run_outs(runs: Sequence[Run]) -> list[_RunOut]:
     """Return what the tables of run-outs tell."""
     return [_told(run) for run in runs if is_over_speed(run) and not any(f.severity == "error" for f in run.findings)]
 
 
-def _told(run: Run) -> RunOut:
+def _told(run: Run) -> _RunOut:
     sound = ~spoilt(run)
     speed, runout, t_s = (run.samples[name][sound] for name in ("speed_rpm", "runout_um", "t_s"))
     groups = groups_in(run)
@@ -130,7 +130,7 @@ def _told(run: Run) -> RunOut:
         left = rest - design @ np.linalg.lstsq(design, rest, rcond=None)[0]
         lack = max(0.0, float(left @ left) - within) / max(len(groups) - 2, 1)
         unexplained = f_tail(lack / max(variance, 1e-300), (max(len(groups) - 2.0, 1.0), float(free)))
-    return RunOut(
+    return _RunOut(
         run.meta.run_id,
         str(run.meta.condition.get("probe", run.meta.run_id)),
         groups,
@@ -181,7 +181,7 @@ def _smooth_p(means: Floats) -> float:
     return 0.5 * math.erfc((2.0 - ratio) / math.sqrt(8.0 * (n - 2) / (n**2 - 1)))
 
 
-def runout_sentences(told: RunOut) -> list[tuple[str, str, str]]:
+def runout_sentences(told: _RunOut) -> list[tuple[str, str, str]]:
     """Return code, severity and text of what a table of run-outs tells."""
     first, last = told.groups[0], told.groups[-1]
     largest = max(told.groups, key=lambda g: float(g.runout_um.mean()))

@@ -53,7 +53,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Delay:
+class _Delay:
     """How far the form turns with the speed: ``ms`` that the angle is behind the probe, with k = 2."""
 
     ms: float
@@ -75,10 +75,10 @@ class OverSpeed:
     probe: str
     sense: str
     points: tuple[Point, ...]
-    delay: Delay | None
+    delay: _Delay | None
     form_known: bool
     odd_wave: int
-    wave: MovingWave | None
+    wave: _MovingWave | None
     vector: Law | None
     mean: Law | None
     spread_um: float
@@ -100,7 +100,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
             Point(
                 run.meta.run_id,
                 str(run.meta.condition.get("sense", "")),
-                speed_of(run),
+                _speed_of(run),
                 turns,
                 figures_of(turns),
                 orders_of(turns),
@@ -112,7 +112,7 @@ def points_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Point]]:
     return {key: sorted(points, key=lambda p: p.speed_rpm) for key, points in found.items()}
 
 
-def speed_of(run: Run) -> float:
+def _speed_of(run: Run) -> float:
     """Return the speed of a run: as it turned, else as it is stated."""
     part = one_way(run.samples["angle_deg"])
     a, t = run.samples["angle_deg"][part], run.samples["t_s"][part]
@@ -127,7 +127,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
     speed = np.array([p.speed_rpm for p in points])
     times = _times(points)
     phased = all(p.phased for p in points)
-    known, shift, odd = form_shift(points) if phased else (False, np.zeros(len(points)), 0)
+    known, shift, odd = _form_shift(points) if phased else (False, np.zeros(len(points)), 0)
     delay = _delay(speed, shift) if known else None
     once = np.array([p.figures.once for p in points])
     if delay is not None:
@@ -145,7 +145,7 @@ def over_speed(key: tuple[str, str], points: Sequence[Point]) -> OverSpeed:
         delay,
         known,
         odd,
-        moving_wave([p.turns for p in points], speed, [p.orders for p in points]),
+        _moving_wave([p.turns for p in points], speed, [p.orders for p in points]),
         law_of(vectors, speed, times, float(np.mean(noise)) if noise else 0.0) if phased else None,
         law_of(mean, speed, times, float(np.mean(mean_noise)) if mean_noise else 0.0, pairs=True),
         float(max(abs(a - b) for a in once for b in once)) if phased else math.nan,
@@ -164,7 +164,7 @@ def _times(points: Sequence[Point]) -> Floats:
     return np.array([float(p.place) for p in points])
 
 
-def form_shift(points: Sequence[Point]) -> tuple[bool, Floats, int]:
+def _form_shift(points: Sequence[Point]) -> tuple[bool, Floats, int]:
     """Return whether the form of all runs is the same but turned, by how many degrees from that of the slowest, and its odd wave.
 
     The form is what comes 2 to 40 times per turn, features with it: unbalance has no part in it. The odd wave is its largest,
@@ -232,7 +232,7 @@ def _waves(turns: Turns, orders: NDArray[np.int64]) -> NDArray[np.complex128]:
     return np.where(np.abs(waves) > _OF_A_STEP * turns.step_um, waves, 0.0)
 
 
-def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
+def _delay(speed: Floats, shift_deg: Floats) -> _Delay | None:
     """Return the delay that a form which turns in proportion to the speed shows, None where it does not surely turn."""
     if len(np.unique(groups_of(speed))) < 3:
         return None
@@ -244,7 +244,7 @@ def _delay(speed: Floats, shift_deg: Floats) -> Delay | None:
     slope = float(coefficients[1])
     if abs(slope) * float(np.ptp(speed)) < _LEAST_DEG or 2.0 * t_tail(abs(slope) / max(error, 1e-12), dof) > _CHANCE:
         return None
-    return Delay(-slope / 6e-3, k2_factor(dof) * error / 6e-3, abs(slope) * float(speed.max()))
+    return _Delay(-slope / 6e-3, k2_factor(dof) * error / 6e-3, abs(slope) * float(speed.max()))
 
 
 def next_speed(speed_rpm: Floats) -> float:
@@ -255,7 +255,7 @@ def next_speed(speed_rpm: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class MovingWave:
+class _MovingWave:
     """The wave whose amplitude changes most from speed to speed; ``times``: how often per turn; at which speeds it is smallest and largest."""
 
     times: int
@@ -265,7 +265,7 @@ class MovingWave:
     most_rpm: float
 
 
-def moving_wave(turns: Sequence[Turns], speed_rpm: Floats, lines: Sequence[Sequence[Order]]) -> MovingWave | None:
+def _moving_wave(turns: Sequence[Turns], speed_rpm: Floats, lines: Sequence[Sequence[Order]]) -> _MovingWave | None:
     """Return the wave of two times per turn or more whose amplitude changes, if it surely does; None of two speeds and fewer.
 
     ``lines``: what stands between whole orders, by run. A frequency of its own that is a whole order at one speed is no change there.
@@ -290,7 +290,7 @@ def moving_wave(turns: Sequence[Turns], speed_rpm: Floats, lines: Sequence[Seque
     best = int(np.argmax(np.where(sure, change, 0.0)))
     least, most = int(np.argmin(low[:, best])), int(np.argmax(high[:, best]))
     at = float(size[least, best]), float(speed_rpm[least]), float(size[most, best]), float(speed_rpm[most])
-    return MovingWave(int(orders[best]), *at)
+    return _MovingWave(int(orders[best]), *at)
 
 
 def _amplitudes(turns: Turns, orders: Floats) -> tuple[Floats, Floats]:

@@ -102,12 +102,12 @@ def one_way(angle_deg: Floats) -> slice:
     step = np.diff(angle_deg)
     if (step > 0.0).all() or (step < 0.0).all():
         return slice(0, len(angle_deg))
-    rising = longest_rise(angle_deg)
-    falling = longest_rise(-angle_deg)
+    rising = _longest_rise(angle_deg)
+    falling = _longest_rise(-angle_deg)
     return max((rising, falling), key=lambda s: abs(angle_deg[s.stop - 1] - angle_deg[s.start]))
 
 
-def longest_rise(angle_deg: Floats) -> slice:
+def _longest_rise(angle_deg: Floats) -> slice:
     """Return the longest stretch in which an angle rises, but for less than 20 degrees."""
     best, longest = slice(0, 1), 0.0
     start, peak = 0, 0

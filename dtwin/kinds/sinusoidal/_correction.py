@@ -46,7 +46,7 @@ from dtwin.units import UM_PER_MM
 _FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
 
 
-def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
+def _freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of tones, when there are enough of them to leave one out.
 
     ``obs``: the runs that it was fitted to.
@@ -65,7 +65,7 @@ def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     return _tone_twin_bundle(twin, obs, groups)
 
 
-def judge_tones(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
+def _judge_tones(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
     """Fit the twin without one frequency, then without one amplitude at a time, and predict it.
 
     What is left out is left out of all tones of the twin. The unit of replication is the run, one tone each.
@@ -138,7 +138,7 @@ def _told(twin: Twin, obs: Observations, groups: ToneGroups) -> Predicted:
     return (np.abs(responses) - 1.0) * groups.amplitude_um, lags
 
 
-WAY = TwinWay(freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})
+WAY = TwinWay(_freeze_tones, _judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})
 
 
 # Share of an effect's power beside the fundamental that a sine may leave.

@@ -26,7 +26,7 @@ _TICKS = 200
 _STILL = 1e-3
 
 
-class AnsweredWindow:
+class _AnsweredWindow:
     """What a bundle sends once it has settled on one window."""
 
     def __init__(self, bundle: Bundle) -> None:
@@ -56,7 +56,7 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
     of every amplitude at a frequency are known from the campaign. That map is iterated, and its slope taken
     where it has come to; where it does not settle, the ratio of its last two changes is taken.
     """
-    answers = AnsweredWindow(bundle)
+    answers = _AnsweredWindow(bundle)
     worst, where = 0.0, ""
     for frequency in np.unique(groups.frequency_hz):
         here = groups.only(groups.frequency_hz == frequency)
@@ -70,7 +70,7 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
     return worst, where
 
 
-def _radius(answers: AnsweredWindow, here: ToneGroups, amplitude_um: float) -> float:
+def _radius(answers: _AnsweredWindow, here: ToneGroups, amplitude_um: float) -> float:
     def after(sent_um: float) -> float:
         return abs(answers.sent(_features_at(here, sent_um), amplitude_um)) * amplitude_um
 

@@ -176,7 +176,7 @@ def virtual_runs(grid: Grid, slide: Slide, seed: int, instruments: Instruments |
         yield tone_run(number, frequency, amplitude, recorded)
 
 
-def planned_runs(
+def _planned_runs(
     plan: TonePlan, slide: Slide, seed: int, instruments: Instruments | None = None, drift: RoomDrift | None = None
 ) -> Iterator[Run]:
     """Return the groups of a plan as runs: the slide follows the room, so that repeats differ.
@@ -279,7 +279,7 @@ def simulate_turning(
     else:
         room = RoomDrift()
         told |= {f"drift_{k}": v for k, v in asdict(room).items()}
-        runs, count = planned_runs(plan, slide, seed, seen_by, room), plan.count
+        runs, count = _planned_runs(plan, slide, seed, seen_by, room), plan.count
     name = plan.name if plan else f"slow-tool-servo-{truth}"
     machine = plan.machine if plan else "virtual-turning"
     write_tone_campaign(folder, runs, told, truth, name, machine, (progress, count))

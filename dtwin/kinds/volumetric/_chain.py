@@ -54,7 +54,7 @@ _SEEN = 1e-9
 
 
 @dataclass(frozen=True)
-class Coefficient:
+class _Coefficient:
     """A named error motion.
 
     ``name``: as in ISO 230-1, with the order.
@@ -74,7 +74,7 @@ class Coefficient:
         return "um" if self.letter in _MOVES else "um/m"
 
 
-def coefficient(name: str) -> Coefficient:
+def coefficient(name: str) -> _Coefficient:
     """Return a coefficient by name. Raises ``InputError`` when the name means nothing."""
     letters = name[1:2]
     rigid = len(name) == 3 and name[2:] == "0"
@@ -82,7 +82,7 @@ def coefficient(name: str) -> Coefficient:
     if name[:1] == "E" and letters and letters in _MOVES + _TURNS and (rigid or moving):
         order = 0 if rigid else int(name[3])
         if rigid or 1 <= order <= _MOST_ORDER:
-            return Coefficient(name, letters, "0" if rigid else name[2], order)
+            return _Coefficient(name, letters, "0" if rigid else name[2], order)
     raise InputError(
         "no such error motion",
         code="volumetric.coefficient",
@@ -115,7 +115,7 @@ def design(
     return out
 
 
-def _profile(position: Floats, strokes_mm: Mapping[str, tuple[float, float]], what: Coefficient) -> Floats:
+def _profile(position: Floats, strokes_mm: Mapping[str, tuple[float, float]], what: _Coefficient) -> Floats:
     if what.axis == "0":
         return np.ones(len(position))
     low, high = strokes_mm[what.axis.lower()]

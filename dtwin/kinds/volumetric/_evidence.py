@@ -52,7 +52,7 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
             "--schedule validation --out summer",
         )
     tell = progress or (lambda *_: None)
-    conditions = [c for name in others for c in judged_hours(bundle, session_in(lake, name, tell))]
+    conditions = [c for name in others for c in _judged_hours(bundle, session_in(lake, name, tell))]
     runs = [
         {
             "way": WITHOUT,
@@ -81,7 +81,7 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
     )
 
 
-def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
+def _judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     """Return what an equation leaves of a campaign, day by day, in the form that gates read.
 
     Where cycles are far apart, several days are taken together.

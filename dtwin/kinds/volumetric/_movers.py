@@ -18,7 +18,7 @@ from dtwin.statistics import chi2_tail, rms, t_tail
 # A motion counts when it adds a quarter of the floor at the balls: 3 % of the residual.
 MATERIAL = 0.25
 # Share of what can be seen of a motion that temperatures must tell on hours left out.
-EXPLAINED = 0.3
+_EXPLAINED = 0.3
 # Another temperature is the cause when the thermocouples leave this many times as much.
 _CLEARER = 2.0
 ALPHA = 0.01
@@ -57,7 +57,7 @@ class Mover:
     @property
     def told(self) -> bool:
         """Whether temperatures tell it on hours left out."""
-        return self.gain >= EXPLAINED and self.p_value < ALPHA
+        return self.gain >= _EXPLAINED and self.p_value < ALPHA
 
     @property
     def explained(self) -> bool:
@@ -114,7 +114,7 @@ def mover_of(series: HeatSeries, left: Floats, column: int, own: tuple[str, ...]
     after = left.copy()
     after[:, column] += rest - motion
     gain = _gain(series, motion, rest, column)
-    thermocouples_do = channel is None and bool(sensors) and gain >= EXPLAINED
+    thermocouples_do = channel is None and bool(sensors) and gain >= _EXPLAINED
     return Mover(
         name,
         seen_um(series, motion, column),
@@ -172,7 +172,7 @@ def _clearer_channel(series: HeatSeries, motion: Floats, rest: Floats, column: i
         expected = _with_channel(series, motion, (*own, channel))
         with_it = motion - expected
         tells = _tells_p(motion, expected) < ALPHA
-        if tells and _gain(series, motion, with_it, column) >= EXPLAINED:
+        if tells and _gain(series, motion, with_it, column) >= _EXPLAINED:
             channels.append((series.share_um(with_it, column), channel))
     best = min(channels, default=None)
     if best is None or series.share_um(rest, column) < _CLEARER * best[0]:

@@ -57,7 +57,7 @@ class BallPlan:
         return self.touches * self.ball_s / 3600.0
 
 
-def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
+def _ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
     """Return a plan whose numbers obey every rule. ``where``: where they come from, for error messages."""
     plan = filled(BallPlan, stated, where)
     rules = (
@@ -163,7 +163,7 @@ def _length_advice(plan: BallPlan) -> list[Finding]:
 
 def planned(document: Mapping[str, Any], where: str) -> Planned:
     """Return cycles of a ball array as their plan file states them."""
-    plan = ball_plan(plan_settings(document, where), where)
+    plan = _ball_plan(plan_settings(document, where), where)
     return Planned(
         kind="volumetric",
         plan=plan,

@@ -34,7 +34,7 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats, SignalGroup
 
 MACHINE = "virtual-volumetric-mill"
-QUICK_EVERY = 3
+_QUICK_EVERY = 3
 # Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
 TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
 
@@ -64,7 +64,7 @@ def simulate_volumetric(
     if schedule not in SCHEDULES:
         raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
-    cycles = planned_cycles(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    cycles = _planned_cycles(plan, mill) if plan else range(0, mill.cycles, _QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
     name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
     for done, cycle in enumerate(cycles):
@@ -74,7 +74,7 @@ def simulate_volumetric(
     return len(cycles)
 
 
-def write_ball_campaign(
+def _write_ball_campaign(
     folder: Path,
     name: str,
     machine: str,
@@ -105,7 +105,7 @@ def parameters_of(truth: str) -> VolumetricParameters:
     return TRUTHS[truth]
 
 
-def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
+def _planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
     """Return the hours at which cycles begin."""
     own = {
         "balls": len(array_balls(1)),
@@ -204,7 +204,7 @@ class ServedMill:
         self._machine = plan.machine if plan else MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
         self._cycles: Sequence[int] = (
-            planned_cycles(plan, self._mill) if plan else range(0, QUICK_EVERY * n, QUICK_EVERY)
+            _planned_cycles(plan, self._mill) if plan else range(0, _QUICK_EVERY * n, _QUICK_EVERY)
         )
         self._balls = [self._mill.measure(cycle) for cycle in self._cycles]
         places = np.concatenate([readings.nominal_mm for readings in self._balls])
@@ -246,7 +246,7 @@ class ServedMill:
         readings = [
             replace(found, error_um=found.error_um - offset) for found, offset in zip(self._balls, parts, strict=True)
         ]
-        write_ball_campaign(
+        _write_ball_campaign(
             folder,
             folder.name,
             self._machine,

@@ -29,7 +29,7 @@ _ROUNDS = 8
 
 
 @dataclass(frozen=True)
-class Spoilt:
+class _Spoilt:
     """What went wrong in a campaign.
 
     ``readings``: for each cycle which of its readings stand off, or lie at the place of another ball.
@@ -54,7 +54,7 @@ class Spoilt:
         return out
 
 
-def spoilt_in(cycles: Sequence[Balls]) -> Spoilt:
+def spoilt_in(cycles: Sequence[Balls]) -> _Spoilt:
     """Return what went wrong; nothing of fewer than five cycles.
 
     ``cycles``: in the order of their times. What heat does goes on from cycle to cycle, and what stays from a cycle on stands off nothing after it.
@@ -75,7 +75,7 @@ def spoilt_in(cycles: Sequence[Balls]) -> Spoilt:
     far = off > max(_FAR * usual, _LEAST_UM)
     bad = np.array([far[n, own].mean() > _MOST if own.size else False for n, own in enumerate(at)])
     readings = tuple((far | swapped)[n, own] for n, own in enumerate(at))
-    return Spoilt(readings, tuple(off[n, own] for n, own in enumerate(at)), bad)
+    return _Spoilt(readings, tuple(off[n, own] for n, own in enumerate(at)), bad)
 
 
 def _off(error: Floats, nominal: Floats, pose: NDArray[np.int64]) -> Floats:
@@ -143,7 +143,7 @@ def _swapped(nominal: Floats, pose: NDArray[np.int64]) -> NDArray[np.bool_]:
     return out
 
 
-def spoilt_findings(names: Sequence[str], cycles: Sequence[Balls], found: Spoilt) -> list[Finding]:
+def spoilt_findings(names: Sequence[str], cycles: Sequence[Balls], found: _Spoilt) -> list[Finding]:
     """Return what went wrong in words."""
     out = []
     if found.cycles.any():

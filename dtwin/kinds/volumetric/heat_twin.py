@@ -21,7 +21,7 @@ KIND = "volumetric"
 _DAY_H = 24.0
 _COVERAGE = 2.0
 # Readings that leave what the fit saw by more are told, as a served bundle heeds them.
-BEYOND_C = 2.0
+_BEYOND_C = 2.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class HeatTwin:
         for name, (low, high) in self.seen_c.items():
             read = series.rise_c[name] + series.begun_c[name]
             beyond = max(low - float(read.min()), float(read.max()) - high)
-            if beyond > BEYOND_C:
+            if beyond > _BEYOND_C:
                 found.append(f"{name} by {beyond:z.1f} K")
         return found
 

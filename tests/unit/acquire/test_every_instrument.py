@@ -21,7 +21,7 @@ from system.virtual_robot import free_address, virtual_robot
 from dtwin.acquire._recording import Recorder
 from dtwin.acquire._recovery import seal
 from dtwin.acquire.instrument import Instrument, record
-from dtwin.acquire.instruments import ENTRIES, bench, instrument
+from dtwin.acquire.instruments import _ENTRIES, bench, instrument
 from dtwin.acquire.runner import Bench
 from dtwin.acquire.signal_files import read_signals
 from dtwin.errors import DeviceError, InputError, MissingPart
@@ -114,8 +114,8 @@ ABSENT: dict[str, Settings] = {
     "mtconnect": {"url": f"http://{free_address()}:5000", "timeout_s": 0.5},
     "mqtt": {"broker": f"{free_address()}:1883", "columns": {"mill/x": "x_mm"}, "timeout_s": 0.5},
 }
-INSTRUMENTS = [name for name, entry in ENTRIES.items() if entry.role == "instrument"]
-BENCHES = [name for name, entry in ENTRIES.items() if entry.role == "bench"]
+INSTRUMENTS = [name for name, entry in _ENTRIES.items() if entry.role == "instrument"]
+BENCHES = [name for name, entry in _ENTRIES.items() if entry.role == "bench"]
 
 
 @pytest.fixture(scope="module", params=INSTRUMENTS)
@@ -133,7 +133,7 @@ def device(present: tuple[str, Settings]) -> Instrument:
 
 def test_it_keeps_the_protocol_and_says_what_it_is(device: Instrument) -> None:
     assert isinstance(device, Instrument)
-    entry = ENTRIES[device.name]
+    entry = _ENTRIES[device.name]
     assert entry.measures
     assert entry.needs
 
@@ -231,7 +231,7 @@ def test_a_bench_measures_a_planned_test(name: str) -> None:
 
 def test_every_entry_is_tested() -> None:
     assert set(PEERS) == set(INSTRUMENTS) == set(ABSENT)
-    assert sorted(INSTRUMENTS + BENCHES) == sorted(ENTRIES)
+    assert sorted(INSTRUMENTS + BENCHES) == sorted(_ENTRIES)
 
 
 def test_unknown_names_and_settings_are_refused() -> None:

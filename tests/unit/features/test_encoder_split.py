@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.features.encoder_split import Cutoff, repeat_floor, seen_by_controller_um, slow_part, split
+from dtwin.features.encoder_split import Cutoff, _repeat_floor, seen_by_controller_um, slow_part, split
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.schema import RunMeta
@@ -86,7 +86,7 @@ def test_the_parts_add_up_and_their_sizes_are_those_of_their_waves() -> None:
 
 
 def test_without_repeats_there_is_no_floor() -> None:
-    assert np.isnan(repeat_floor(np.zeros((2, 360)), np.ones((2, 360), bool), np.array([0, 1])))
+    assert np.isnan(_repeat_floor(np.zeros((2, 360)), np.ones((2, 360), bool), np.array([0, 1])))
 
 
 def test_a_split_is_declared_once_and_hertz_depend_on_the_condition() -> None:

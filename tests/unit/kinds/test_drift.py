@@ -18,7 +18,7 @@ from dtwin.kinds.drift._check import drift_figures, judge_campaign_drift, judge_
 from dtwin.kinds.drift._data import longest_first, of_twin
 from dtwin.kinds.drift._diagnosis import diagnose
 from dtwin.kinds.drift._model import Series, Term, fitted, series_of, steady
-from dtwin.kinds.drift._read import is_drift_log, read_drift
+from dtwin.kinds.drift._read import _read_drift, is_drift_log
 from dtwin.kinds.drift._search import additions, idle, missing
 from dtwin.kinds.drift._training import train_drift
 from dtwin.kinds.registry import kind_named
@@ -399,7 +399,7 @@ def test_heads_below_merged_ones_are_joined_and_a_row_without_a_time_is_no_lost_
     path = tmp_path / "a.csv"
     path.write_text("\n".join([*heads, *rows, "Max;;;;59"]), encoding="utf-8")
     campaign = Campaign("a", "m", "drift", "", {})
-    across, along = read_drift(path, campaign, {})[0]
+    across, along = _read_drift(path, campaign, {})[0]
     assert (across.meta.run_id, along.meta.run_id) == ("verlagerung_x", "verlagerung_z")
     assert along.samples["temperature_temperatur_spindel_1_c"][-1] == pytest.approx(25.9)
     assert along.samples["t_s"][-1] == pytest.approx(59 * 60.0)
@@ -599,11 +599,11 @@ def test_a_log_without_a_temperature_tells_how_far_it_drifted(tmp_path: Path) ->
     assert re.search(r"range of the drift +59\.", told.output)
     assert "no temperature was logged" in told.output
     assert "R²" not in told.output
-    (run,), _ = read_drift(path, Campaign("c", "m", "drift"), {})
+    (run,), _ = _read_drift(path, Campaign("c", "m", "drift"), {})
     assert run.samples["sample_1"].tolist() == [n // 2 for n in range(120)]
     path.write_text("\n".join(["t_s,frame,displacement_um", *rows]), encoding="utf-8")
     with pytest.raises(InputError, match="lacks columns"):
-        read_drift(path, Campaign("c", "m", "drift"), {})
+        _read_drift(path, Campaign("c", "m", "drift"), {})
 
 
 def test_degrees_that_are_not_known_are_told_where_nothing_else_is(tmp_path: Path) -> None:
@@ -792,7 +792,7 @@ def test_the_form_of_times_may_stand_in_the_row_of_units(tmp_path: Path, form: s
         "\n".join(["Log;;;", "Zeit;X;Z;Spindel", f"{form};µm;µm;°C", *rows, ";;;", "Ende;;;"]), encoding="utf-8"
     )
     assert is_drift_log(path)
-    runs, _ = read_drift(path, Campaign("c", "m", kind="drift"), {})
+    runs, _ = _read_drift(path, Campaign("c", "m", kind="drift"), {})
     assert [run.meta.run_id for run in runs] == ["x", "z"]
     assert runs[0].samples["t_s"][-1] == 59 * 60.0
     assert not {finding.code for finding in runs[0].findings}
@@ -803,7 +803,7 @@ def test_a_head_that_is_nothing_but_a_unit_of_time_is_one_of_times(tmp_path: Pat
     path = tmp_path / "a.csv"
     path.write_text(f"{head},Z [µm],spindle [°C]\n" + "\n".join(f"{n},{n},2{n}" for n in range(5)), encoding="utf-8")
     assert is_drift_log(path)
-    (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
+    (run,) = _read_drift(path, Campaign("a", "m", "drift"), {})[0]
     assert run.samples["t_s"].tolist() == [n * seconds for n in range(5)]
 
 
@@ -812,7 +812,7 @@ def test_a_spindle_s_speed_beside_a_warm_up_and_a_time_that_elapsed_are_of_a_dri
     rows = [f"0:{n:02d}:00,8000,{n},2{n % 10}" for n in range(10)]
     path.write_text("\n".join(["elapsed,speed [rpm],Z [µm],spindle [°C]", *rows]), encoding="utf-8")
     assert is_drift_log(path)
-    (run,) = read_drift(path, Campaign("a", "m", "drift"), {})[0]
+    (run,) = _read_drift(path, Campaign("a", "m", "drift"), {})[0]
     assert run.samples["t_s"].tolist() == [60.0 * n for n in range(10)]
 
 

@@ -51,7 +51,7 @@ def test_every_machine_has_a_name_a_type_and_a_kind_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("name", "option", "values"),
     [
-        ("mill", "hidden", virtual_mill.HIDDEN),
+        ("mill", "hidden", virtual_mill._HIDDEN),
         ("lathe", "truth", virtual_lathe.TRUTHS),
         ("turning", "truth", virtual_turning.TRUTHS),
         ("volumetric", "truth", tuple(virtual_volumetric.TRUTHS)),

@@ -21,11 +21,11 @@ from dtwin.errors import InputError
 from dtwin.kinds.poses._axis_rows import joined, lines_for
 from dtwin.kinds.poses._chain import KNOWN, chain_of, frames
 from dtwin.kinds.poses._check import judge_poses
-from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
+from dtwin.kinds.poses._diagnosis import _idle_terms, diagnose, nested_mean_mm, selected
 from dtwin.kinds.poses._effects import EFFECTS, Term, terms_of
 from dtwin.kinds.poses._fit import Grams, Parameter, dof_of, held_out_mm, parameters_with, solve
 from dtwin.kinds.poses._iso9283 import measured_of
-from dtwin.kinds.poses._read import is_pose_table, read_poses
+from dtwin.kinds.poses._read import _read_poses, is_pose_table
 from dtwin.kinds.poses._series import series_of
 from dtwin.kinds.poses._twins import PoseTwin, PoseTwins, _without
 from dtwin.kinds.registry import kind_named
@@ -177,7 +177,7 @@ def test_all_that_is_missing_is_chosen_from_nothing_and_the_choice_is_judged_wit
     assert len(chosen) <= 4
     own = float(np.linalg.norm(held_out_mm(grams, chosen), axis=1).mean())
     assert 0.98 * own < nested_mean_mm(grams) < 1.3 * own
-    assert idle_terms(grams, [*chosen, Term("joint_reversal", 5)]) == [Term("joint_reversal", 5)]
+    assert _idle_terms(grams, [*chosen, Term("joint_reversal", 5)]) == [Term("joint_reversal", 5)]
 
 
 @pytest.mark.parametrize("poses", [24, 60, 120])
@@ -288,7 +288,7 @@ def _warming(folder: Path, head: str, cell: str = "{:g}") -> list[Finding]:
         lines.append(";".join(row))
     (folder / "poses.csv").write_text("\n".join(lines).replace(".", ","), encoding="utf-8")
     campaign = Campaign("c", "m", "poses")
-    (run,), _ = read_poses(folder / "poses.csv", campaign, {})
+    (run,), _ = _read_poses(folder / "poses.csv", campaign, {})
     return [*run.findings, *judge_poses(run)]
 
 
@@ -876,7 +876,7 @@ def test_german_heads_need_no_map(tmp_path: Path, commanded: str, measured: str,
     path = tmp_path / "posen.csv"
     path.write_text("\n".join([";".join(heads), *rows]), encoding="utf-8")
     assert is_pose_table(path)
-    (run,), rejects = read_poses(path, Campaign("c", "m", "poses"), {})
+    (run,), rejects = _read_poses(path, Campaign("c", "m", "poses"), {})
     assert rejects == []
     assert run.samples["target_y_mm"] == pytest.approx(target[:, 1], abs=1e-5)
     assert run.samples["measured_z_mm"] == pytest.approx(at[:, 2], abs=1e-2)
@@ -896,7 +896,7 @@ def test_coordinates_with_units_below_merged_heads_are_poses_and_no_positions_of
     heads = ["Target,,,Actual,,", "X [mm],Y [mm],Z [mm],X [mm],Y [mm],Z [mm]"]
     path.write_text("\n".join([*heads, *rows]), encoding="utf-8")
     assert kind_of_table(path) == "poses"
-    (run,), _ = read_poses(path, Campaign("a", "m", "poses"), {})
+    (run,), _ = _read_poses(path, Campaign("a", "m", "poses"), {})
     assert run.samples["measured_x_mm"] - run.samples["target_x_mm"] == pytest.approx([0.1] * 12)
 
 
@@ -909,7 +909,7 @@ def test_measured_places_alone_are_refused_with_how_they_repeat(tmp_path: Path, 
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
     assert kind_of_table(path) == "poses"
     with pytest.raises(InputError) as refused:
-        read_poses(path, Campaign("a", "m", "poses"), {})
+        _read_poses(path, Campaign("a", "m", "poses"), {})
     off = {p: np.linalg.norm(x - x.mean(axis=0), axis=1) for p, x in points.items()}
     p1, p2 = (off[p].mean() + 3.0 * off[p].std(ddof=1) for p in ("P1", "P2"))
     assert refused.value.code == "poses.commanded"
@@ -933,10 +933,10 @@ def test_poses_under_several_speeds_or_loads_are_no_repeats(tmp_path: Path, colu
     rows = [f"{v},{100 * n},{n * n},{7 * n},{100 * n + v},{n * n},{7 * n}" for v in (10, 100) for n in range(12)]
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
     with pytest.raises(InputError) as refused:
-        read_poses(path, Campaign("a", "m", "poses"), {})
+        _read_poses(path, Campaign("a", "m", "poses"), {})
     assert (refused.value.code, refused.value.got) == ("table.several", "10, 100")
     path.write_text("\n".join([heads, *rows[:12]]), encoding="utf-8")
-    assert len(read_poses(path, Campaign("a", "m", "poses"), {})[0]) == 1
+    assert len(_read_poses(path, Campaign("a", "m", "poses"), {})[0]) == 1
 
 
 @pytest.mark.parametrize(
@@ -964,12 +964,12 @@ def test_the_three_rows_of_a_pose_become_one(tmp_path: Path, heads: str, by_axis
     path = tmp_path / "poses.csv"
     path.write_text("\n".join([heads, *rows]), encoding="utf-8")
     assert kind_of_table(path) == "poses"
-    ((run,), _) = read_poses(path, Campaign("c", "m", "poses"), {})
+    ((run,), _) = _read_poses(path, Campaign("c", "m", "poses"), {})
     assert np.column_stack([run.samples[f"target_{a}_mm"] for a in "xyz"]) == pytest.approx(target.reshape(-1, 3))
     what = "error" if errors else "measured"
     told = np.column_stack([run.samples[f"{what}_{a}_mm"] for a in "xyz"])
     assert told == pytest.approx((error if errors else target + error).reshape(-1, 3), abs=1e-6)
     path.write_text("\n".join([heads, *rows[:-1]]), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        read_poses(path, Campaign("c", "m", "poses"), {})
+        _read_poses(path, Campaign("c", "m", "poses"), {})
     assert caught.value.code == "poses.axes"

@@ -30,7 +30,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.positioning.matrix import linear_test
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
-from dtwin.positioning.position_table import is_position_table, read_position_runs, table_in
+from dtwin.positioning.position_table import _table_in, is_position_table, read_position_runs
 from dtwin.positioning.ways import way_of
 from dtwin.report.checking import check_source
 from dtwin.schema import Campaign, Run, RunMeta
@@ -43,7 +43,7 @@ REVERSE = FORWARD + 4.0
 
 def read_position_table(path: Path) -> PositionTable:
     text = part_of_axis(decoded(table_bytes(path, 2**24)), "", path)
-    return table_in(text, rows_of(text), path)
+    return _table_in(text, rows_of(text), path)
 
 
 def refusal(path: Path) -> InputError:

@@ -20,7 +20,7 @@ from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.kinds.rotation._files import is_rotation_file
-from dtwin.kinds.rotation._read import read_rotation
+from dtwin.kinds.rotation._read import _read_rotation
 from dtwin.kinds.rotation._turns import figures_of, turns_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
@@ -44,7 +44,7 @@ def read(
     path = folder / name
     path.write_text(text, encoding="utf-8")
     campaign = Campaign("c", "m", "rotation", instrument={"columns": dict(recipe or {})})
-    return read_rotation(path, campaign, {"condition": condition})[0]
+    return _read_rotation(path, campaign, {"condition": condition})[0]
 
 
 @pytest.mark.parametrize(("sense", "once"), [("radial", False), ("axial", True), ("", False)])
@@ -419,7 +419,7 @@ def test_rows_without_a_number_are_rejected_and_the_rest_is_used(tmp_path: Path)
     lines[60] = ",".join([*lines[60].split(",")[:2], "12 mm", "inf"])
     path = tmp_path / "a.csv"
     path.write_text("\n".join(lines), encoding="utf-8")
-    runs, rejects = read_rotation(path, Campaign("c", "m", "rotation"), {})
+    runs, rejects = _read_rotation(path, Campaign("c", "m", "rotation"), {})
     assert [run.n_samples for run in runs] == [len(TIME) - 2] * 2
     assert {str(next(iter(r["values"].values()))) for r in rejects} >= {"12 mm", "inf"}
     assert all(turns_of(run) is not None for run in runs)
@@ -438,7 +438,7 @@ def test_no_file_ends_in_anything_but_a_refusal(
     is_rotation_file(path)
     with suppress(InputError):
         campaign = Campaign("c", "m", "rotation", instrument={"columns": {"A": "radial_mm"}})
-        for run in read_rotation(path, campaign, {"condition": {"speed_rpm": 60.0}})[0]:
+        for run in _read_rotation(path, campaign, {"condition": {"speed_rpm": 60.0}})[0]:
             judged(run)
 
 
@@ -632,7 +632,7 @@ def test_heads_below_merged_ones_are_joined(tmp_path: Path) -> None:
     heads = ["Drehzahl;Rundlauf;;Planlauf;", ";vorn;hinten;vorn;hinten", "1/min;µm;µm;µm;µm"]
     path.write_text("\n".join([*heads, *(f"{1000 * n};{n};2;3;4" for n in range(1, 6))]), encoding="utf-8")
     assert is_rotation_file(path)
-    runs, _ = read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
+    runs, _ = _read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
     told = {run.meta.run_id: run.samples["runout_um"][0] for run in runs}
     assert told == {"rundlauf_vorn": 1.0, "rundlauf_hinten": 2.0, "planlauf_vorn": 3.0, "planlauf_hinten": 4.0}
 
@@ -649,7 +649,7 @@ def test_heads_below_merged_ones_are_joined(tmp_path: Path) -> None:
 def test_columns_of_runs_are_repeats_and_others_are_probes(tmp_path: Path, heads: str, probes: dict[str, int]) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join([heads, *(f"{1000 * n};{n},1;{n},2" for n in range(1, 6))]), encoding="utf-8")
-    runs, rejects = read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
+    runs, rejects = _read_rotation(path, Campaign("a", "m", "rotation", "", {}), {})
     assert {run.meta.run_id: run.n_samples for run in runs} == probes
     assert rejects == []
     speeds = runs[0].samples["speed_rpm"]
@@ -678,7 +678,7 @@ def test_angle_and_displacement_need_no_time_where_the_speed_is_told(tmp_path: P
     assert "clock.assumed" in {finding.code for finding in run.findings}
     path.write_text(table(heads), encoding="utf-8")
     assert not is_rotation_file(path)
-    (stated,), _ = read_rotation(path, Campaign("c", "m", "rotation"), {"condition": {"speed_rpm": rpm}})
+    (stated,), _ = _read_rotation(path, Campaign("c", "m", "rotation"), {"condition": {"speed_rpm": rpm}})
     assert np.ptp(stated.samples["t_s"]) == pytest.approx(np.ptp(TIME), rel=1e-3)
     path.write_text(table({**heads, "speed [krpm]": 0.0 * UM + rpm / 1000.0}), encoding="utf-8")
     shown = CliRunner().invoke(app, ["check", str(path)])

@@ -10,7 +10,13 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.machines._sensors import read_ballbar
-from dtwin.machines.hexapod import OVERSHOOT_DEG, HexapodRecording, VirtualHexapod, leg_lengths_kernel, path_angle_rad
+from dtwin.machines.hexapod import (
+    _OVERSHOOT_DEG,
+    VirtualHexapod,
+    _HexapodRecording,
+    _leg_lengths_kernel,
+    path_angle_rad,
+)
 from dtwin.machines.hexapod_parameters import CENTRE_MM, HexapodParameters
 from dtwin.machines.motion import CircleCondition
 
@@ -26,12 +32,12 @@ PERFECT = replace(
 
 
 @cache
-def measured(feed: float, way: str = "CCW", parameters: HexapodParameters | None = None) -> HexapodRecording:
+def measured(feed: float, way: str = "CCW", parameters: HexapodParameters | None = None) -> _HexapodRecording:
     machine = VirtualHexapod(parameters, seed=0)
     return machine.measure(CircleCondition("YZ", 50.0, feed, way), setup="s1", repeat=1)
 
 
-def spread_um(found: HexapodRecording) -> float:
+def spread_um(found: _HexapodRecording) -> float:
     return float(np.std(found.deviation_um[slice(*found.window)]))
 
 
@@ -47,8 +53,8 @@ def test_the_turn_lies_between_two_half_turns_at_steady_feed(way: str, sign: flo
     found = measured(6000.0, way)
     start, end = found.window
     angle = found.angle_deg * sign
-    assert angle[0] == pytest.approx(-OVERSHOOT_DEG)
-    assert angle[-1] == pytest.approx(360.0 + OVERSHOOT_DEG)
+    assert angle[0] == pytest.approx(-_OVERSHOOT_DEG)
+    assert angle[-1] == pytest.approx(360.0 + _OVERSHOOT_DEG)
     steps = np.diff(angle[start:end])
     assert steps == pytest.approx(np.degrees(100.0 / 50.0) / 1000.0, rel=1e-6)
     assert (end - start) * steps[0] == pytest.approx(360.0, abs=steps[0])
@@ -58,10 +64,10 @@ def test_leg_lengths_change_with_the_pose_as_their_derivative_says() -> None:
     legs = VirtualHexapod(seed=1).legs.true
     rows, other, length = np.empty((6, 6)), np.empty((6, 6)), np.empty((2, 6))
     pose = np.array([3.0, -20.0, 700.0, 1e-3, -2e-3, 5e-4])
-    leg_lengths_kernel(pose[:3], pose[3:], legs, length[0], rows)
+    _leg_lengths_kernel(pose[:3], pose[3:], legs, length[0], rows)
     for column in range(6):
         nudged = pose + 1e-6 * (np.arange(6) == column)
-        leg_lengths_kernel(nudged[:3], nudged[3:], legs, length[1], other)
+        _leg_lengths_kernel(nudged[:3], nudged[3:], legs, length[1], other)
         # The rotation is of first order: its derivative is that of a small angle.
         assert (length[1] - length[0]) / 1e-6 == pytest.approx(rows[:, column], rel=1e-2, abs=0.6)
 
@@ -71,7 +77,7 @@ def test_longer_legs_lift_the_platform_as_their_triangle_says() -> None:
     height = float(CENTRE_MM[2] - PERFECT.tool_mm)
     length = np.empty(6)
     flat = np.array([0.0, 0.0, height])
-    leg_lengths_kernel(flat, np.zeros(3), machine.legs.true, length, np.empty((6, 6)))
+    _leg_lengths_kernel(flat, np.zeros(3), machine.legs.true, length, np.empty((6, 6)))
     centre = machine.centre_mm()
     machine.legs.scale_1[:] = 1e-5
     lifted = machine.centre_mm() - centre

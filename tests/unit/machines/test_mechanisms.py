@@ -22,7 +22,7 @@ from dtwin.machines._joints import (
     transmission_table,
     wind_up_kernel,
 )
-from dtwin.machines._sensors import accelerometer_group, couple_kernel, drift_kernel, read_ballbar, resample_kernel
+from dtwin.machines._sensors import _couple_kernel, _resample_kernel, accelerometer_group, drift_kernel, read_ballbar
 from dtwin.machines.parameters import load_parameters
 
 PARAMETERS = load_parameters()
@@ -137,7 +137,7 @@ def test_coupling_is_three_decibels_down_at_its_corner_and_blocks_gravity() -> N
     rate = 1651.6129
     t = np.arange(int(40 * rate)) / rate
     signal = np.column_stack([np.sin(np.pi * t), np.sin(100 * np.pi * t), np.ones(len(t))])
-    couple_kernel(signal, 0.5, rate)
+    _couple_kernel(signal, 0.5, rate)
     late = signal[len(t) // 2 :]
     assert late[:, 0].std() == pytest.approx(0.5, rel=0.01)
     assert late[:, 1].std() == pytest.approx(np.sqrt(0.5), rel=0.01)
@@ -148,7 +148,7 @@ def test_resampling_follows_a_smooth_signal() -> None:
     t = np.arange(1000) / 500
     at = np.linspace(0.01, 1.9, 777)
     out = np.empty((777, 1))
-    resample_kernel(np.sin(2 * np.pi * 9.4 * t)[:, None], 500.0, at, out)
+    _resample_kernel(np.sin(2 * np.pi * 9.4 * t)[:, None], 500.0, at, out)
     np.testing.assert_allclose(out[:, 0], np.sin(2 * np.pi * 9.4 * at), atol=1e-4)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.budget import Budget, budget
@@ -20,7 +20,7 @@ RADII_MM = (50.0, 100.0, 150.0)
 
 def told(mill: MillParameters, effects: list[str]) -> tuple[Budget, float]:
     made = VirtualMill(mill, seed=3, noise=NoiseParameters(rms_um=0.1))
-    tests = standard_tests(3, planes=("XY",))
+    tests = _standard_tests(3, planes=("XY",))
     obs = observe(made.campaign(), made.measure(tests))
     fitted = fit(obs, chosen_terms(effects, LIBRARY, obs))
     twin = twin_of(fitted, obs, name="t", version=1, action="fit", data={})

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dtwin.acquire.b5r import read_b5r
 from dtwin.errors import InputError
 from dtwin.physics.circular import bidirectional_figures, circular_figures, fit_circle, minimum_zone_um
-from dtwin.physics.spectrum import band_rms_um, strongest_lines
+from dtwin.physics.spectrum import _band_rms_um, strongest_lines
 
 ANGLE = np.arange(0.0, 360.0, 0.25)
 THETA = np.radians(ANGLE)
@@ -127,7 +127,7 @@ def test_bands_add_up_and_a_line_is_found() -> None:
     assert lines[0][0] == pytest.approx(9.43, abs=0.02)
     assert lines[0][1] == pytest.approx(15.0, rel=0.05)
     assert sum(rms**2 for *_, rms in bands) == pytest.approx(np.var(signal), rel=1e-6)
-    inside = {(low, high): rms for low, high, rms in band_rms_um(signal, 200.0)}
+    inside = {(low, high): rms for low, high, rms in _band_rms_um(signal, 200.0)}
     assert inside[(8.0, 12.0)] == pytest.approx(15 / np.sqrt(2), rel=0.05)
 
 

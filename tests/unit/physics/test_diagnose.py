@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_mill import standard_tests, virtual_mill
+from dtwin.acquire.virtual_mill import _standard_tests, virtual_mill
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.physics._nameless import nameless
-from dtwin.physics._rivals import beside_a_part
+from dtwin.physics._rivals import _beside_a_part
 from dtwin.physics.candidates import Candidates, applicable, probes
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
@@ -30,7 +30,7 @@ SOUND = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25
 
 
 def measured(mill: VirtualMill) -> list[Run]:
-    return mill.measure(standard_tests(mill.seed, planes=("XY",)))
+    return mill.measure(_standard_tests(mill.seed, planes=("XY",)))
 
 
 def observed(runs: list[Run]) -> Observations:
@@ -198,7 +198,7 @@ def test_a_wobble_that_no_effect_describes_is_called_unknown() -> None:
 
 def test_at_one_radius_a_cup_and_two_bows_are_one_group_and_the_radius_is_not_tested() -> None:
     mill = SOUND.with_axis("X", bow_um=4.0).with_axis("Y", bow_um=-6.0)
-    tests = [t for t in standard_tests(3, planes=("XY",)) if t.radius_mm == 150.0]
+    tests = [t for t in _standard_tests(3, planes=("XY",)) if t.radius_mm == 150.0]
     found = verdict(VirtualMill(mill, seed=3).measure(tests))
     named = {s.label for group in found.found for s in group}
     assert named == {"straightness X", "straightness Y", "instrument_artefact"}
@@ -302,7 +302,7 @@ def test_at_one_speed_what_rings_and_a_scale_are_a_mode() -> None:
         ]
         assert top is not None
         every = [top, *(c for c in group if c is not None)]
-        return {c.term.label for c in beside_a_part(problem, candidates, top, every, level)}
+        return {c.term.label for c in _beside_a_part(problem, candidates, top, every, level)}
 
     mode = next(i for i in candidates.instances if i.label == "structural_resonance X")
     assert also(mode) == {"scale_mismatch XY", "inertial_compliance", "servo_lag"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import HeatParameters, MillParameters
 from dtwin.physics.candidates import Candidate, independent
@@ -96,7 +96,7 @@ def test_heat_times_feed_is_not_called_a_wrong_scale() -> None:
         return 1.2 * moment.rise_c * share * np.cos(2 * moment.angle_rad + 0.4)
 
     mill = VirtualMill(hot, seed=4, disturbance=faster_is_worse)
-    obs = observe(mill.campaign(), mill.measure(standard_tests(mill.seed, planes=("XY",))))
+    obs = observe(mill.campaign(), mill.measure(_standard_tests(mill.seed, planes=("XY",))))
     found = diagnose(obs, chosen_terms(["scale_mismatch", "squareness"], LIBRARY, obs), LIBRARY)
     assert found.verdict == "unknown_effect", found.headline
     assert "temperature_c" in [channel.name for channel in found.channels]

@@ -20,7 +20,7 @@ from dtwin.physics.several import SeveralFit, fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_sizes import covariance_in, sizes_of
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of, started_of
-from dtwin.report.several import settled_lines
+from dtwin.report.several import _settled_lines
 from dtwin.twins.learn import _together
 
 LIBRARY = Library()
@@ -324,7 +324,7 @@ def test_bars_at_other_conditions_rule_out_what_would_need_another_size(
     assert [[s.label for s in group] for group in found.found] == [[name]]
     assert other in found.ruled_out
     assert name not in found.ruled_out
-    assert other in settled_lines(found.as_dict())[-1]
+    assert other in _settled_lines(found.as_dict())[-1]
     assert diagnose_several(twin_of_all(bars, name.replace(" ", ":")), bars, LIBRARY).undecided == ()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.candidates import applicable
@@ -22,7 +22,7 @@ FAULTY = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", play_um=6.0
 
 def campaign() -> Observations:
     mill = VirtualMill(FAULTY, seed=1, noise=NoiseParameters(NOISE_UM))
-    tests = [t for t in standard_tests(1, planes=("XY",)) if t.radius_mm == 150.0]
+    tests = [t for t in _standard_tests(1, planes=("XY",)) if t.radius_mm == 150.0]
     slowest = min(t.feed_mm_min for t in tests)
     return observe(mill.campaign(), mill.measure([t for t in tests if t.feed_mm_min == slowest]))
 

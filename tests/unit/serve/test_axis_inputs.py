@@ -11,7 +11,7 @@ from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import tone_contract
 from dtwin.features.windows import StreamingWindow
 from dtwin.links.state import LiveValues
-from dtwin.serve._axis_inputs import ChannelWindows, ToneWatch
+from dtwin.serve._axis_inputs import _ChannelWindows, _ToneWatch
 
 RATE_HZ = 200.0
 
@@ -20,7 +20,7 @@ def test_windows_are_those_of_the_training_stream() -> None:
     contract = tone_contract(RATE_HZ, "tool_z_g")
     rng = np.random.default_rng(3)
     samples = rng.normal(size=(2, round(8.3 * RATE_HZ)))
-    windows, stream = ChannelWindows(contract), StreamingWindow(contract)
+    windows, stream = _ChannelWindows(contract), StreamingWindow(contract)
     expected = stream.push(samples).values
     kernel, found = contract.kernel(), []
     for number in range(samples.shape[1]):
@@ -43,7 +43,7 @@ def test_windows_are_those_of_the_training_stream() -> None:
 
 def test_a_window_that_was_fetched_late_is_whole() -> None:
     contract = tone_contract(RATE_HZ, "tool_z_g")
-    windows = ChannelWindows(contract)
+    windows = _ChannelWindows(contract)
     samples = np.arange(2.0 * (contract.n_samples + 7)).reshape(2, -1)
     for number in range(samples.shape[1]):
         windows.push(samples[:, number])
@@ -53,7 +53,7 @@ def test_a_window_that_was_fetched_late_is_whole() -> None:
     assert age_s == pytest.approx(7 / RATE_HZ)
 
 
-def foretold(watch: ToneWatch, sent_um: float, lag: float, gain: float, lead: float) -> float:
+def foretold(watch: _ToneWatch, sent_um: float, lag: float, gain: float, lead: float) -> float:
     """Feed a second of a 12 Hz tone of 4 um, and return what the watch foretells."""
     t = np.arange(round(RATE_HZ)) / RATE_HZ
     angle = 2.0 * np.pi * 12.0 * t
@@ -67,7 +67,7 @@ def foretold(watch: ToneWatch, sent_um: float, lag: float, gain: float, lead: fl
 
 
 def test_the_watch_foretells_what_is_left_whatever_the_lead_of_the_phase() -> None:
-    watch = ToneWatch(round(RATE_HZ))
+    watch = _ToneWatch(round(RATE_HZ))
     first = foretold(watch, 4.0, 0.1, 1.2, 0.0)
     assert foretold(watch, 4.0, 0.1, 1.2, 0.7) == pytest.approx(first, rel=1e-6)
     assert foretold(watch, 4.0 / 1.2, 0.2, 1.2, 0.3) == pytest.approx(0.0, abs=1e-9)
@@ -75,7 +75,7 @@ def test_the_watch_foretells_what_is_left_whatever_the_lead_of_the_phase() -> No
 
 
 def test_a_correction_that_grows_is_an_alarm_until_another_tone_begins() -> None:
-    watch = ToneWatch(round(RATE_HZ))
+    watch = _ToneWatch(round(RATE_HZ))
     foretold(watch, 4.2, 0.2, 1.0, 0.0)
     foretold(watch, 6.0, 0.2, 1.0, 0.0)
     assert "worse" in watch.alarm

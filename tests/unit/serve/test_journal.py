@@ -18,7 +18,7 @@ import pytest
 
 from dtwin.errors import DeviceError
 from dtwin.serve import _journal
-from dtwin.serve._journal import Journal, journal
+from dtwin.serve._journal import _Journal, journal
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -81,7 +81,7 @@ time.sleep(60)
 def test_lines_that_found_no_room_are_counted_when_there_is_some(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.symlink_to("/dev/full")
-    kept = Journal(path)
+    kept = _Journal(path)
     for number in range(3):
         kept.note("guard", number=number)
     while waiting_bytes(kept._pipe):

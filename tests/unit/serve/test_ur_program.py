@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dtwin.errors import InputError
 from dtwin.links import ur_registers
-from dtwin.links.ur_program import TICK_HZ, correction_functions, correction_program
+from dtwin.links.ur_program import TICK_HZ, _correction_functions, correction_program
 
 LIMIT_UM, SLEW_UM_S, WATCHDOG_S = 200.0, 10_000.0, 0.02
 STEP_UM = SLEW_UM_S / TICK_HZ
@@ -25,7 +25,7 @@ def tick(state: list[Any], sequence: int, *offset: float) -> list[Any]:
     return list(found)
 
 
-SCRIPT = URScript(correction_functions(LIMIT_UM, SLEW_UM_S, WATCHDOG_S))
+SCRIPT = URScript(_correction_functions(LIMIT_UM, SLEW_UM_S, WATCHDOG_S))
 
 
 def in_force(state: list[Any]) -> int:

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dtwin.features.motion import PATH_INPUTS
-from dtwin.kinds.circular._library import Gear, Library, Mode, free_step, weighted_sum
+from dtwin.kinds.circular._library import Gear, Library, Mode, _free_step, weighted_sum
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.tape import Tape
 
@@ -19,7 +19,7 @@ def test_a_free_step_is_the_differential_equation(mode: Mode) -> None:
 
     start = np.array([0.3, -2.0])
     exact = solve_ivp(slope, (0, 0.1), start, rtol=1e-11, atol=1e-12).y[:, -1]
-    step = np.array(free_step(mode, 0.002))
+    step = np.array(_free_step(mode, 0.002))
     found = start
     for _ in range(50):
         found = step @ found

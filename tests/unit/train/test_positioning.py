@@ -13,9 +13,9 @@ import pytest
 
 from dtwin.kinds.linear._bundle import (
     Flanks,
+    _fit_harmonics,
     axis_number,
     deployed_bundle,
-    fit_harmonics,
     flanks_bundle,
     flanks_of,
     held,
@@ -169,7 +169,7 @@ def test_flanks_never_change_more_than_the_axis_moves(flanks: Flanks) -> None:
 def test_harmonics_come_back_from_their_own_sum() -> None:
     x = np.linspace(0.0, 2.0, 97)
     angle = 2 * np.pi * x / 0.25
-    found = fit_harmonics(x, 3.0 + 2.0 * np.sin(angle) - np.cos(2 * angle), 0.25, 3)
+    found = _fit_harmonics(x, 3.0 + 2.0 * np.sin(angle) - np.cos(2 * angle), 0.25, 3)
     assert found.constant == pytest.approx(3.0)
     assert np.allclose(found.sine, [2, 0, 0], atol=1e-9)
     assert np.allclose(found.cosine, [0, -1, 0], atol=1e-9)

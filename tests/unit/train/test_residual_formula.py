@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from dtwin.errors import InputError
 from dtwin.train.formula import parse_formula
-from dtwin.train.residual_formula import INPUTS, formula_effect
+from dtwin.train.residual_formula import _INPUTS, formula_effect
 
 
 def expressions() -> st.SearchStrategy[str]:
-    leaf = st.sampled_from(INPUTS) | st.floats(-9, 9).map(lambda x: f"({x!r})")
+    leaf = st.sampled_from(_INPUTS) | st.floats(-9, 9).map(lambda x: f"({x!r})")
     return st.recursive(
         leaf,
         lambda inner: (
@@ -28,9 +28,9 @@ def expressions() -> st.SearchStrategy[str]:
 
 @given(expressions(), st.integers(0, 2**32 - 1))
 def test_text_says_what_the_formula_says(text: str, seed: int) -> None:
-    values = {n: np.random.default_rng(seed).uniform(-1, 1, 5) for n in INPUTS}
-    formula, constants = parse_formula(text, INPUTS)
-    again, others = parse_formula(formula.text(constants), INPUTS)
+    values = {n: np.random.default_rng(seed).uniform(-1, 1, 5) for n in _INPUTS}
+    formula, constants = parse_formula(text, _INPUTS)
+    again, others = parse_formula(formula.text(constants), _INPUTS)
     np.testing.assert_array_equal(again.values(values, others), formula.values(values, constants))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import MissingPart
-from dtwin.train.symbolic import OperonEngine, PySREngine, read_hall_of_fame, refit
+from dtwin.train.symbolic import OperonEngine, PySREngine, _read_hall_of_fame, refit
 
 
 def test_operon_finds_a_law_and_repeats_itself() -> None:
@@ -71,7 +71,7 @@ def test_pysr_results_are_read_as_formulas(pysr: types.ModuleType, tmp_path: Pat
         binary_operators=["+", "*"],
         unary_operators=["sin", "cos"],
     )
-    front = read_hall_of_fame(model.equations_)
+    front = _read_hall_of_fame(model.equations_)
     assert [f.complexity for f in front] == [1, 9]
     rng = np.random.default_rng(1)
     inputs = {"a": rng.normal(size=80), "b": rng.normal(size=80)}

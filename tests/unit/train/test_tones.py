@@ -13,7 +13,7 @@ from dtwin.features.windows import StreamingWindow
 from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.kinds.sinusoidal._candidates import narx_candidate, searched_candidate
 from dtwin.kinds.sinusoidal._evidence import ToneCommand, run_loop
-from dtwin.kinds.sinusoidal._gates import AnsweredWindow
+from dtwin.kinds.sinusoidal._gates import _AnsweredWindow
 from dtwin.kinds.sinusoidal._groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, Grid, virtual_runs, virtual_slide
 from dtwin.serve.bundle import Bundle
@@ -124,13 +124,13 @@ def test_the_window_tells_gain_and_lag_and_the_tick_makes_the_exact_vector(
     place = int(np.flatnonzero((groups.frequency_hz == 40.0) & (groups.amplitude_um == 5.0))[0])
     gain = 1.0 + groups.amplitude_error_um[place] / 5.0
     lag = np.radians(groups.phase_error_deg[place])
-    sent = AnsweredWindow(made.bundle).sent(window_of(groups, place, made.bundle), 5.0)
+    sent = _AnsweredWindow(made.bundle).sent(window_of(groups, place, made.bundle), 5.0)
     # What is sent, times what the slide makes of it, is what was wanted.
     assert abs(sent * gain * np.exp(-1j * lag) - 1.0) < 0.01
     # Amplitude error times a sine is not the error: a seventh of it is left.
     printed = fitted_tones("m", groups, "two-modes", "printed", 0).bundle
     error = gain * np.exp(-1j * lag) - 1.0
-    told = 1.0 - AnsweredWindow(printed).sent(window_of(groups, place, printed), 5.0)
+    told = 1.0 - _AnsweredWindow(printed).sent(window_of(groups, place, printed), 5.0)
     assert abs(told - error) > 0.1 * abs(error)
 
 

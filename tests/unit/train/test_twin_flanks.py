@@ -12,7 +12,7 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
-from dtwin.kinds.linear._correction import _Flanks, _flanks_twin_bundle, _pitch_mm, _reach_mm, test_of_runs
+from dtwin.kinds.linear._correction import _Flanks, _flanks_twin_bundle, _pitch_mm, _reach_mm, _test_of_runs
 from dtwin.kinds.linear._gates import along, positioning_gates
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
@@ -169,7 +169,7 @@ def test_runs_that_do_not_show_play_or_screw_are_refused(worn: Observations, tmp
 def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
     one = worn.take(np.flatnonzero(worn.run_of == 0))
     with pytest.raises(InputError, match="cannot be judged"):
-        test_of_runs(one)
-    test = test_of_runs(worn)
+        _test_of_runs(one)
+    test = _test_of_runs(worn)
     assert (test.forward_um.shape, test.left_out) == ((63, 3), 0)
     assert np.array_equal(test.reverse_um[:, 1], worn.y_um[(worn.run_of == 1) & (worn.sense < 0)][0])
