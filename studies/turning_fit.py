@@ -10,14 +10,12 @@ from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._bundle import ACTIONS as ACTIONS
 from dtwin.kinds.sinusoidal._bundle import Action
-from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate
+from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate, what_was_seen
 from dtwin.kinds.sinusoidal._gates import tone_gates
 from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of, heard_groups
-from dtwin.kinds.sinusoidal._training import what_was_seen
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
-from dtwin.train.logged import candidate_metrics
-from dtwin.train.results import Candidate
+from dtwin.train.results import Candidate, candidate_metrics
 from studies.judged_bundle import JudgedBundle
 
 _SEARCHED = "symbolic"

@@ -10,11 +10,10 @@ import numpy as np
 from sklearn.metrics import r2_score
 
 from dtwin.features.sine import ToneErrors, tone_errors
-from dtwin.kinds.sinusoidal._candidates import narx_candidate
+from dtwin.kinds.sinusoidal._candidates import narx_candidate, what_was_seen
 from dtwin.kinds.sinusoidal._gates import features_used
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
 from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, record_group, virtual_runs, virtual_slide
-from dtwin.kinds.sinusoidal._training import what_was_seen
 from dtwin.machines.turning import Instruments, Slide
 from dtwin.progress import Progress
 from dtwin.schema import Floats

@@ -21,7 +21,7 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import chosen_terms, frozen_residual_um, twin_of
-from dtwin.train.place_map import place_map, place_map_effect
+from dtwin.train.residual_formula import place_map, place_map_effect
 
 NAMING = ("missing_effect", "ambiguous")
 ALARMS = (*NAMING, "unknown_effect")

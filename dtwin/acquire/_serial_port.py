@@ -9,9 +9,8 @@ import numpy as np
 
 from dtwin.acquire.instrument import Description, Reading
 from dtwin.errors import DeviceError
-from dtwin.links.frames import SEQUENCES, Frame
 from dtwin.links.opened import OpenAndClose
-from dtwin.links.serial_line import SerialLink
+from dtwin.links.serial_line import SEQUENCES, Frame, SerialLink
 from dtwin.schema import Finding
 from dtwin.units import require_units
 

@@ -1,8 +1,9 @@
-"""Where the files of a table lie: in a folder here, or in one of a shared store."""
+"""Where the files of a table lie: in a folder here, or in one of a shared store, and how writers wait for each other."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Protocol
@@ -11,8 +12,10 @@ import pyarrow as pa
 
 from dtwin.atomic import make_folder, sync
 from dtwin.bucket import Objects, delta_options
+from dtwin.errors import StoreError
 from dtwin.home_file import Bucket
 from dtwin.lake.parquet import content_of, write_bytes
+from dtwin.locks import take
 
 Place = Path | Bucket
 # A data file of a shared store that no commit names may be one of another computer that is about to name it.
@@ -199,3 +202,32 @@ class _SharedFolder:
 def folder_at(place: Place) -> Folder:
     """Return the folder at a place."""
     return _SharedFolder(place) if isinstance(place, Bucket) else _LocalFolder(place)
+
+
+@contextmanager
+def writing(place: Place, name: str, *, shared: bool = False) -> Iterator[None]:
+    """Hold a lock of a lake.
+
+    On a shared store there is none: a commit there is a write with a condition, and who comes second begins anew.
+    That the store keeps to conditions is tried instead.
+
+    Raises ``StoreError`` when the lake cannot be written.
+    """
+    if isinstance(place, Bucket):
+        Objects(place).probe()
+        yield
+        return
+    try:
+        make_folder(place, private=True)
+        handle = (place / name).open("w")
+    except OSError as error:
+        raise StoreError(
+            "the lake cannot be written",
+            code="store.write",
+            where=str(place),
+            got=str(error),
+            hint="check free space and permissions; nothing was committed",
+        ) from error
+    with handle:
+        take(handle, shared=shared, wait=True)
+        yield

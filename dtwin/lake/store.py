@@ -15,9 +15,8 @@ from dtwin.errors import InputError
 from dtwin.home_file import Bucket
 from dtwin.lake._admission import accepted, fresh, require_same_statements
 from dtwin.lake._file_batch import Batch, campaign_named, names_of, of_machines, samples_part, signal_parts
-from dtwin.lake._folders import Place
+from dtwin.lake._folders import Place, writing
 from dtwin.lake._log import content_hash
-from dtwin.lake._writers import writing
 from dtwin.lake.delta import DeltaFiles, Moved, file_of, part_of
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import DeviceError, InputError
-from dtwin.links.frames import Frame
 from dtwin.links.opened import OpenAndClose
-from dtwin.links.serial_line import SerialLink
+from dtwin.links.serial_line import Frame, SerialLink
 
 AXES = ("x", "y", "z")
 _BAUD = 250_000

@@ -34,7 +34,6 @@ from dtwin.acquire.table_dialect import SUMMARY, decoded, rows_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._angles import angles_as_targets, is_angle, of_angles, with_degrees
-from dtwin.positioning._instruments import instruments_beside
 from dtwin.positioning._one_place import joined_targets, one_place, probings_of, trials_of, with_joined_targets
 from dtwin.positioning._plain_table import table_of, told_apart
 from dtwin.positioning._refusals import (
@@ -50,10 +49,19 @@ from dtwin.positioning._refusals import (
     require_unit_of,
     require_unit_of_heads,
 )
-from dtwin.positioning._report_tables import of_one_instrument, report_tables, stated_figures
-from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
+from dtwin.positioning._report_tables import instruments_beside, of_one_instrument, report_tables, stated_figures
 from dtwin.positioning.matrix import names_sense, no_direction, ways_in_order
-from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
+from dtwin.positioning.position_runs import (
+    PositionTable,
+    Reading,
+    assigned_readings,
+    assigned_unit,
+    is_assigned,
+    number_of,
+    runs_of,
+    said_of,
+    wrong_form,
+)
 from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,

@@ -1,8 +1,8 @@
-"""Twins of campaigns of several kinds, as text and as sections of a report."""
+"""Twins that are told in words and tables, and of campaigns of several kinds, as text and as sections of a report."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +10,9 @@ from dtwin.report.faults import with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.several import contradiction_lines
 from dtwin.report.text import micrometres, table
-from dtwin.report.told_twins import history_section as history_section
 from dtwin.report.twin_of_kind import report_of
-from dtwin.report.twins import number
+from dtwin.report.twin_plots import ranked_figure, waterfall_figure
+from dtwin.report.twins import history_text, number
 
 
 def twin_text(twin: Any) -> str:
@@ -129,3 +129,24 @@ def _size(one: Mapping[str, Any]) -> str:
 
 def _as_text(shown: Table) -> str:
     return table(shown.head, shown.rows)
+
+
+def candidate_table(candidates: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the table of what may be missing; nothing for none."""
+    rows = [
+        (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
+        for c in candidates
+    ]
+    return [table(("effect", "gain held out", "p", "in group"), rows)] if rows else []
+
+
+def missing_section(result: Mapping[str, Any], told: str, severity: str = "warning", said: str = "") -> Section:
+    """Return a diagnosis for a report; ``told``: its text for the terminal."""
+    figures = [ranked_figure(result)] if result["candidates"] else []
+    return Section("What is missing", [], [(severity, said or result["headline"])], [], figures, [told])
+
+
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+    """Return the versions of a twin for a report."""
+    figure = waterfall_figure(rungs, begun="no effects")
+    return Section("From version to version", figures=[figure], code=[history_text(rungs)])

@@ -11,8 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dtwin.serve._operators import OPERATORS
-from dtwin.serve.graph import Graph, Node
+from dtwin.serve.graph import OPERATORS, Graph, Node
 
 POWER_SHIFT = 64
 MULTIPLY_ADD = 23

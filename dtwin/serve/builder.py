@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from dtwin.errors import InputError
-from dtwin.serve._operators import OPERATORS
-from dtwin.serve.graph import Graph, Node, Table
+from dtwin.serve.graph import OPERATORS, Graph, Node, Table
 
 Term: TypeAlias = "Expression | float | int"
 

@@ -1,15 +1,14 @@
-"""Expression graphs: numbered nodes over a closed operator list, each using earlier ones."""
+"""Expression graphs: numbered nodes over a closed list of operators, each using earlier ones."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from dtwin.errors import InputError
 from dtwin.serve._fields import number, only_fields, text, whole
-from dtwin.serve._operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
 
 _MAX_NODES = 4096
 _MAX_DEPTH = 256
@@ -153,8 +152,8 @@ def _check_graph(graph: Graph) -> None:
 
 
 def _check_node(graph: Graph, node: Node, i: int) -> None:
-    if node.op not in OPERATORS and node.op not in LEAVES:
-        allowed = ", ".join([*LEAVES, *OPERATORS])
+    if node.op not in OPERATORS and node.op not in _LEAVES:
+        allowed = ", ".join([*_LEAVES, *OPERATORS])
         raise _wrong(f"node {i} has an unknown operator", node.op[:40], allowed)
     arity = OPERATORS[node.op].arity if node.op in OPERATORS else 0
     if len(node.args) != arity or not all(0 <= a < i for a in node.args):
@@ -165,8 +164,8 @@ def _check_node(graph: Graph, node: Node, i: int) -> None:
         raise _wrong(f"node {i} is a constant that is not finite", str(node.value), "a number")
     if node.op in ("input", "state") and not node.name:
         raise _wrong(f"node {i} ({node.op}) has no name", "", "a name")
-    if node.op == "pow_int" and not (1 <= abs(node.n) <= MAX_POWER):
-        raise _wrong(f"node {i} has an unusable exponent", str(node.n), f"+-1 to +-{MAX_POWER}")
+    if node.op == "pow_int" and not (1 <= abs(node.n) <= _MAX_POWER):
+        raise _wrong(f"node {i} has an unusable exponent", str(node.n), f"+-1 to +-{_MAX_POWER}")
     if node.op == "lookup" and not 0 <= node.n < len(graph.tables):
         raise _wrong(f"node {i} names no table", str(node.n), f"0 to {len(graph.tables) - 1}")
 
@@ -181,7 +180,7 @@ def _node_to_dict(node: Node) -> dict[str, Any]:
     plain: dict[str, Any] = {"op": node.op}
     if node.op == "const":
         plain["value"] = node.value
-    elif node.op in LEAVES:
+    elif node.op in _LEAVES:
         plain["name"] = node.name
     else:
         plain["args"] = list(node.args)
@@ -236,3 +235,125 @@ def _listed(data: object, where: str, longest: int) -> list[Any]:
 
 def _wrong(message: str, got: str, allowed: str) -> InputError:
     return InputError(message, code="bundle.graph", got=got or None, allowed=allowed)
+
+
+_NAN = math.nan
+_MAX_POWER = 32
+# Further out a periodic argument has lost its phase to rounding.
+FARTHEST = 1e12
+
+
+@dataclass(frozen=True)
+class _Operator:
+    """One operator. ``evaluate``: reference meaning on Python floats; IEEE results instead of exceptions."""
+
+    code: int
+    arity: int
+    evaluate: Callable[..., float]
+
+
+def _ieee(function: Callable[[float], float]) -> Callable[[float], float]:
+    def guarded(x: float) -> float:
+        try:
+            return function(x)
+        except ValueError:
+            return _NAN
+        except OverflowError:
+            return math.inf
+
+    return guarded
+
+
+def _div(a: float, b: float) -> float:
+    if b != 0.0:
+        return a / b
+    if a == 0.0 or math.isnan(a):
+        return _NAN
+    return math.copysign(math.inf, a) * math.copysign(1.0, b)
+
+
+def _log(x: float) -> float:
+    return -math.inf if x == 0.0 else _ieee(math.log)(x)
+
+
+def power(x: float, n: int) -> float:
+    """Return x to a whole power by repeated squaring, as the tape does it."""
+    result, base, left = 1.0, x, abs(n)
+    while left:
+        if left % 2:
+            result *= base
+        base *= base
+        left //= 2
+    return _div(1.0, result) if n < 0 else result
+
+
+def _min(a: float, b: float) -> float:
+    if math.isnan(a) or math.isnan(b):
+        return _NAN
+    return a if a < b else b
+
+
+def _max(a: float, b: float) -> float:
+    if math.isnan(a) or math.isnan(b):
+        return _NAN
+    return a if a > b else b
+
+
+def _sign(x: float) -> float:
+    return _NAN if math.isnan(x) else float((x > 0) - (x < 0))
+
+
+def _step(x: float) -> float:
+    return _NAN if math.isnan(x) else float(x >= 0)
+
+
+def _logistic(x: float) -> float:
+    return _div(1.0, 1.0 + _ieee(math.exp)(-x))
+
+
+def lookup(x: float, start: float, spacing: float, values: list[float], periodic: bool) -> float:
+    """Interpolate a uniform table linearly; periodic, or held constant beyond its ends."""
+    n, u = len(values), (x - start) / spacing
+    if math.isnan(u) or (periodic and not abs(u) < FARTHEST):
+        return _NAN
+    if not periodic:
+        if u <= 0.0:
+            return values[0]
+        if u >= n - 1:
+            return values[-1]
+        low = int(u)
+        return values[low] + (u - low) * (values[low + 1] - values[low])
+    u -= math.floor(u / n) * n
+    low = min(int(u), n - 1)
+    return values[low] + (u - low) * (values[(low + 1) % n] - values[low])
+
+
+def _unused(*_: float) -> float:
+    raise AssertionError("evaluated by its own branch")
+
+
+OPERATORS: dict[str, _Operator] = {
+    "add": _Operator(1, 2, lambda a, b: a + b),
+    "sub": _Operator(2, 2, lambda a, b: a - b),
+    "mul": _Operator(3, 2, lambda a, b: a * b),
+    "div": _Operator(4, 2, _div),
+    "neg": _Operator(5, 1, lambda a: -a),
+    "abs": _Operator(6, 1, abs),
+    "sqrt": _Operator(7, 1, _ieee(math.sqrt)),
+    "square": _Operator(8, 1, lambda a: a * a),
+    "pow_int": _Operator(9, 1, _unused),
+    "exp": _Operator(10, 1, _ieee(math.exp)),
+    "log": _Operator(11, 1, _log),
+    "sin": _Operator(12, 1, _ieee(math.sin)),
+    "cos": _Operator(13, 1, _ieee(math.cos)),
+    "tan": _Operator(14, 1, _ieee(math.tan)),
+    "atan2": _Operator(15, 2, math.atan2),
+    "tanh": _Operator(16, 1, math.tanh),
+    "logistic": _Operator(17, 1, _logistic),
+    "min": _Operator(18, 2, _min),
+    "max": _Operator(19, 2, _max),
+    "sign": _Operator(20, 1, _sign),
+    "step": _Operator(21, 1, _step),
+    "lookup": _Operator(22, 1, _unused),
+}
+_LEAVES = ("const", "input", "state")

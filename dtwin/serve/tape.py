@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.features.compiled import compiled, compiled_for_many
 from dtwin.schema import Floats
-from dtwin.serve._operators import FARTHEST
 from dtwin.serve._tape_program import MULTIPLY_ADD, POWER_SHIFT, SINE_AND_COSINE, Instruction, tape_runs
-from dtwin.serve.graph import Graph
+from dtwin.serve.graph import FARTHEST, Graph
 
 _Program = NDArray[np.uint64]
 _WORDS = 4

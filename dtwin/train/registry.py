@@ -23,8 +23,14 @@ from dtwin.schema import require_name
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import served_version
 from dtwin.train._registry_client import client_of
-from dtwin.train.logged import candidate_metrics, report_metrics, report_params
-from dtwin.train.results import Candidate, TrainingReport, held_out_text
+from dtwin.train.results import (
+    Candidate,
+    TrainingReport,
+    candidate_metrics,
+    held_out_text,
+    report_metrics,
+    report_params,
+)
 
 _EXPERIMENT = "dtwin"
 _PREFIX = "dtwin-"

@@ -9,8 +9,8 @@ from typing import Any
 
 from mlflow.exceptions import MlflowException
 
-from dtwin.train.logged import environment
 from dtwin.train.registry import Registry
+from dtwin.train.results import environment
 
 _DOCUMENT, _OPENED_FOR = "dtwin.document", "dtwin.opened_for"
 

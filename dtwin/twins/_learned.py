@@ -18,8 +18,7 @@ from dtwin.physics.fit import Estimate
 from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import FORMAT, Twin, ValidityBox
-from dtwin.train.place_map import PlaceMap, place_map_effect
-from dtwin.train.residual_formula import ResidualFormula, formula_effect
+from dtwin.train.residual_formula import PlaceMap, ResidualFormula, formula_effect, place_map_effect
 
 _EFFECT = {"learned_formula_": formula_effect, "learned_map_": place_map_effect}
 _NAME = re.compile(f"({'|'.join(_EFFECT)})[0-9a-f]{{8}}")

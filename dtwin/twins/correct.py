@@ -1,4 +1,4 @@
-"""From a confirmed twin to a registered correction."""
+"""From a confirmed twin to a registered correction, and what is known of it before it has moved anything."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from dtwin.lake.store import Lake
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import TRIAL_ONLY, check_version
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import CONDITIONS_FILE, TrainingReport
+from dtwin.train.results import CONDITIONS_FILE, Candidate, TrainingReport
 from dtwin.train.twin_terms import TwinBundle
-from dtwin.twins.judged import Judged
 from dtwin.twins.of_kind import AnyTwins
 from dtwin.twins.seen import chosen
 
@@ -230,3 +229,21 @@ def _description(case: Case, by_others: ByOthers | None) -> str:
     if case.objections:
         lines += ["", "**For a trial only:** " + "; ".join(case.objections)]
     return "\n".join(lines)
+
+
+NAME = "twin-correction"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A twin's bundle with the figures that its gates read.
+
+    ``candidate``: with scores on what was left out.
+    ``noise_floor_um``: what repeats disagree by.
+    ``conditions``: what was measured: a name or plane, and two numbers.
+    """
+
+    candidate: Candidate
+    noise_floor_um: float
+    rms_before_um: float
+    conditions: tuple[tuple[str, float, float], ...]

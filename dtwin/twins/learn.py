@@ -20,8 +20,7 @@ from dtwin.physics.problem import Term, set_up
 from dtwin.physics.several_diagnosis import SeveralDiagnosis
 from dtwin.physics.twin import predict_um
 from dtwin.schema import Floats
-from dtwin.train.place_map import place_map
-from dtwin.train.residual_formula import search_residual
+from dtwin.train.residual_formula import place_map, search_residual
 from dtwin.train.symbolic import Engine
 from dtwin.twins._learned import WithLearned
 from dtwin.twins.of_kind import AnyTwin, AnyTwins

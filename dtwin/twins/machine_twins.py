@@ -17,10 +17,9 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Estimate
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.schema import require_name
-from dtwin.twins._kept_diagnosis import MADE_FROM, kept_document, made_from_rows
+from dtwin.twins._kept_diagnosis import MADE_FROM, kept_document, made_from_rows, recorded
 from dtwin.twins._learned import contradictions_from
 from dtwin.twins._path_member import PathMember
-from dtwin.twins._recorded import recorded
 from dtwin.twins.machine_twin import (
     FORMAT,
     MACHINE,

@@ -1,26 +1,39 @@
-"""Measurements for a twin, and how it compares with them."""
+"""Measurements for a twin, and how it compares with them.
+
+Runs are reduced to one value per degree, kept in a file. The file is only a short cut. It names what it was made from (the content of the runs and the code
+that reduces them), and is made anew when that differs or when the file is spoilt.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dtwin.acquire.amending import AMENDED, amendment_findings
 from dtwin.acquire.campaign_name import in_lake
+from dtwin.atomic import whole_file
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.physics import localise
-from dtwin.physics.gridding import CIRCLE
+from dtwin.physics import grid, gridding, localise, observations
+from dtwin.physics.gridding import CIRCLE, N_BINS, Condition
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
-from dtwin.schema import Campaign, Floats, of_one_way
-from dtwin.twins._reduced_runs import keep_reduced, read_reduced, stamp_of
+from dtwin.schema import Campaign, Floats, RunMeta, of_one_way, require_name
+from dtwin.twins import encoder_comparison
 from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 
 
@@ -133,12 +146,118 @@ def _error_in(row: Mapping[str, Any]) -> str:
 def _reduced(
     home: Home, lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]]
 ) -> tuple[Observations, Floats | None]:
-    stamp = stamp_of(rows)
-    kept = read_reduced(home, campaign.name, stamp)
+    stamp = _stamp_of(rows)
+    kept = _read_reduced(home, campaign.name, stamp)
     if kept is not None:
         return kept
     runs = [lake.load(row, signals=False) for row in rows]
     obs = observe(campaign, runs)
     made = obs, controller_rows_um(runs) if obs.grid is CIRCLE else None
-    keep_reduced(home, campaign.name, stamp, made)
+    _keep_reduced(home, campaign.name, stamp, made)
     return made
+
+
+_ARRAYS = ("y_um", "mask", "condition_of", "setup_of", "run_of", "feed_mm_s")
+_COLUMN, _CONTROLLER, _WORDS = "column:", "controller_um", "words"
+# What reading a damaged file of arrays may raise; a header may ask for any amount of memory.
+_DAMAGED = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    SyntaxError,
+    tokenize.TokenError,
+)
+_Reduced = tuple[Observations, Floats | None]
+
+
+def _stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a reduction of these runs of the lake is made from. ``rows``: rows of the lake's table of runs."""
+    digest = hashlib.sha256(_code_sha256().encode())
+    for row in rows:
+        digest.update(json.dumps(row, sort_keys=True, default=str).encode())
+    return digest.hexdigest()
+
+
+def _read_reduced(home: Home, campaign: str, stamp: str) -> _Reduced | None:
+    """Return the runs and what the controller saw; None when they are to be made.
+
+    ``stamp``: as ``_stamp_of`` gives it.
+    """
+    path = _path(home, campaign)
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            words = json.loads(str(kept[_WORDS]))
+            if words.pop("stamp") != stamp:
+                return None
+            arrays = {name: kept[name] for name in _ARRAYS}
+            wide = {n.removeprefix(_COLUMN): kept[n] for n in kept.files if n.startswith(_COLUMN)}
+            controller = kept[_CONTROLLER] if _CONTROLLER in kept.files else None
+    except _DAMAGED:
+        return None
+    numbers: list[dict[str, Any]] = words["columns"]
+    for name, values in wide.items():
+        for row, value in zip(numbers, values, strict=True):
+            if not np.isnan(value).all():
+                row[name] = value
+    obs = Observations(
+        campaign=Campaign(**words["campaign"]),
+        runs=tuple(RunMeta(**meta) for meta in words["runs"]),
+        conditions=tuple(Condition(**c) for c in words["conditions"]),
+        setups=tuple(words["setups"]),
+        columns=tuple(numbers),
+        **arrays,
+    )
+    return obs, controller
+
+
+def _keep_reduced(home: Home, campaign: str, stamp: str, reduced: _Reduced) -> None:
+    """Keep reduced runs; where there is no room they are made again the next time.
+
+    ``home``, ``campaign``, ``stamp``: as in ``_read_reduced``.
+    """
+    obs, controller = reduced
+    if obs.grid is not CIRCLE:
+        # Sweeps and tones are few numbers: they are reduced again each time.
+        return
+    names = sorted({n for row in obs.columns for n, v in row.items() if np.ndim(v)})
+    blank = np.full(N_BINS, np.nan)
+    arrays = {name: getattr(obs, name) for name in _ARRAYS}
+    arrays |= {
+        f"{_COLUMN}{name}": np.array([np.broadcast_to(row.get(name, blank), N_BINS) for row in obs.columns])
+        for name in names
+    }
+    if controller is not None:
+        arrays[_CONTROLLER] = controller
+    words = {
+        "stamp": stamp,
+        "campaign": asdict(obs.campaign),
+        "runs": [asdict(meta) for meta in obs.runs],
+        "conditions": [c.as_dict() for c in obs.conditions],
+        "setups": obs.setups,
+        "columns": [{n: float(v) for n, v in row.items() if n not in names} for row in obs.columns],
+    }
+    try:
+        with whole_file(_path(home, campaign), "the reduced runs") as partial, partial.open("wb") as file:
+            np.savez(file, **arrays, words=np.array(json.dumps(words)))
+    except StoreError:
+        return
+
+
+def _path(home: Home, campaign: str) -> Path:
+    return home.reduced / f"{require_name(campaign, 'the campaign')}.npz"
+
+
+@cache
+def _code_sha256() -> str:
+    """Return the check sum of the code that reduces runs."""
+    digest = hashlib.sha256()
+    for module in (grid, gridding, observations, encoder_comparison):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()

@@ -21,8 +21,7 @@ from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.statistics import rms
 from dtwin.train.dataset import require_uncorrected
 from dtwin.train.twin_terms import TwinBundle
-from dtwin.twins.correct import NOT_NEEDED, ByOthers, Case, Grading
-from dtwin.twins.judged import Judged
+from dtwin.twins.correct import NOT_NEEDED, ByOthers, Case, Grading, Judged
 from dtwin.twins.of_kind import AnyTwins
 from dtwin.twins.seen import Seen, seen_on
 

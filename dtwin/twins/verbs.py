@@ -37,10 +37,10 @@ from dtwin.twins._kept_diagnosis import (
     kept_several,
     made_from,
     made_from_several,
+    with_record,
 )
 from dtwin.twins._learned import WithLearned, twin_from
 from dtwin.twins._path_member import PathMember
-from dtwin.twins._recorded import with_record
 from dtwin.twins.measured import Comparison, Loaded, load
 from dtwin.twins.several import SeveralComparison, fitted_together, require_together
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine

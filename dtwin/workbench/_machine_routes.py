@@ -25,10 +25,9 @@ from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.sheet import number_of
 from dtwin.units import shown_unit
 from dtwin.workbench._bench import Bench, Here
-from dtwin.workbench._experiment_files import plans_zip
 from dtwin.workbench._jobs import Tell
 from dtwin.workbench._pages import accepted, begun, download, drawn, rendered
-from dtwin.workbench._plan_routes import planned_of
+from dtwin.workbench._plan_routes import planned_of, plans_zip
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
 router = APIRouter()

@@ -35,9 +35,9 @@ from dtwin.twins.seen import able_to
 from dtwin.twins.verbs import Twins
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Here, bench_of, possible_effects
-from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._models import mlflow_page
 from dtwin.workbench._pages import download, drawn, rendered
+from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._told_pages import compared_with, heat_page, told_page
 
 _HARMONICS = 60

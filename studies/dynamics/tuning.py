@@ -12,8 +12,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
-from dtwin.train.logged import environment
 from dtwin.train.registry import Registry
+from dtwin.train.results import environment
 from studies.dynamics.distances import distances_um
 from studies.dynamics.figures import FITNESSES, eq15, relative_difference, weighted_sum
 from studies.dynamics.filters import Filter, UnscentedFilter

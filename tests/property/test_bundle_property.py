@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dtwin.serve._operators import OPERATORS
 from dtwin.serve.builder import Expression, GraphBuilder
-from dtwin.serve.graph import Graph
+from dtwin.serve.graph import OPERATORS, Graph
 from dtwin.serve.tape import Tape
 
 NAMES = ("x", "y", "z")

@@ -12,8 +12,7 @@ from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.pipeline.measuring import ingest
-from dtwin.twins._reduced_runs import read_reduced, stamp_of
-from dtwin.twins.measured import Loaded, load
+from dtwin.twins.measured import Loaded, _read_reduced, _stamp_of, load
 
 pytestmark = pytest.mark.system
 
@@ -81,7 +80,7 @@ def test_a_header_that_is_no_python_any_more_is_damage(home: Home) -> None:
 def test_other_runs_are_not_taken_for_these(home: Home) -> None:
     load(home, _name(home))
     rows = Lake(home.lake).runs(_name(home))
-    assert read_reduced(home, _name(home), stamp_of(rows)) is not None
+    assert _read_reduced(home, _name(home), _stamp_of(rows)) is not None
     changed = [{**rows[0], "content_sha256": "0" * 64}, *rows[1:]]
     for other in (changed, rows[1:], rows[::-1]):
-        assert read_reduced(home, _name(home), stamp_of(other)) is None
+        assert _read_reduced(home, _name(home), _stamp_of(other)) is None

@@ -22,7 +22,7 @@ from dtwin.lake.store import Lake
 from dtwin.locks import take
 from dtwin.physics.library import Library
 from dtwin.report.twins import twin_text
-from dtwin.train.place_map import place_map, place_map_effect
+from dtwin.train.residual_formula import place_map, place_map_effect
 from dtwin.train.symbolic import OperonEngine
 from dtwin.twins.confirm import confirm, interventions
 from dtwin.twins.learn import learn_formula, learn_law, learn_map

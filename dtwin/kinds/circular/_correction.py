@@ -19,7 +19,7 @@ from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores
 from dtwin.train.twin_terms import TwinBundle
-from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.correct import NAME, Judged
 from dtwin.twins.measured import pure_rms_um
 from dtwin.twins.path_way import BY_LAW, TwinWay
 from dtwin.twins.seen import Seen

@@ -11,8 +11,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.features.time_alone import TIME_ALONE
 from dtwin.kinds.drift._data import Loaded, longest_first
-from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose
-from dtwin.kinds.drift._effects import written
+from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose, written
 from dtwin.kinds.drift._model import Fitted, Series, Term, fitted, series_of
 from dtwin.kinds.drift._training import log_candidate, moved_since
 from dtwin.kinds.drift._twins import DriftTwin, DriftTwins
@@ -21,8 +20,7 @@ from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
 from dtwin.train.twin_terms import TermChoice, TwinBundle
-from dtwin.twins.correct import LITTLE, NOT_NEEDED, Case, Grading
-from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.correct import LITTLE, NAME, NOT_NEEDED, Case, Grading, Judged
 from dtwin.twins.of_kind import AnyTwins
 
 _HOW = "offset of {axis} by its temperature, zero where the log began"

@@ -16,7 +16,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._data import Loaded
-from dtwin.kinds.drift._effects import written
+from dtwin.kinds.drift._diagnosis import written
 from dtwin.kinds.drift._model import Term
 from dtwin.kinds.drift._twins import DriftTwin, DriftTwins
 from dtwin.lake.store import Lake

@@ -7,9 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dtwin.report.html import Section, Table
+from dtwin.report.machine_twin import candidate_table, missing_section
+from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import decimals, micrometres, table, words_of
-from dtwin.report.told_twins import candidate_table, missing_section
-from dtwin.report.told_twins import history_section as history_section
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

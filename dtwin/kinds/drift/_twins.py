@@ -11,8 +11,19 @@ import numpy as np
 from dtwin.documents import finite
 from dtwin.errors import InputError
 from dtwin.kinds.drift._data import Loaded, load
-from dtwin.kinds.drift._diagnosis import KIND, REPLICATION, DriftDiagnosis, diagnose, drift_figures_of
-from dtwin.kinds.drift._effects import EFFECTS, asked, effect_of, joined, same, written
+from dtwin.kinds.drift._diagnosis import (
+    EFFECTS,
+    KIND,
+    REPLICATION,
+    DriftDiagnosis,
+    asked,
+    diagnose,
+    drift_figures_of,
+    effect_of,
+    joined,
+    same,
+    written,
+)
 from dtwin.kinds.drift._model import Series, Term, fitted, left_of
 from dtwin.kinds.drift._search import MOST_RUNGS, rung
 from dtwin.physics.agreed import Quantity, Sizes

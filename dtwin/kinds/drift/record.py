@@ -41,8 +41,8 @@ class _Drift(Kind):
         "gates": "_training:drift_gates",
         "twin_correction": "_correction:WAY",
         "run_errors": "_evidence:drift_errors",
-        "champion_error": "_champion:logs_error",
-        "held_out": "_champion:logs_held_out",
+        "champion_error": "_training:logs_error",
+        "held_out": "_training:logs_held_out",
         "export_twin": "_export:export_twin",
         "twin_report": "_twin_report",
     }

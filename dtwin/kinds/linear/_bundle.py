@@ -1,4 +1,5 @@
-"""Positioning errors as bundles: the pair of networks as deployed, and an equation that is safe to serve.
+"""Positioning errors as bundles: the pair of networks as deployed, and an equation that is safe to serve; what
+it says along its axis, for tables of controls.
 
 The deployed one takes a flag for the direction. The other needs none: it remembers where the slide
 rests between two flanks, as the play itself does.
@@ -21,6 +22,7 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
+from dtwin.train.twin_axes import AXES, AxisErrors
 from dtwin.units import UM_PER_MM
 
 RATE_HZ = 100.0
@@ -276,3 +278,35 @@ def _remainder(builder: GraphBuilder, value: Expression, by: float, most: float)
         rest = rest - builder.apply("step", rest - part) * part
         part /= 2.0
     return rest * builder.apply("sign", value)
+
+
+# Beyond every axis: the slide rests on the flank of its direction.
+_FARTHEST_MM = 1e6
+
+
+def axis_errors(bundle: Bundle) -> AxisErrors:
+    """Return the errors that a positioning bundle takes away, by direction; beyond the map its ends are held."""
+    remembers = MEMORY in bundle.initial_state
+    (position,) = (i for i in bundle.inputs if i.name.startswith("position_"))
+    unit_mm = 1.0 if position.name == POSITION else MM_PER_IN
+    room_mm = ROOM_MM if remembers else 0.0
+    low, high = position.low * unit_mm + room_mm, position.high * unit_mm - room_mm
+
+    def um(position_mm: Floats) -> tuple[Floats, Floats]:
+        places = np.clip(position_mm, low, high)
+        forward, reverse = (
+            np.array([_told_um(bundle, row, state) for row in _rows(told(places, np.full(places.shape, flag)))])
+            for flag, state in ((0.0, {MEMORY: -_FARTHEST_MM}), (1.0, {MEMORY: _FARTHEST_MM}))
+        )
+        return forward, reverse
+
+    return AxisErrors(AXES[axis_number(bundle)], (low, high), um)
+
+
+def _rows(columns: Mapping[str, Floats]) -> list[dict[str, float]]:
+    return [dict(zip(columns, row, strict=True)) for row in np.column_stack(list(columns.values())).tolist()]
+
+
+def _told_um(bundle: Bundle, inputs: Mapping[str, float], state: Mapping[str, float]) -> float:
+    (output,) = bundle.outputs
+    return bundle.tick_graph.evaluate(inputs, state)[0][output.name]

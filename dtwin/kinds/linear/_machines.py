@@ -36,7 +36,7 @@ class _Lathe(VirtualMachine):
         return Simulated(payload, lines)
 
     def served(self, request: Request) -> ServedMachine:
-        from dtwin.kinds.linear._served import ServedLathe
+        from dtwin.kinds.linear._simulate import ServedLathe
 
         if request.quick:
             raise InputError(

@@ -54,7 +54,7 @@ class _Linear(Kind):
         "figure_lines": "_report:positioning_lines",
         "drawings": "dtwin.positioning.drawings:DRAWINGS",
         "sheet_figure": "dtwin.positioning.sheet:positioning_figure",
-        "axis_errors": "_served_axis:axis_errors",
+        "axis_errors": "_bundle:axis_errors",
         "rows": "_grid:stroke_rows",
         "run_errors": "_judging:stroke_errors",
         "training": "_training:train_positioning",

@@ -1,4 +1,4 @@
-"""Candidates for the error of a tone, judged by frequencies and amplitudes that were left out."""
+"""Candidates for the error of a tone, judged by frequencies and amplitudes that were left out, and one training of them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,25 @@ from sklearn.exceptions import ConvergenceWarning
 from dtwin.features.sine import fit_tone, lag_deg
 from dtwin.features.tone_window import HORIZON_S
 from dtwin.kinds.sinusoidal._bundle import Action, tone_bundle
-from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
-from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups
+from dtwin.kinds.sinusoidal._gates import MOST_RADIUS, correction_radius, dead_terms
+from dtwin.kinds.sinusoidal._groups import (
+    HELD_OUT,
+    ToneGroups,
+    exponent,
+    feature_findings,
+    heard_groups,
+    load_tone_groups,
+    noise_floor_um,
+)
 from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched, two_modes
+from dtwin.lake.store import Lake
+from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
 from dtwin.train.candidates import RECIPES, Recipe, fitted
 from dtwin.train.latency import bundle_latency
-from dtwin.train.results import OUTPUT_RMS, Candidate, Scores
+from dtwin.train.results import OUTPUT_RMS, Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
 # A net keeps a tenth apart to know when to stop.
@@ -299,3 +309,66 @@ class _Narx:
         last = t >= t[-1] - HORIZON_S
         sent, followed = (fit_tone(t[last], v[last], frequency_hz) for v in (command, tool))
         return followed.amplitude - sent.amplitude, lag_deg(sent, followed)
+
+
+def train_tones(
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+) -> Training:
+    """Train every candidate on a campaign of tones.
+
+    Groups with a data-quality error, and groups that the accelerometer does not hear, are left out.
+
+    ``engine``: free symbolic search; Operon by default.
+    """
+    tell = progress or (lambda *_: None)
+    campaign, versions = lake.campaign(name), dict(lake.versions())
+    everything = load_tone_groups(lake, lake.runs(name))
+    groups = heard_groups(everything)
+    tell("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
+    laws = law_candidates(groups, campaign.machine, engine, seed, versions)
+    tell("equations", 1, 1, "")
+    others = compared_candidates(groups, seed)
+    tell("comparison models", 1, 1, "")
+    found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
+    (floor, freedom), told = noise_floor_um(groups), what_was_seen(everything)
+    if not np.isnan(floor):
+        told.append(
+            "the accelerometer hears part of what makes repeats differ: an equation may leave less than "
+            "they disagree by"
+        )
+    report = TrainingReport(
+        machine=campaign.machine,
+        campaign=name,
+        table_versions=versions,
+        noise_floor_um=floor,
+        noise_floor_dof=freedom,
+        rms_before_um=rms(groups.amplitude_error_um),
+        n_runs=groups.n,
+        n_rows=groups.n,
+        candidates=tuple(found),
+        proposed=proposed(found, MOST_RADIUS),
+        seed=seed,
+        told=tuple(told),
+    )
+    conditions = [(f"{f:g} Hz", float(f), float(a)) for f, a in _grid(groups)]
+    return Training(report, campaign.machine_geometry, tuple(conditions))
+
+
+def what_was_seen(everything: ToneGroups) -> list[str]:
+    """Say what the groups show before any equation: what is heard, constants, exponents."""
+    groups = heard_groups(everything)
+    acceleration = groups.feature("rms")
+    deaf = everything.n - groups.n
+    return [
+        f"{deaf} of {everything.n} groups are below the accelerometer's noise and left out; the "
+        "validity box refuses to correct there",
+        *feature_findings(groups),
+        f"amplitude error grows with acceleration to the power "
+        f"{exponent(acceleration, groups.amplitude_error_um):z.3f}, the error beyond the encoder to "
+        f"the power {exponent(acceleration, groups.beyond_encoder_um):z.3f}; 1 is inertia on a spring",
+        "an LSTM was not tried: the package has no deep-learning library",
+    ]
+
+
+def _grid(groups: ToneGroups) -> list[tuple[Any, Any]]:
+    return sorted(set(zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True)))

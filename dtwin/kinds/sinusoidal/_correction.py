@@ -36,8 +36,7 @@ from dtwin.train.results import Candidate
 from dtwin.train.traced import NotTold, NotTraceable, Traced
 from dtwin.train.twin_band import band, half_width, parameter_factor
 from dtwin.train.twin_terms import TwinBundle, carried, traced_columns, weighted
-from dtwin.twins.correct import LITTLE
-from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.correct import LITTLE, NAME, Judged
 from dtwin.twins.measured import pure_rms_um
 from dtwin.twins.path_way import BY_SHAPE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.seen import Seen

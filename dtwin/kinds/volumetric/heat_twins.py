@@ -11,10 +11,9 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.kinds.volumetric._data import HeatLoaded, load_heat
+from dtwin.kinds.volumetric._data import HeatLoaded, HeatMember, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric._member import HeatMember
 from dtwin.kinds.volumetric.heat_twin import (
     FORMAT,
     KIND,

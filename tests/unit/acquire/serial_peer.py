@@ -10,7 +10,7 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from dtwin.links.frames import encode
+from dtwin.links.serial_line import encode
 
 
 class SerialPeer:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dtwin.errors import InputError
-from dtwin.links.frames import FrameReader, _crc16, encode
+from dtwin.links.serial_line import FrameReader, _crc16, encode
 
 PAYLOAD = 12
 payloads = st.binary(min_size=PAYLOAD, max_size=PAYLOAD)

@@ -15,8 +15,7 @@ from dtwin.acquire import run_recording
 from dtwin.acquire._serial_port import SerialInstrument
 from dtwin.acquire.run_recording import RunRequest, record_run
 from dtwin.errors import DeviceError, InputError
-from dtwin.links.frames import FrameReader
-from dtwin.links.serial_line import SerialLink
+from dtwin.links.serial_line import FrameReader, SerialLink
 
 COLUMNS = ("force_n", "temperature_c")
 

@@ -13,8 +13,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.drift._check import judge_drift
 from dtwin.kinds.drift._data import Loaded
-from dtwin.kinds.drift._diagnosis import DriftDiagnosis, diagnose
-from dtwin.kinds.drift._effects import asked, joined, written
+from dtwin.kinds.drift._diagnosis import DriftDiagnosis, asked, diagnose, joined, written
 from dtwin.kinds.drift._evidence import _AGAIN, _column_of, _probed, drift_errors, simulate_drift
 from dtwin.kinds.drift._model import Series
 from dtwin.kinds.drift._twins import DriftTwins

@@ -12,9 +12,8 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import grouped, size_of, sizes_of
+from dtwin.report.faults import grouped, signature_svg, size_of, sizes_of
 from dtwin.report.plots import polar_rings
-from dtwin.report.signature import signature_svg
 from dtwin.report.twins import found_table
 
 LIBRARY = Library()

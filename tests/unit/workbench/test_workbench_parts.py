@@ -34,10 +34,10 @@ from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench import server as _server
 from dtwin.workbench._access import Access
 from dtwin.workbench._bench import Bench, Cache
-from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._import_routes import _for_the_page
 from dtwin.workbench._jobs import Jobs, Tell
 from dtwin.workbench._live_routes import sessions
+from dtwin.workbench._plan_routes import experiment_documents, grids_of, plans_zip
 from dtwin.workbench._twin_routes import decimal
 from dtwin.workbench.server import Connection, application
 
