@@ -34,7 +34,7 @@ class _Volumetric(Kind):
         "completed": "_check:with_strokes",
         "judge_run": "_check:judge_volumetric_run",
         "judge_campaign": "_check:judge_volumetric_campaign",
-        "drawings": "twin_report:DRAWINGS",
+        "drawings": "dtwin.kinds.volumetric.twin_report:DRAWINGS",
         "twins": "dtwin.kinds.volumetric.heat_twins:HeatTwins",
         "twin_report": "dtwin.kinds.volumetric.twin_report",
         "training": "_training:train_volumetric",

@@ -18,7 +18,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.kinds.rotation._heads import column_of
 from dtwin.kinds.rotation._laws import law_of
-from dtwin.kinds.rotation._machines import TRUTHS, _simulate_rotation
+from dtwin.kinds.rotation._simulate import TRUTHS, simulate_rotation
 from dtwin.report.checking import check_source
 from dtwin.schema import Finding, Floats, Run, RunMeta
 
@@ -233,7 +233,7 @@ def test_a_table_of_run_outs_never_names_its_cause() -> None:
     ],
 )
 def test_the_virtual_rotor_is_told_by_its_mechanism(tmp_path: Path, truth: str, named: str, never: str) -> None:
-    _simulate_rotation(tmp_path / "rotor", lambda *a: None, truth=truth, seed=5, quick=True)
+    simulate_rotation(tmp_path / "rotor", lambda *a: None, truth=truth, seed=5, quick=True)
     found = {f["code"].removeprefix("rotation.") for f in check_source(tmp_path / "rotor")["findings"]}
     assert named in found
     assert never not in found
@@ -241,7 +241,7 @@ def test_the_virtual_rotor_is_told_by_its_mechanism(tmp_path: Path, truth: str, 
 
 def test_the_virtual_rotor_moves_as_a_mass_on_springs_does(tmp_path: Path) -> None:
     p = TRUTHS["unbalance"]
-    _simulate_rotation(tmp_path / "rotor", lambda *a: None, truth="unbalance", seed=2, quick=True)
+    simulate_rotation(tmp_path / "rotor", lambda *a: None, truth="unbalance", seed=2, quick=True)
     runs = {run["run"]: run["rotation"] for run in check_source(tmp_path / "rotor")["runs"]}
     for probe, stiffer, at in (("radial_x", 1.0, 0.0), ("radial_y", 1.0 + 1.0 / 12.0, 90.0)):
         for speed, name in ((600.0, "1-600rpm"), (6000.0, "4-6000rpm"), (4800.0, "2-4800rpm")):
@@ -256,11 +256,11 @@ def test_the_virtual_rotor_moves_as_a_mass_on_springs_does(tmp_path: Path) -> No
 def test_a_rotor_that_there_is_not_and_a_folder_that_is_taken_are_refused(tmp_path: Path) -> None:
     assert TRUTHS
     with pytest.raises(InputError) as refused:
-        _simulate_rotation(tmp_path, lambda *a: None, truth="x")
+        simulate_rotation(tmp_path, lambda *a: None, truth="x")
     assert refused.value.code == "simulate.truth"
     (tmp_path / "campaign.toml").touch()
     with pytest.raises(InputError) as refused:
-        _simulate_rotation(tmp_path, lambda *a: None)
+        simulate_rotation(tmp_path, lambda *a: None)
     assert refused.value.code == "simulate.exists"
 
 

@@ -25,7 +25,7 @@ def test_rubbish_without_an_end_is_no_virtual_controller(rubbish: bytes, monkeyp
         ended.set()
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        monkeypatch.setattr("dtwin.serve._connection.RTDE_PORT", listening.getsockname()[1])
+        monkeypatch.setattr("dtwin.serve.controller_kind.RTDE_PORT", listening.getsockname()[1])
         thread = threading.Thread(target=talk, args=(listening,))
         thread.start()
         assert not is_virtual("127.0.0.1", timeout_s=0.2)
