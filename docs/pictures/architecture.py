@@ -26,7 +26,7 @@ def package_of(module: str) -> str:
     """Return the box of a module."""
     root, *parts = module.split(".")
     if root != "dtwin":
-        return root
+        return ".".join([root, *parts[:1]]) if parts[:1] == ["commands"] else root
     if parts and parts[0] == "kinds":
         return BASE if len(parts) == 1 or parts[1] in _RECORDS else "kinds"
     if parts in (["cli"], ["__main__"]):
@@ -167,7 +167,7 @@ def _says(name: str) -> str:
     """Return what a package says of itself in its first line."""
     if name == BASE:
         return BASE_SAYS
-    module = name if name in ("flows", "studies") else f"dtwin.{name}"
+    module = name if name.partition(".")[0] in ("flows", "studies") else f"dtwin.{name}"
     return (import_module(module).__doc__ or "").partition("\n")[0]
 
 

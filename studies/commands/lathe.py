@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, emit
 from dtwin.errors import EXIT_GATE, InputError
+from studies.commands.demo import paper_of
 
 MODELS = ("flanks", "pair", "printed")
 

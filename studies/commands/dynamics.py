@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
+from studies.commands.demo import paper_of
 
 app = typer.Typer(
     name="dynamics",

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands._demo import paper_of
 from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
+from studies.commands.demo import paper_of
 
 _Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
 

@@ -1,0 +1,1 @@
+"""The commands that start a study; ``dtwin.commands`` finds them here by their place."""
