@@ -35,7 +35,7 @@ from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.twins.of_kind import TwinView, look_at
+from dtwin.twins.on_campaign import TwinView, look_at
 from studies import cell, papers
 from studies.cobot_steps import ProgressOf
 from studies.wall_clock import Circle, serve_wall_clock

@@ -9,7 +9,7 @@ from prefect import flow
 
 from dtwin.kinds.registry import kind_named
 from dtwin.lifecycle.drift import DriftCheck
-from dtwin.twins.of_kind import TwinView
+from dtwin.twins.on_campaign import TwinView
 from flows import _artifacts, _plots, _tasks
 
 WHAT_IT_IS = (

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from dtwin.acquire._tabular import parse_readings
+from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.xmlsafe import child_text, number_or_none, parse_vendor_xml, read_bounded
 from dtwin.atomic import write_text
 from dtwin.errors import InputError

@@ -18,7 +18,7 @@ from dtwin.physics.joint import MachineTest, joint
 from dtwin.physics.library import Library
 from dtwin.pipeline.kept import kept, kept_already, stamp_of
 from dtwin.progress import Progress
-from dtwin.report.several import joint_lines
+from dtwin.report.joint import joint_lines
 from dtwin.twins.measured import load
 
 _Rows = Sequence[Mapping[str, Any]]

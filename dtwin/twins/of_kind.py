@@ -1,10 +1,9 @@
-"""The twins that suit a campaign, whatever its kind, and what they say of it."""
+"""The twins that suit a campaign, whatever its kind."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
@@ -12,7 +11,6 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
-from dtwin.report.twin_of_kind import report_of
 from dtwin.twins.machine_twin import MACHINE, MachineTwin
 from dtwin.twins.machine_twins import MachineTwins
 from dtwin.twins.several import require_together
@@ -93,50 +91,3 @@ def every_shelf(home: Home) -> list[AnyTwins]:
     """Return all twins of a home: those of tests of a path, and kind by kind those of others."""
     shelves = [*(kind.twins(home, None) for kind in kinds() if kind.offers("twins")), MachineTwins(home)]
     return list({shelf.kind: shelf for shelf in shelves}.values())
-
-
-@dataclass(frozen=True)
-class TwinView:
-    """One twin on one campaign.
-
-    ``diagnosed``: whether the campaign is the one that it was fitted to; otherwise it was compared.
-    ``result``: diagnosis or comparison, as ``--json`` prints it.
-    """
-
-    name: str
-    version: int
-    diagnosed: bool
-    result: dict[str, Any]
-    text: str
-
-    @property
-    def headline(self) -> str:
-        """One line."""
-        if self.diagnosed:
-            return f"{self.result['verdict']}: {self.result['headline']}"
-        return (
-            f"residual {self.result['residual_rms_um']:z.2f} µm RMS, noise floor "
-            f"{self.result['noise_floor_um']:z.2f} µm"
-        )
-
-
-def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
-    """Diagnose or compare every twin of a machine that is of the kind of a campaign, which is in the lake."""
-    views = []
-    lake = Lake(home.lake)
-    kind = lake.campaign(campaign).kind
-    for twins in every_shelf(home):
-        for name in twins.names():
-            twin = twins.newest(name)
-            of_twin = twin.campaigns
-            if twin.machine != machine or all(lake.campaign(own).kind != kind for own in of_twin):
-                continue
-            if campaign in of_twin:
-                _, diagnosis = twins.diagnose(name)
-                result = diagnosis.as_dict()
-                text = report_of(result).diagnosis_text(name, result)
-            else:
-                result = twins.compare(name, campaign).as_dict()
-                text = report_of(result).comparison_text(result)
-            views.append(TwinView(name, twin.version, campaign in of_twin, result, text))
-    return views

@@ -21,7 +21,7 @@ from dtwin.kinds.volumetric.heat_twins import HeatTwins
 from dtwin.machines.volumetric import _SENSITIVITY, VolumetricParameters
 from dtwin.plan_file import planned_campaign
 from dtwin.train.registry import Registry
-from dtwin.twins.of_kind import look_at
+from dtwin.twins.on_campaign import look_at
 from dtwin.twins.verbs import Twins
 
 pytestmark = pytest.mark.system

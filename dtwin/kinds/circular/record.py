@@ -52,7 +52,7 @@ class _Circular(Kind):
         "judge_campaign": "_check:judge_circular_campaign",
         "sheet": "_sheet:circular_sheet",
         "sheet_figure": "_sheet:both_ways_figure",
-        "drawings": "_report:DRAWINGS",
+        "drawings": "_drawings:DRAWINGS",
         "run_errors": "_drift:circle_errors",
         "training": "_training:train_campaign",
         "gates": "dtwin.train.gates:offline_gates",

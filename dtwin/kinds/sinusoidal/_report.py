@@ -1,23 +1,18 @@
-"""Text and pictures of tests that command tones, and of their compensation."""
+"""Text of tests that command tones, and of their compensation."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import plotly.graph_objects as go
-
-from dtwin.kinds.kind import Drawing
 from dtwin.kinds.sinusoidal._check import commanded, followed, heard
-from dtwin.kinds.sinusoidal._grid import TONE, tone_row
-from dtwin.report.plots import error_figure
 from dtwin.report.text import table
 from dtwin.schema import Run
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    pass
 
 
 def tone_result(run: Run) -> dict[str, Any]:
@@ -63,13 +58,3 @@ def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         *table(("run", *(title for title, _, _ in _COLUMNS), "findings"), rows).splitlines(),
         *(f"{f['severity']}: {f['message']}" for f in by_code.values()),
     ]
-
-
-def _along(run: Run, floor_um: Callable[[], float]) -> go.Figure:
-    """Draw the tool over the phase of its command."""
-    curves = {"tool minus command": (TONE.points, tone_row(run, 0.0).y_um)}
-    title = f"{run.meta.run_id}: error as measured"
-    return error_figure(curves, title=title, x_title="phase of the command, deg")
-
-
-DRAWINGS = (Drawing("along", "Error of the run along its path", 520, _along),)

@@ -32,7 +32,7 @@ class _Sinusoidal(Kind):
         "judge_run": "_check:judge_sinusoidal_run",
         "judge_campaign": "_check:judge_sinusoidal_campaign",
         "run_figures": "_report:tone_result",
-        "drawings": "_report:DRAWINGS",
+        "drawings": "_plots:DRAWINGS",
         "rows": "_grid:tone_rows",
         "run_errors": "_drift:tone_errors",
         "training": "_candidates:train_tones",

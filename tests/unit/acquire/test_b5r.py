@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dtwin.acquire._tabular import parse_readings
+from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.b5r import read_b5r, write_b5r
 from dtwin.errors import InputError
 

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from dtwin.acquire._tabular import usable
+from dtwin.acquire._readings import usable
 
 
 def test_single_precision_is_judged_without_a_warning() -> None:

@@ -12,7 +12,7 @@ from dtwin.config import Home
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.lake.store import Lake
-from dtwin.twins.of_kind import look_at
+from dtwin.twins.on_campaign import look_at
 from dtwin.twins.verbs import Twins
 
 AXIS = {

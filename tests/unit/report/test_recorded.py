@@ -12,7 +12,8 @@ from dtwin.machine_record import Event, with_event
 from dtwin.physics.contradictions import Contradiction, What
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin, ValidityBox
-from dtwin.report.several import contradiction_lines, joint_lines
+from dtwin.report.joint import joint_lines
+from dtwin.report.several import contradiction_lines
 from dtwin.twins._kept_diagnosis import with_record
 
 DAYS = {"a": "2026-05-01", "b": "2026-05-06", "c": "2026-05-09"}

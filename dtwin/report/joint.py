@@ -1,0 +1,83 @@
+"""What the tests of a machine say together, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.machine_record import Event, events_between
+from dtwin.physics.effect import Effect
+from dtwin.report.faults import title_of, with_k2
+from dtwin.report.recorded import contradiction_words
+from dtwin.report.text import words_of
+
+_Told = Mapping[str, Any]
+
+
+def joint_lines(found: Mapping[str, Any], library: Mapping[str, Effect], events: Sequence[Event] = ()) -> list[str]:
+    """Return contradictions first, then what was settled, then what agrees.
+
+    ``found``: as ``Joint.as_dict`` gives it.
+    ``events``: what is recorded of the machine.
+    """
+    apart = [s for s in found["shared"] if s["apart"]]
+    agreed = [s for s in found["shared"] if not s["apart"]]
+    return [
+        *(_contradiction(s, events) for s in apart),
+        *(_settled(s, library) for s in found["settled"]),
+        *(_agreement(s) for s in agreed),
+    ]
+
+
+def _size(size: _Told, unit: str) -> str:
+    return f"{size['campaign']} {with_k2(size['value'], size['uncertainty'], unit)}"
+
+
+def _cause(shared: _Told) -> str:
+    return f"{words_of(shared['cause'])} {shared['axis']}".rstrip()
+
+
+def _agreement(shared: _Told) -> str:
+    sizes = "; ".join(_size(size, shared["unit"]) for size in shared["sizes"])
+    together = with_k2(shared["value"], shared["uncertainty"], shared["unit"])
+    return f"{_cause(shared)}: {together} from {len(shared['sizes'])} tests that agree ({sizes})."
+
+
+def _contradiction(shared: _Told, events: Sequence[Event]) -> str:
+    sizes = "; ".join(f"{_size(size, shared['unit'])} ({size['started'][:10] or 'no day'})" for size in shared["sizes"])
+    first, second, by, spread = max(shared["apart"], key=lambda a: abs(a[2]) / a[3])
+    days = sorted(size["started"] for size in shared["sizes"] if size["campaign"] in (first, second))
+    between = tuple(days) if len(days) == 2 and days[0] else ()
+    told = [[e.as_dict() for e in events_between(events, *between)]] if between else []
+    return (
+        f"{_cause(shared)} contradicts itself: {sizes}. Between {first} and {second} lie "
+        f"{with_k2(by, spread, shared['unit'])}: {contradiction_words('change or mistake', between, told)}."
+    )
+
+
+def _settled(settled: _Told, library: Mapping[str, Effect]) -> str:
+    names = [_within(label, library) for label in settled["group"]]
+    left = [_within(label, library) for label in settled["left"]]
+    reasons = [
+        f"{_within(j['label'], library)} {_WORDS[j['said']]}: {_size(j['there'], unit)}, as the cause it would be "
+        f"{with_k2(j['here']['value'], j['here']['uncertainty'], unit)}"
+        for j in settled["judged"]
+        for unit in [_unit(j["label"], library)]
+    ]
+    end = "it is " + left[0] if len(left) == 1 else " or ".join(left) + " remain" if left else "all are ruled out"
+    return (
+        f"{settled['campaign']} could not tell {names[0]} from {' or '.join(names[1:])}: {end} ({'; '.join(reasons)})."
+    )
+
+
+_WORDS = {"agrees": "agrees", "is a part": "is a part of it", "refuted": "is ruled out"}
+
+
+def _within(label: str, library: Mapping[str, Effect]) -> str:
+    """Return the name as it stands within a sentence."""
+    title = title_of(label, library)
+    return title[:1].lower() + title[1:]
+
+
+def _unit(label: str, library: Mapping[str, Effect]) -> str:
+    return library[label.partition(" ")[0]].parameters[0].unit
