@@ -192,7 +192,7 @@ _GAP = re.compile(r"\s*\t\s*|\s{2,}")
 # A unit belongs to the head in front of it.
 _BLANK = re.compile(r"\s+(?![\[(])")
 _RULE = re.compile(r"[-=_+\s]+")
-_BLANKS_OR_TABS = re.compile(r"\d \d{3}(?!\d)")
+_BLANK_GROUPS = re.compile(r"\d \d{3}(?!\d)")
 _OTHER_MARKS = re.compile(r"[;|=]")
 _FIRST = 100
 
@@ -219,7 +219,7 @@ def _aligned_rows(lines: Sequence[str], mark: str) -> list[list[str]]:
     for part in (_GAP, _BLANK):
         widths = {len(part.split(line)) for line in told[1:]}
         # A lone blank may stand within the digits of a number.
-        doubt = part is _BLANK and any(map(_BLANKS_OR_TABS.search, told[1:])) and any(map(_GAP.search, told[1:]))
+        doubt = part is _BLANK and any(map(_BLANK_GROUPS.search, told[1:])) and any(map(_GAP.search, told[1:]))
         heads = next((h for p in (_GAP, _BLANK) if len(h := p.split(told[0])) in widths), [])
         if len(widths) == 1 and heads and len(heads) > 1 and not doubt:
             rows = [part.split(line) if n in body else _GAP.split(line) for n, line in enumerate(lines)]

@@ -244,7 +244,7 @@ RECENT_S = 5.0
 """Controller time that a state is told of."""
 _NOW_S = 0.5
 """Controller time that is now: what was before a pause, or in it, is no longer true."""
-_CORRECTING = (safety.OK, safety.SHRUNK, safety.CLAMPED, safety.SLEWED)
+_CORRECTS_NOW = (safety.OK, safety.SHRUNK, safety.CLAMPED, safety.SLEWED)
 _SILENT_S = 1.0
 
 
@@ -282,7 +282,7 @@ def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     outside = float(np.mean(reasons == safety.OUTSIDE))
     beyond = f"outside the model's range for {100 * outside:z.0f} % of the newest {RECENT_S:z.0f} s"
     now = seen.column("reason")[seen.newest(_NOW_S)].astype(int)
-    held = now[~np.isin(now, (*_CORRECTING, safety.OUTSIDE))]
+    held = now[~np.isin(now, (*_CORRECTS_NOW, safety.OUTSIDE))]
     # A latched guard stays so: what was before it is no longer true.
     if now[-1] == safety.LATCHED or 2 * len(held) > len(now):
         often = safety.LATCHED if now[-1] == safety.LATCHED else Counter(held.tolist()).most_common(1)[0][0]
