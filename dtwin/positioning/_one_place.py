@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.acquire.table_dialect import STATISTICS
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
-from dtwin.positioning.position_runs import Reading
+from dtwin.positioning.assignments import Reading
 from dtwin.positioning.table_heads import is_index, plain_unit, told_unit
 from dtwin.positioning.ways import Scale
 from dtwin.schema import Floats

@@ -50,18 +50,9 @@ from dtwin.positioning._refusals import (
     require_unit_of_heads,
 )
 from dtwin.positioning._report_tables import instruments_beside, of_one_instrument, report_tables, stated_figures
+from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
 from dtwin.positioning.matrix import names_sense, no_direction, ways_in_order
-from dtwin.positioning.position_runs import (
-    PositionTable,
-    Reading,
-    assigned_readings,
-    assigned_unit,
-    is_assigned,
-    number_of,
-    runs_of,
-    said_of,
-    wrong_form,
-)
+from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
 from dtwin.positioning.table_heads import (
     AXIS,
     MISSING,

@@ -21,7 +21,8 @@ from dtwin.acquire.axis_titles import axis_of, require_axis
 from dtwin.acquire.table_dialect import decoded
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
-from dtwin.positioning.position_runs import Reading, runs_of
+from dtwin.positioning.assignments import Reading
+from dtwin.positioning.position_runs import runs_of
 from dtwin.positioning.position_table import matrix_of
 from dtwin.positioning.table_heads import TURNS
 from dtwin.schema import Campaign, Finding, Run
