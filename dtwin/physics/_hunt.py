@@ -40,6 +40,8 @@ _SAME_PITCH = 1.02
 _MANY = 3
 # Between the shapes of the grid one effect may explain more than so much of what two do.
 _NEAR = 0.7
+# One mode may leave more than two by this share of what they explain.
+_CLEARLY = 0.01
 # Of the targets of an axis: more numbers than this share would draw any curve through them, of the same both ways or not.
 _CARRIED = 2.0 / 3.0
 
@@ -135,7 +137,8 @@ class Hunt:
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
-            other = self._with_one_screw(self._one_for_two(self._simplified(self._two_replaced(chosen))))
+            other = self._one_for_two(self._simplified(self._two_replaced(chosen)))
+            other = self._with_one_mode(self._with_one_screw(other))
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
@@ -301,6 +304,18 @@ class Hunt:
                 other = self._improved(self._grown(self._refined([*rest, *self.dictionary.add(turned)])))
                 best = min(best, other, key=self._cost)
         return best
+
+    def _with_one_mode(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with one mode of an axis in place of one that bends and one that rings, unless it leaves clearly more."""
+        for whole in chosen:
+            part = f"{whole.term.instance.effect.at_one_speed} {whole.term.instance.axis}"
+            rest = [entry for entry in chosen if entry is not whole and entry.label != part]
+            for rings in (entry for entry in chosen if entry.label == part):
+                one = self._refined([*rest, *self.dictionary.add([replace(whole.term, shape=rings.term.shape)])])
+                left = self.left(chosen)
+                if self.left(one) < left + _CLEARLY * (self.left(rest) - left):
+                    return one
+        return chosen
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
         terms = refined(self.dictionary.campaign, [e.term for e in chosen], self._per_number, bounded=True)
