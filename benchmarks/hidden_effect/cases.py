@@ -111,7 +111,7 @@ def make_case(row: Row, number: int) -> Case:
 def _second_case(row: Row, number: int, rng: np.random.Generator) -> Case:
     """Return a case of the second machine; each fault alone shows as 0.5 to 2 um RMS."""
     design = DESIGNS[row.design]
-    bench = SecondBench(design.radii_mm, design.feeds_mm_min, design.repeats)
+    bench = SecondBench(design.radii_mm, design.feeds_mm_min, design.repeats, design.paired)
     machine, sizes = Machine(), []
     hidden = _many(row, SECOND, rng)
     for fault in hidden:

@@ -13,7 +13,10 @@ COOL_DOWN_S = 1800.0
 
 @dataclass(frozen=True)
 class Design:
-    """A plan of circles: every feed and direction inside every set-up, repeats in blocks."""
+    """A plan of circles: every feed and direction inside every set-up, repeats in blocks.
+
+    ``paired``: each radius has a feed of its own; the second machine only.
+    """
 
     planes: tuple[str, ...] = ("XY",)
     radii_mm: tuple[float, ...] = (50.0, 150.0)
@@ -22,6 +25,7 @@ class Design:
     repeats: int = 3
     cool_down: bool = True
     heights: bool = False
+    paired: bool = False
 
     def tests(self, rng: np.random.Generator) -> list[CircularTest]:
         """Return the circles; the order is random inside each block of repeats."""
@@ -67,5 +71,8 @@ DESIGNS = {
     "one_circle": Design(radii_mm=(100.0,), feeds_mm_min=(2000.0,), directions=("CCW",)),
     "both_ways": Design(radii_mm=(100.0,), feeds_mm_min=(2000.0,)),
     "one_way": replace(FULL, directions=("CCW",), radii_mm=(100.0,), feeds_mm_min=(2000.0,)),
+    "one_radius": replace(FULL, radii_mm=(100.0,)),
+    "one_feed": replace(FULL, radii_mm=(50.0, 100.0, 150.0), feeds_mm_min=(2000.0,)),
+    "paired": replace(FULL, radii_mm=(50.0, 100.0, 150.0), paired=True),
     "three_planes": replace(FULL, planes=("XY", "YZ", "ZX"), feeds_mm_min=(1000.0, 4000.0)),
 }

@@ -149,7 +149,7 @@ def _rows() -> list[Row]:
 def _of_others() -> list[Row]:
     """Return the rows of the second machine and of the published ones; nothing is told in any."""
     every = tuple(second_faults.LIBRARY)
-    # At one feed a lag of both axes is a longer bar.
+    # At one feed for each radius a lag of both axes is a longer bar.
     everyday = tuple(n for n in every if n != "servo_lag")
     rows = [
         Row(
@@ -164,6 +164,21 @@ def _of_others() -> list[Row]:
         )
         for n in (3, 5, 8)
         for noise in (0.1, 0.5)
+    ]
+    rows += [
+        Row(
+            f"second_{design}",
+            "every",
+            100,
+            hidden=every if design == "one_radius" else everyday,
+            how_many=4,
+            base=(),
+            noise_um=0.1,
+            design=design,
+            machine="second",
+            everyday=design == "one_feed",
+        )
+        for design in ("one_radius", "one_feed", "paired")
     ]
     rows += [
         Row("second_null", "nothing", 200, base=(), machine="second"),

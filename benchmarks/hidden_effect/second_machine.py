@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -158,21 +159,25 @@ def _followed(place: Floats, speed: Floats, a: Axis, table: Floats) -> tuple[Flo
 
 @dataclass(frozen=True)
 class Bench:
-    """Which circles are measured; every feed and direction in each block of repeats."""
+    """Which circles are measured; every feed and direction in each block of repeats.
+
+    ``paired``: each radius has a feed of its own.
+    """
 
     radii_mm: tuple[float, ...]
     feeds_mm_min: tuple[float, ...]
     repeats: int = 3
+    paired: bool = False
 
     @property
     def circles(self) -> list[tuple[float, float, float]]:
         """Radius, feed in mm/s and sense (+1 counter-clockwise) of each distinct circle."""
-        return [
-            (radius, feed / 60.0, sense)
-            for radius in self.radii_mm
-            for feed in self.feeds_mm_min
-            for sense in (1.0, -1.0)
-        ]
+        pairs = (
+            zip(self.radii_mm, self.feeds_mm_min, strict=True)
+            if self.paired
+            else product(self.radii_mm, self.feeds_mm_min)
+        )
+        return [(radius, feed / 60.0, sense) for radius, feed in pairs for sense in (1.0, -1.0)]
 
     def sized(self, fault: Fault, wanted_um: float) -> float:
         """Return the size at which a fault alone shows with an RMS of ``wanted_um``, set-up taken out."""
