@@ -32,6 +32,8 @@ _STUCK_S = 1.0
 _HINTS = {
     "ur.absent": "switch the robot on, check address and cable, and that RTDE (port 30004) is on",
     "ur.package": "pip install '.[serve]' in a checkout of dtwin",
+    "ur.protocol": "check the address; of a robot: update PolyScope",
+    "ur.variables": "update PolyScope",
     "ur.refused": "update PolyScope, and see the controller's log",
     "ur.registers_owned": "end the other client: a second dtwin, a fieldbus (EtherNet/IP, "
     "PROFINET, MODBUS), or a link that the controller has not yet noticed to be dead",

@@ -16,8 +16,10 @@ import json
 import os
 import select
 import socket
+import struct
 import sys
 import time
+from io import BufferedIOBase
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,8 @@ _EARLY_S = 0.0004
 _SETTLE_S = 0.05
 _PRIORITY = 60
 _SET_TIMER_SLACK = 29
+_VERSION, _HEADER = 2, struct.Struct(">HB")
+_REQUEST_VERSION, _SETUP_OUTPUTS, _TEXT_MESSAGE = 86, 79, 77
 # What ur_rtde says when the controller answers IN_USE to an input recipe.
 _OWNED = "already in use"
 
@@ -102,6 +106,38 @@ def _write_correction(io: Any, correction: layout.Floats) -> None:
         raise _Fault("ur.link_lost", "the controller no longer takes corrections")
 
 
+def _require_rtde(host: str, frequency_hz: float) -> None:
+    """Ask for the version of the protocol and for the variables: without them ``ur_rtde`` hangs, or takes this process along.
+
+    Raises ``OSError`` when nobody answers, ``_Fault`` when the controller has not got them.
+    """
+    with socket.create_connection((host, RTDE_PORT), timeout=2.0) as probe, probe.makefile("rwb") as stream:
+        if _asked(stream, _REQUEST_VERSION, struct.pack(">H", _VERSION)) != b"\x01":
+            raise _Fault("ur.protocol", f"the controller does not speak version {_VERSION} of RTDE")
+        recipe = struct.pack(">d", frequency_hz) + ",".join(_VARIABLES).encode()
+        kinds = _asked(stream, _SETUP_OUTPUTS, recipe)[1:].decode("ascii", "replace").split(",")
+        known = [kind not in ("", "NOT_FOUND") for kind in kinds] + [False] * len(_VARIABLES)
+        absent = [name for name, there in zip(_VARIABLES, known, strict=False) if not there]
+        if absent:
+            raise _Fault("ur.variables", f"the controller does not send {', '.join(absent)}")
+
+
+def _asked(stream: BufferedIOBase, kind: int, payload: bytes) -> bytes:
+    """Return the payload that a controller answers a question with; its messages to people are passed over."""
+    stream.write(_HEADER.pack(_HEADER.size + len(payload), kind) + payload)
+    stream.flush()
+    while True:
+        head = stream.read(_HEADER.size)
+        if len(head) < _HEADER.size:
+            raise OSError("it closed the connection")
+        size, answered = _HEADER.unpack(head)
+        answer = stream.read(max(size - _HEADER.size, 0))
+        if answered == kind:
+            return answer
+        if answered != _TEXT_MESSAGE:
+            raise _Fault("ur.protocol", "what answers is no RTDE")
+
+
 class _Worker:
     """Moves states up and corrections down until told to stop or the link breaks."""
 
@@ -129,7 +165,7 @@ class _Worker:
         except ImportError as error:
             raise _Fault("ur.package", f"the package ur-rtde is missing ({error})") from error
         try:
-            socket.create_connection((self._host, RTDE_PORT), timeout=2.0).close()
+            _require_rtde(self._host, self._frequency_hz)
         except OSError as error:
             raise _Fault("ur.absent", f"no robot controller answers ({error})") from error
         try:

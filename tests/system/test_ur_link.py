@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -166,6 +167,34 @@ def test_something_that_never_answers_is_reported_in_time() -> None:
         with pytest.raises(DeviceError) as caught:
             UrLink(address, connect_timeout_s=1.5)
         assert caught.value.code == "ur.absent"
+
+
+@pytest.mark.parametrize(
+    ("answers", "code", "said"),
+    [
+        ([b"\x00\x06Mold\x00\x04V\x00"], "ur.protocol", "version 2 of RTDE"),
+        ([b"\x00\x04V\x01", b"\x00\x1aO\x01DOUBLE,NOT_FOUND,INT32"], "ur.variables", "send target_q, actual_q,"),
+        ([b"HTTP/1.1 400 Bad Request\r\n"], "ur.protocol", "no RTDE"),
+        ([b""], "ur.absent", "closed the connection"),
+    ],
+)
+def test_a_controller_that_is_too_old_is_told(answers: list[bytes], code: str, said: str) -> None:
+    address = free_address()
+
+    def answer(listener: socket.socket) -> None:
+        client, _ = listener.accept()
+        with client:
+            for one in answers:
+                client.recv(4096)
+                client.sendall(one)
+
+    with socket.create_server((address, 30004)) as listener:
+        server = threading.Thread(target=answer, args=(listener,))
+        server.start()
+        with pytest.raises(DeviceError, match=said) as caught:
+            UrLink(address, realtime=False)
+        server.join()
+    assert caught.value.code == code
 
 
 @pytest.mark.parametrize("failure", ["drop", "half_frame"])
