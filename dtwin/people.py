@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from dtwin.atomic import read_toml, sync, write_toml
+from dtwin.atomic import append_line, read_toml, sync, write_toml
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
@@ -24,7 +24,8 @@ from dtwin.schema import require_name
 
 ROLES = ("look", "measure", "train", "promote", "stop")
 """What a person may do; everybody with a token may look."""
-_AUDIT = "audit.jsonl"
+AUDIT = "audit.jsonl"
+"""Name of the record in a home."""
 _FILE, _MAX_BYTES, _LONGEST = "people.toml", 200_000, 500
 # Four texts whose every character may become twelve, as those beyond 16 bits do in JSON.
 _LONGEST_LINE = 12 * 4 * _LONGEST + 1000
@@ -144,9 +145,10 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
     Raises ``StoreError`` when it cannot be written.
     """
-    path = home.made().root / _AUDIT
+    path = home.made().root / AUDIT
     try:
-        with locked(home.root / "locks" / "audit.lock", wait=True), path.open("a+b") as file:
+        with locked(home.root / "locks" / "audit.lock", wait=True):
+            path.touch()
             path.chmod(0o600)
             before = _hash_of_last(path)
             about = {
@@ -157,9 +159,14 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
                 "came": came[:_LONGEST],
                 "after": before,
             }
-            file.write((json.dumps(about) + "\n").encode())
-            file.flush()
-            sync(path)
+            size = path.stat().st_size
+            try:
+                append_line(path, json.dumps(about).encode())
+                sync(path)
+            except OSError:
+                # A part of a line would show as changed for ever.
+                os.truncate(path, size)
+                raise
     except OSError as error:
         raise StoreError(
             "the record of who did what cannot be written", code="store.write", where=str(path), got=str(error)
@@ -168,34 +175,41 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
 
 def audit(home: Home) -> list[dict[str, Any]]:
     """Return the record, oldest first. Raises ``StoreError`` when a line was changed, taken out or put in."""
-    path, before, entries = home.root / _AUDIT, _FIRST, []
-    lines = path.read_bytes().splitlines() if path.exists() else []
-    for number, line in enumerate(lines, start=1):
-        try:
-            said = json.loads(line)
-            whole = said["after"] == before
-        except (ValueError, TypeError, KeyError, RecursionError):
-            said, whole = {}, False
-        if not whole:
+    entries = []
+    for number, said in enumerate(_lines(home), start=1):
+        if said is None:
             raise StoreError(
                 "the record of who did what was changed, or a line of it is cut",
                 code="audit.changed",
-                where=f"{path} line {number}",
+                where=f"{home.root / AUDIT} line {number}",
                 hint="compare it with a backup",
             )
         entries.append(said)
-        before = hashlib.sha256(line).hexdigest()
     return entries
 
 
+def damaged_in_audit(home: Home) -> list[int]:
+    """Return the numbers, from 1, of lines of the record that are cut, or before which something was changed."""
+    return [number for number, said in enumerate(_lines(home), start=1) if said is None]
+
+
+def _lines(home: Home) -> Iterator[dict[str, Any] | None]:
+    """Yield what each line of the record says, None where it is none or does not follow the one before."""
+    path, before = home.root / AUDIT, _FIRST
+    for line in path.read_bytes().splitlines() if path.exists() else []:
+        try:
+            said = json.loads(line)
+            yield said if said["after"] == before else None
+        except (ValueError, TypeError, KeyError, RecursionError):
+            yield None
+        before = hashlib.sha256(line).hexdigest()
+
+
 def _hash_of_last(path: Path) -> str:
-    """Return the hash of the last line; one that a kill cut short is closed first, and shows as changed."""
+    """Return the hash of the last line; one that a kill cut short shows as changed."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - _LONGEST_LINE, 0))
         content = file.read()
-    if content and not content.endswith(b"\n"):
-        with path.open("ab") as file:
-            file.write(b"\n")
     lines = content.splitlines()
     return hashlib.sha256(lines[-1]).hexdigest() if lines else _FIRST
 

@@ -16,17 +16,21 @@ from dtwin.documents import read_document
 from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
+from dtwin.people import AUDIT, damaged_in_audit
 from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
 from dtwin.serve.sealed import CHAMPION, MACHINE
 from dtwin.shared_documents import shared_content, shared_units
+from dtwin.train.promotion_books import HISTORY, damaged_in_history
+
+_MOST_LINES = 10
 
 
 @dataclass(frozen=True)
 class _HomeCheck:
     """What was looked at, and what is wrong.
 
-    ``looked_at``: number of runs, documents, records, databases and served bundles; of a shared home also what the
+    ``looked_at``: number of runs, documents, records, databases, served bundles and histories; of a shared home also what the
     store has, and models.
     ``wrong``: by file, run or machine.
     """
@@ -66,6 +70,7 @@ def check_home(home: Home, progress: Progress | None = None) -> _HomeCheck:
         "records": _records(home),
         "databases": _databases(home),
         "served": _served(home),
+        "histories": _histories(home),
         **({"shared": _shared(home), "models": _models(home)} if home.file.store else {}),
     }
     for name, found in steps.items():
@@ -153,6 +158,28 @@ def _unregistered(home: Home, machine: str, version: int) -> str:
     except DtwinError as error:
         return f"whether the model registry knows version {version}, which is served, cannot be said: {error.message}"
     return ""
+
+
+def _histories(home: Home) -> Iterator[tuple[str, str]]:
+    """Look at the lines of what only grows: who did what, and what was promoted."""
+    if (home.root / AUDIT).exists():
+        yield (
+            AUDIT,
+            _in_lines(
+                damaged_in_audit(home), "a line is cut, or one was changed, taken out or put in, there or before"
+            ),
+        )
+    for path in sorted(home.bundles.glob(f"*/{HISTORY}")):
+        damaged = damaged_in_history(home, path.parent.name)
+        yield str(path.relative_to(home.root)), _in_lines(damaged, "says nothing; the other lines are read")
+
+
+def _in_lines(damaged: list[int], what: str) -> str:
+    """Return where damaged lines stand, empty when there are none."""
+    if not damaged:
+        return ""
+    more = f" and {len(damaged) - _MOST_LINES} more" if len(damaged) > _MOST_LINES else ""
+    return f"line {', '.join(map(str, damaged[:_MOST_LINES]))}{more}: {what}; compare it with a backup"
 
 
 def _shared(home: Home) -> Iterator[tuple[str, str]]:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dtwin.atomic import append_line
 from dtwin.config import Home
@@ -21,10 +21,14 @@ from dtwin.schema import require_name
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.pointer import machine_folder, resolve
-from dtwin.train.gates import Verdict
-from dtwin.train.registry import RegisteredVersion, Registry
 
-_HISTORY = "promotions.jsonl"
+if TYPE_CHECKING:
+    # Importing MLflow takes seconds, and a host that only serves has none.
+    from dtwin.train.gates import Verdict
+    from dtwin.train.registry import RegisteredVersion, Registry
+
+HISTORY = "promotions.jsonl"
+"""Name of the history in the folder of a machine's bundles."""
 _ENTRY = {"time", "version", "action", "comment", "failed"}
 _Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
 
@@ -76,16 +80,22 @@ def enter(
 
 def history(home: Home, machine: str) -> list[dict[str, Any]]:
     """Return everything that was promoted, refused or rolled back, oldest first; a line that a kill cut short says nothing."""
-    path = machine_folder(machine, home) / _HISTORY
-    if not path.is_file():
-        return []
-    entries = []
-    for line in path.read_bytes().splitlines():
-        with contextlib.suppress(ValueError, RecursionError):
+    return [entry for entry in _entries(home, machine) if entry is not None]
+
+
+def damaged_in_history(home: Home, machine: str) -> list[int]:
+    """Return the numbers, from 1, of lines of the history that say nothing."""
+    return [number for number, entry in enumerate(_entries(home, machine), start=1) if entry is None]
+
+
+def _entries(home: Home, machine: str) -> Iterator[dict[str, Any] | None]:
+    path = machine_folder(machine, home) / HISTORY
+    for line in path.read_bytes().splitlines() if path.is_file() else []:
+        try:
             entry = json.loads(line)
-            if isinstance(entry, dict) and entry.keys() >= _ENTRY:
-                entries.append(entry)
-    return entries
+        except (ValueError, RecursionError):
+            entry = None
+        yield entry if isinstance(entry, dict) and entry.keys() >= _ENTRY else None
 
 
 def remember(
@@ -97,7 +107,7 @@ def remember(
     despite: Sequence[str] = (),
 ) -> None:
     """Append an entry to the history of a machine."""
-    path = machine_folder(version.machine, home) / _HISTORY
+    path = machine_folder(version.machine, home) / HISTORY
     entry = {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "version": version.version,

@@ -27,9 +27,11 @@ from dtwin.errors import InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.train import put_on_trial
 from dtwin.machine_record import keep_record, read_record
+from dtwin.people import AUDIT, note
 from dtwin.pipeline.home_archive import MANIFEST, backup, restore
 from dtwin.pipeline.home_check import check_home, home_parts
 from dtwin.serve.pointer import machine_folder, write_pointer
+from dtwin.train.promotion_books import HISTORY
 from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
 
@@ -238,7 +240,17 @@ def test_a_check_finds_what_was_changed(lived_in: Home) -> None:
     spoilt[len(spoilt) // 2] ^= 1
     data.write_bytes(spoilt)
     (lived_in.root / "machines" / "mill-0.toml").write_text("serial = 7\n")
+    promoted = machine_folder(MACHINE, lived_in) / HISTORY
+    promoted.parent.mkdir(parents=True)
+    entry = b'{"time": "", "version": "1", "action": "trial", "comment": "", "failed": []}\n'
+    promoted.write_bytes(entry + b'{"time": "2026\n' + entry + b"[]\n")
+    for what in "ab":
+        note(lived_in, what, "", "done")
+    record = lived_in.root / AUDIT
+    record.write_bytes(record.read_bytes().replace(b'"a"', b'"A"'))
     wrong = check_home(lived_in).wrong
+    assert wrong[f"bundles/{MACHINE}/{HISTORY}"].startswith("line 2, 4: ")
+    assert wrong[AUDIT].startswith("line 2: ")
     assert str(twin.relative_to(lived_in.root)) in wrong
     assert "machines/mill-0" in wrong
     assert any(name.startswith(("c00/", "c01/")) for name in wrong)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import resource
+import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from dtwin.config import Home, home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.machine_record import keep_record
 from dtwin.people import (
-    _AUDIT,
+    AUDIT,
     act_as,
     acting,
     add_person,
@@ -87,7 +89,7 @@ def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
     state = Home(tmp_path / "home")
     for k in range(4):
         note(state, f"did {k}", "because", "done")
-    path = state.root / _AUDIT
+    path = state.root / AUDIT
     assert [line["what"] for line in audit(state)] == [f"did {k}" for k in range(4)]
     lines = path.read_text().splitlines(keepends=True)
     for spoilt in (
@@ -102,6 +104,15 @@ def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
             audit(state)
     path.write_text("".join(lines))
     note(state, "more", "", "done")
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 20, limit[1]))
+        with pytest.raises(StoreError, match="cannot be written"):
+            note(state, "cut short", "", "done")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+        signal.signal(signal.SIGXFSZ, handler)
     assert len(audit(state)) == 5
 
 
