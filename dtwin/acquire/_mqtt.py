@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 _MAX_BYTES = 100_000
-_MOST_WAITING = 200_000
+_MOST_WAITING, _MOST_WAITING_BYTES = 200_000, 100_000_000
 _AWAY = "the broker could not be reached"
 _BEHIND_S = 0.5
 # By how much a sender's clock is ahead of the time that has passed before it was set, or never was right.
@@ -88,6 +88,8 @@ class MqttRecorder(OpenAndClose):
         self._heard: queue.SimpleQueue[tuple[float, str, bytes, bool]] = queue.SimpleQueue()
         self._held = Held(self.name, rate_hz, list(columns.values()), {"broker": broker, "clock": f"the {clock}'s"})
         self._running, self._away_s, self._refused = False, math.nan, 0
+        # Each of one thread: of those that wait there is the difference.
+        self._put_bytes = self._taken_bytes = 0
         self._newest_s = self._monotonic_s = self._offset_s = math.nan
         self._spoilt: set[str] = set()
         self._retained: dict[str, list[Observed]] = {}
@@ -150,7 +152,7 @@ class MqttRecorder(OpenAndClose):
         """Return how many messages were refused so far."""
         if not self._refused:
             return ()
-        text = f"{self._refused} messages were no numbers, too long, or without their time"
+        text = f"{self._refused} messages were no numbers, too long, without their time, or more than could wait here"
         return (Finding("mqtt.refused", "warning", text, {"messages": float(self._refused)}),)
 
     def start(self) -> None:
@@ -209,8 +211,11 @@ class MqttRecorder(OpenAndClose):
 
         ``retained``: whether it was published before, and the broker kept it.
         """
-        if self._heard.qsize() < _MOST_WAITING:
-            self._heard.put((self._offset_s + time.monotonic(), topic, payload[: _MAX_BYTES + 1], retained))
+        payload = payload[: _MAX_BYTES + 1]
+        waiting_bytes = self._put_bytes - self._taken_bytes + len(payload)
+        if self._heard.qsize() < _MOST_WAITING and waiting_bytes <= _MOST_WAITING_BYTES:
+            self._put_bytes += len(payload)
+            self._heard.put((self._offset_s + time.monotonic(), topic, payload, retained))
         else:
             self._refused += 1
 
@@ -221,6 +226,7 @@ class MqttRecorder(OpenAndClose):
                 came_s, topic, payload, retained = self._heard.get_nowait()
             except queue.Empty:
                 return
+            self._taken_bytes += len(payload)
             observed, wrong = self._observed(came_s, topic, payload)
             self._refused += wrong
             if not observed:

@@ -213,6 +213,20 @@ def test_silence_is_said(tmp_path: Path) -> None:
     assert caught.value.code == "mqtt.silent"
 
 
+def test_more_bytes_than_may_wait_are_refused_until_the_others_were_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dtwin.acquire._mqtt._MOST_WAITING_BYTES", 9)
+    with running_broker(tmp_path) as port, machine(port) as publish, recorder(port) as device:
+        device.start()
+        for text in ("1.23456789", "1.2345678", "2.3456789"):
+            publish("mill/x", text)
+            if len(text) <= 9:
+                until(device, lambda together, value=float(text): value in together["x_mm"])
+        (finding,) = device.check()
+    assert finding.numbers == {"messages": 1.0}
+
+
 def test_a_time_in_nanoseconds_is_none(tmp_path: Path) -> None:
     """A float tells them to a quarter of a minute: no sample would follow on another."""
     changes = {"columns": {"mill#x": "x_mm"}, "clock": "sender", "time": "at", "patience_s": 0.3}
