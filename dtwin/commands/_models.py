@@ -185,15 +185,18 @@ def promote(
     from dtwin.lifecycle.evidence import make_champion, proven_or_measured
     from dtwin.lifecycle.train import put_on_trial
     from dtwin.report.campaign import evidence_table
+    from dtwin.serve._lease import is_leased
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
     registered = registry.version(machine_named(registry, machine), version)
+    served = is_leased(registered.machine, home())
+    keeps = "\nthe machine is served now: that session keeps its version until it is begun again" if served else ""
     if trial:
         path = put_on_trial(home(), registered, comment)
         emit(
-            {"version": registered.version, "state": "trial", "bundle": str(path)},
-            lambda: f"version {registered.version} is on trial: dtwin serve --model trial --trial",
+            {"version": registered.version, "state": "trial", "bundle": str(path), "served_now": served},
+            lambda: f"version {registered.version} is on trial: dtwin serve --model trial --trial{keeps}",
             as_json=as_json,
         )
         return
@@ -205,11 +208,12 @@ def promote(
         "champion": bundle is not None,
         "bundle": str(bundle) if bundle else None,
         "reason": reason,
+        "served_now": served,
         "evidence": given,
     }
 
     def text() -> str:
-        state = f"champion: version {registered.version}, {bundle}" if bundle else reason
+        state = f"champion: version {registered.version}, {bundle}{keeps}" if bundle else reason
         return "\n".join([table(*evidence_table(given)), state])
 
     emit(payload, text, as_json=as_json)

@@ -10,6 +10,7 @@ from dtwin.serve._machine_file import machine_folder
 from dtwin.serve.sealed import BARRED, locked, read_sealed, write_sealed
 
 _LOOK_EVERY_S = 1.0
+_NO_LIST, _GONE = (0, 0), (-1, -1)
 
 
 def bar(machine: str, home: Home, version: int, reason: str) -> None:
@@ -62,6 +63,8 @@ class BarredWatch:
         if stamp == self._stamp:
             return ""
         self._stamp = stamp
+        if stamp == _GONE:
+            return "the folder of its bundles is gone, so that nothing could withdraw it"
         try:
             return barred_why(self._machine, self._home, self._version)
         except DtwinError:
@@ -71,7 +74,7 @@ class BarredWatch:
         try:
             state = self._file.stat()
         except OSError:
-            return 0, 0
+            return _NO_LIST if self._file.parent.is_dir() else _GONE
         return state.st_mtime_ns, state.st_ino
 
 

@@ -14,6 +14,7 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DtwinError
 from dtwin.schema import Run
+from dtwin.serve._lease import lease
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.pointer import resolve
 from dtwin.train.promotion_books import history
@@ -70,7 +71,7 @@ def test_runs_of_a_real_machine_make_a_champion_with_real_evidence(home: Home) -
     assert (found["kind"], found["switches"], len(found["runs"])) == ("real", 5, len(runs))
     code, promoted = run("promote", version.version, "--comment", "measured")
     assert code == 0, promoted
-    assert promoted["champion"] is True
+    assert (promoted["champion"], promoted["served_now"]) == (True, False)
     where = resolve("latest", MACHINE, home).path
     assert load_bundle(where, MACHINE).bundle.provenance.evidence == "real"
 
@@ -80,7 +81,10 @@ def test_a_virtual_machine_never_gives_real_evidence(home: Home) -> None:
     measured(home)
     code, found = run("evidence", "1", "--without", "turns", "--with", "turns")
     assert (code, found["kind"]) == (0, "virtual")
-    assert run("promote", "1")[0] == 0
+    with lease("127.9.9.9", MACHINE, home):
+        code, promoted = run("promote", "1")
+    # It keeps what it began with.
+    assert (code, promoted["served_now"]) == (0, True)
     served_bundle = load_bundle(resolve("latest", MACHINE, home).path, MACHINE).bundle
     assert served_bundle.provenance.evidence == "virtual"
     # The same machine, called real: its evidence stays what it was.
