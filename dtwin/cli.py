@@ -119,8 +119,14 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     # Also at the end: what a first command made is for its owner alone.
     with contextlib.ExitStack() as ending:
-        ending.callback(home().tightened)
+        ending.callback(_tighten)
         _run()
+
+
+def _tighten() -> None:
+    # What names no home was told.
+    with contextlib.suppress(InputError):
+        home().tightened()
 
 
 def _open_closed_streams() -> None:

@@ -97,22 +97,21 @@ class Home:
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
         return self._closed()
 
-    def require_parts(self) -> None:
+    def require_parts(self, *, named: bool = False) -> None:
         """Refuse a home whose path the libraries read as another one, or of which a part is a link that leads nowhere.
 
-        It would look as if nothing was measured yet.
+        It would look as if nothing was measured yet. ``named``: whether somebody asked for just this folder.
         """
         path = os.fsencode(self.root)
         if len(path) > _LONGEST or _MISREAD.search(path):
             raise InputError(
                 "the path of the home cannot be used",
                 code="home.path",
-                where="DTWIN_HOME",
                 got=repr(str(self.root))[:200] + (f", {len(path)} bytes" if len(path) > _LONGEST else ""),
                 allowed=f"at most {_LONGEST} bytes, without % ? # \\ and control characters",
-                hint="set DTWIN_HOME to another folder",
+                hint="name another folder, by DTWIN_HOME or in open_home",
             )
-        self._require_own()
+        self._require_own(named or bool(os.environ.get("DTWIN_HOME")))
         for part in self.root.glob("*"):
             if part.is_symlink() and not part.exists():
                 raise InputError(
@@ -123,11 +122,11 @@ class Home:
                     hint="mount the disk that it is on, or mend the link",
                 )
 
-    def _require_own(self) -> None:
+    def _require_own(self, named: bool) -> None:
         """Refuse a folder that others use, too: it would be taken from them; and one of another user that nobody named."""
         with contextlib.suppress(OSError):
             mode, owner = self.root.stat().st_mode, self.root.stat().st_uid
-            if owner != os.geteuid() and not os.environ.get("DTWIN_HOME"):
+            if owner != os.geteuid() and not named:
                 raise InputError(
                     "the home in this folder is another user's",
                     code="home.owner",
@@ -144,7 +143,7 @@ class Home:
                     where=str(self.root),
                     got=", ".join(sorted(names)[:5])[:120],
                     allowed="a folder of its own: only its owner may enter a home",
-                    hint="set DTWIN_HOME to a new folder",
+                    hint="name a new folder, by DTWIN_HOME or in open_home",
                 )
 
     def tightened(self) -> Home:
@@ -258,7 +257,15 @@ class Home:
 
 def home() -> Home:
     """Return the state folder; nothing is created by asking."""
-    return Home(Path(os.environ.get("DTWIN_HOME") or ".dtwin").expanduser().absolute())
+    return home_in(Path(os.environ.get("DTWIN_HOME") or ".dtwin"))
+
+
+def home_in(folder: Path) -> Home:
+    """Return the home in a folder; a ``~`` stands for somebody's own folder. Raises ``InputError`` when nobody has that name."""
+    try:
+        return Home(folder.expanduser().absolute())
+    except RuntimeError as error:
+        raise InputError("the home is in the folder of nobody", code="home.path", got=str(folder)[:200]) from error
 
 
 def quiet_environment() -> None:

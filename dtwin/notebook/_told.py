@@ -16,6 +16,12 @@ def require_seed(seed: object) -> None:
         raise InputError("not a seed", code="notebook.seed", got=str(seed)[:40], allowed="a whole number from 0")
 
 
+def require_flag(value: object, what: str) -> None:
+    """Refuse what is neither true nor false: any text would count as true."""
+    if not isinstance(value, bool):
+        raise InputError(f"{what} is true or false", code="notebook.flag", got=repr(value)[:60], allowed="True, False")
+
+
 def require_text(value: object, what: str) -> None:
     """Refuse a name that is no text. ``what``: of what it is, with its article."""
     if not isinstance(value, str):

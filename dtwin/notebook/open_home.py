@@ -15,12 +15,12 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from dtwin.acquire.ingest import ingest as ingest_path
-from dtwin.config import Home, home, quiet_environment
+from dtwin.config import Home, home, home_in, quiet_environment
 from dtwin.errors import InputError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.lake.store import Lake
-from dtwin.notebook._told import path_of, require_plain, require_seed, require_text, texts_of, version_of
+from dtwin.notebook._told import path_of, require_flag, require_plain, require_seed, require_text, texts_of, version_of
 from dtwin.notebook.results import (
     ComparisonResult,
     DiagnosisResult,
@@ -42,7 +42,10 @@ if TYPE_CHECKING:
 
     from dtwin.twins.of_kind import AnyTwins
 
-_TOLD = ("plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign")
+_TOLD = (
+    *("plane", "radius_mm", "feed_mm_min", "direction", "axis", "screw_pitch_mm", "instrument", "kind"),
+    *("setup", "repeat", "machine", "started", "campaign"),
+)
 _RUN_COLUMNS = (
     "campaign",
     "run_id",
@@ -104,6 +107,7 @@ class OpenHome:
             InputError: When there is no such machine, or it has no such option.
         """
         require_text(machine, "a virtual machine")
+        require_flag(quick, "quick")
         folder = path_of(out, "the folder of a campaign")
         virtual = machine_named(machine)
         require_seed(seed)
@@ -116,7 +120,8 @@ class OpenHome:
 
         Args:
             **told: Of a table that lies alone: ``plane``, ``radius_mm``, ``feed_mm_min``, ``direction``, ``axis``,
-                ``setup``, ``repeat``, ``machine``, ``campaign``.
+                ``screw_pitch_mm``, ``instrument``, ``kind``, ``setup``, ``repeat``, ``machine``, ``started``,
+                ``campaign``.
 
         Raises:
             InputError: When the files cannot be used, or something is told that nobody asked for.
@@ -220,6 +225,7 @@ class OpenHome:
         wanted = [part.strip() for part in names if part.strip()]
         campaigns = texts_of(campaign, "campaigns")
         require_text(name, "a twin")
+        require_flag(robust, "robust")
         return of_twin(*fit_twin(self.home, self._library, campaigns, wanted, name, robust=robust))
 
     def show(self, name: str, version: int | None = None) -> TwinResult:
@@ -330,7 +336,7 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
         effects: Your own effect files, or folders of them. Their code is run.
     """
     quiet_environment()
-    root = home() if folder is None else Home(path_of(folder, "a home").expanduser().absolute())
+    root = home() if folder is None else home_in(path_of(folder, "a home"))
     if root.root.is_file():
         raise InputError(
             "a home is a folder, and this is a file",
@@ -338,8 +344,7 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
             got=str(root.root),
             allowed="a folder, or a new name",
         )
-    if folder is None:
-        root.require_parts()
+    root.require_parts(named=folder is not None)
     follow_shared(root)
     return OpenHome(root.tightened(), effects)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -40,11 +41,12 @@ class Result:
             InputError: When there are not so many.
         """
         drawn = self._draw()
-        if not 0 <= number < len(drawn):
+        wanted: object = number
+        if not isinstance(wanted, Integral) or not 0 <= int(wanted) < len(drawn):
             raise InputError(
                 "there is no such figure of the result",
                 code="notebook.figure",
-                got=str(number),
+                got=repr(number)[:60],
                 allowed=f"0 to {len(drawn) - 1}" if drawn else "this result has no figure",
             )
         return drawn[number]

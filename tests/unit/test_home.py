@@ -349,10 +349,11 @@ def test_a_pipe_in_place_of_the_settings_of_a_home_is_refused(tmp_path: Path) ->
         Home(tmp_path).file  # noqa: B018
 
 
-def test_a_path_with_a_name_that_no_folder_can_have_is_said() -> None:
+@pytest.mark.parametrize("path", ["x" * 600, "~nobody-has-this-name/home"])
+def test_a_path_with_a_name_that_no_folder_can_have_is_said(path: str) -> None:
     told = subprocess.run(
         [sys.executable, "-m", "dtwin", "runs"],
-        env=dict(os.environ, DTWIN_HOME="x" * 600),
+        env=dict(os.environ, DTWIN_HOME=path),
         capture_output=True,
         text=True,
         check=False,

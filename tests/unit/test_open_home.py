@@ -144,6 +144,10 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
     with pytest.raises(dtwin.InputError) as told:
         home.ingest(tmp_path / "x.csv", radius=100.0)
     assert (told.value.code, told.value.got) == ("ingest.told", "radius")
+    (tmp_path / "x.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(dtwin.InputError) as told:
+        home.ingest(tmp_path / "x.csv", kind="circles", started="2026-03-02")
+    assert told.value.got == "circles"
     with pytest.raises(NotOffered):
         home.plot("parts", "p1")
     with pytest.raises(NotOffered):
@@ -163,6 +167,8 @@ def test_what_is_of_another_type_is_refused_in_words(home: OpenHome, tmp_path: P
         lambda: home.fit("rounds", value, "t"),
         lambda: home.fit("rounds", ["backlash"], value),
         lambda: home.show(value),
+        lambda: home.fit("rounds", ["backlash"], "t", robust=value),
+        lambda: home.simulate("mill", tmp_path / "m", quick=value),
         lambda: home.show("t", value if value is not None else 1.5),
         lambda: home.compare("t", value if value is not None else 1),
         lambda: home.add("t", value),
@@ -180,9 +186,15 @@ def test_a_home_that_is_another_folder_or_a_file_is_left_as_it_is(tmp_path: Path
     (folder / "theirs.txt").write_text("")
     file.write_text("")
     file.chmod(0o644)
-    assert dtwin.open_home(folder).runs().empty
-    with pytest.raises(dtwin.InputError, match="this is a file"):
-        dtwin.open_home(file)
+    for other, said in (
+        (folder, "holds other things"),
+        (file, "this is a file"),
+        (tmp_path / "a%41", "cannot be used"),
+    ):
+        with pytest.raises(dtwin.InputError, match=said):
+            dtwin.open_home(other)
+    with pytest.raises(dtwin.InputError, match="the folder of nobody"):
+        dtwin.open_home("~nobody-has-this-name/home")
     assert [path.stat().st_mode & 0o777 for path in (folder, file)] == [0o755, 0o644]
     (folder / "lake").mkdir()
     dtwin.open_home(folder)
