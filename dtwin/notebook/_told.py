@@ -42,8 +42,8 @@ def version_of(number: object) -> int | None:
     raise InputError("not a version", code="notebook.version", got=repr(number)[:60], allowed="a whole number from 1")
 
 
-def require_plain(told: Mapping[str, object]) -> None:
-    """Refuse what is told of a table that is neither a text nor a number."""
+def plain(told: Mapping[str, object]) -> dict[str, object]:
+    """Return what is told of a table, numbers of numpy as those of Python; refuse what is neither a text nor a number."""
     foreign = next(
         (name for name, value in told.items() if value is not None and not isinstance(value, str | Real)), ""
     )
@@ -54,6 +54,11 @@ def require_plain(told: Mapping[str, object]) -> None:
             where=foreign,
             got=repr(told[foreign])[:60],
         )
+    return {name: _number(value) if not isinstance(value, str | bool | None) else value for name, value in told.items()}
+
+
+def _number(value: object) -> object:
+    return int(value) if isinstance(value, Integral) else float(value) if isinstance(value, Real) else value
 
 
 def path_of(value: object, what: str) -> Path:

@@ -20,7 +20,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.lake.store import Lake
-from dtwin.notebook._told import path_of, require_flag, require_plain, require_seed, require_text, texts_of, version_of
+from dtwin.notebook._told import path_of, plain, require_flag, require_seed, require_text, texts_of, version_of
 from dtwin.notebook.results import (
     ComparisonResult,
     DiagnosisResult,
@@ -134,8 +134,7 @@ class OpenHome:
                 got=", ".join(unknown)[:120],
                 allowed=", ".join(_TOLD),
             )
-        require_plain(told)
-        ingested = ingest_path(path_of(path, "what is ingested"), self._lake, told=told)
+        ingested = ingest_path(path_of(path, "what is ingested"), self._lake, told=plain(told))
         rows = [{"run_id": run, **finding.as_dict()} for run, finding in ingested.findings]
         columns = ["run_id", "severity", "code", "message"]
         return IngestResult(

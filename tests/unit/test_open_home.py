@@ -148,6 +148,10 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
     with pytest.raises(dtwin.InputError) as told:
         home.ingest(tmp_path / "x.csv", kind="circles", started="2026-03-02")
     assert told.value.got == "circles"
+    # A frame's own numbers are numbers.
+    (tmp_path / "c.csv").write_text("angle_deg,deviation_um\n" + "".join(f"{k},{k % 7}\n" for k in range(360)))
+    told_of = {"plane": "XY", "radius_mm": np.int64(100), "feed_mm_min": np.float32(1000.0), "repeat": np.int64(2)}
+    assert dtwin.open_home(tmp_path / "h").ingest(tmp_path / "c.csv", **told_of).added == ("c-ccw1",)
     with pytest.raises(NotOffered):
         home.plot("parts", "p1")
     with pytest.raises(NotOffered):
