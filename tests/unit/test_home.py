@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from closed_loop import MACHINE, registered, small_bundle
 from fleet_lake import fill
+from mlflow.exceptions import MlflowException
 from typer.testing import CliRunner
 
 import dtwin
@@ -148,6 +149,18 @@ def test_a_database_that_is_none_is_said_by_whatever_asks_it(lived_in: Home) -> 
     (lived_in.root / "mlflow" / "mlflow.db").write_text("x" * 2000)
     with pytest.raises(StoreError, match="damaged"):
         Registry(lived_in)
+
+
+def test_what_a_library_finds_of_a_database_is_no_traceback_on_the_screen(
+    lived_in: Home, capfd: pytest.CaptureFixture[str]
+) -> None:
+    registry = Registry(lived_in)
+    assert registry.machines() == []
+    with closing(sqlite3.connect(lived_in.root / "mlflow" / "mlflow.db")) as file:
+        file.execute("DROP TABLE registered_models")
+    with pytest.raises(MlflowException, match="no such table"):
+        registry.machines()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_tables_that_were_not_finished_are_made_anew(lived_in: Home, monkeypatch: pytest.MonkeyPatch) -> None:
