@@ -163,7 +163,10 @@ def _converted(path: Path, _changed_ns: int, axis: str | None) -> tuple[bytes, b
         raise
     # What a damaged or hostile archive raises is not documented: zlib, XML, keys and types.
     except Exception as error:
-        raise _refused(path, f"{type(error).__name__}: {error}"[:160], "a workbook of Excel 2007 or later") from error
+        still_packed = data.startswith(_GZIP)
+        allowed = "a whole packed file" if still_packed else "a whole workbook of Excel 2007 or later"
+        got = f"{type(error).__name__}: {error}"[:160]
+        raise _refused(path, got, allowed, "packed file" if still_packed else "spreadsheet") from error
     raise _refused(path, "no sheet holds a table", "a sheet with a row of names and rows of values")
 
 
@@ -331,14 +334,14 @@ def _several(path: Path, titles: Sequence[str]) -> InputError:
     )
 
 
-def _refused(path: Path, got: str, allowed: str) -> InputError:
+def _refused(path: Path, got: str, allowed: str, what: str = "spreadsheet") -> InputError:
     return InputError(
-        "the spreadsheet cannot be read",
+        f"the {what} cannot be read",
         code="spreadsheet.unusable",
         where=str(path),
         got=got,
         allowed=allowed,
-        hint="save the table that is meant as CSV and bring that",
+        hint="it may be cut short or damaged: copy it again; else save the table that is meant as CSV and bring that",
     )
 
 

@@ -197,13 +197,19 @@ def _answer(request: dict[str, Any], control: _Control, registers: _Registers) -
 def _serve(connection: socket.socket, control: _Control) -> None:
     """Answer one client until it goes away."""
     registers = _Registers()
+    failed: dict[str, Any] | None = None
     with connection, connection.makefile("rwb") as stream, contextlib.suppress(OSError):
         for line in stream:
+            sends = False
             try:
-                said = _answer(json.loads(line), control, registers)
+                request = json.loads(line)
+                sends = request["do"] == "send"
+                said = failed or _answer(request, control, registers)
             except Exception as error:
                 said = {"error": f"{type(error).__name__}: {error}"}
-            if said is not None:
+            # A correction has no answer: that it failed is what the next request is told, once.
+            failed = said if sends else None
+            if not sends:
                 stream.write(json.dumps(said).encode() + b"\n")
                 stream.flush()
 

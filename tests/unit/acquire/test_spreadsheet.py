@@ -262,8 +262,9 @@ def test_a_packed_file_that_is_cut_or_grows_without_bounds_is_refused(
     path.write_bytes(whole)
     assert open_source(path, {"axis": "X"})[0].name == "table"
     path.write_bytes(whole[:-9])
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="the packed file cannot be read") as refused:
         open_source(path, {"axis": "X"})
+    assert "cut short" in str(refused.value.hint)
     monkeypatch.setattr("dtwin.acquire.spreadsheet._MAX_UNPACKED", 10)
     path.write_bytes(whole)
     with pytest.raises(InputError) as refused:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
+import socket
+import sys
+import threading
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dtwin.errors import DeviceError, InputError, MissingPart
+from dtwin.links.linuxcnc import Bridge
 from dtwin.machines.linuxcnc import session
+from dtwin.machines.linuxcnc._bridge import _serve
 from dtwin.machines.linuxcnc.circles import Circle, program, read_samples, traces
 from dtwin.machines.linuxcnc.configuration import MillFaults, compensation_text, ini_text, read_faults
 
@@ -102,3 +108,32 @@ def test_faults_are_numbers_that_the_mill_has(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             read_faults(file)
         assert caught.value.code == "linuxcnc.faults"
+
+
+def test_a_pin_that_vanishes_is_told_once_and_no_answer_is_taken_for_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pins = {"correction.cycles": 7}
+
+    def absent(name: str, value: str) -> None:
+        raise RuntimeError(f"pin {name} is not there")
+
+    hal = types.SimpleNamespace(set_p=absent, get_value=lambda name: pins[name])
+    monkeypatch.setitem(sys.modules, "hal", hal)
+    bridge = Bridge(tmp_path / "b")
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "b"))
+        listener.listen()
+        bridge.open()
+        server = threading.Thread(target=_serve, args=(listener.accept()[0], None))
+        server.start()
+        for _ in range(2):
+            bridge.tell(do="send", offset_um=[1.0, 2.0, 3.0], sequence=1)
+        with pytest.raises(DeviceError, match="did not do") as refused:
+            bridge.ask(do="get", pin="correction.cycles")
+        assert refused.value.got == "RuntimeError: pin correction.x is not there"
+        assert bridge.ask(do="get", pin="correction.cycles") == {"value": 7}
+        with pytest.raises(DeviceError, match="did not do"):
+            bridge.ask(do="get", pin="correction.latched")
+        bridge.close()
+        server.join(5)
