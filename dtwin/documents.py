@@ -42,6 +42,18 @@ def read_document(path: Path, hint: str = _HINT) -> dict[str, Any]:
     return dict(document)
 
 
+def unknown_form(what: str, where: str, form: str, got: object) -> StoreError:
+    """Return the error of a document that is not of the form that is read here. ``what``: what it should be."""
+    return StoreError(
+        f"this is not {what}, or another version of dtwin wrote it",
+        code="twin.format",
+        where=where,
+        got=str(got)[:80],
+        allowed=f"the form {form}",
+        hint="install the newest dtwin; else fit the twin again, under another name",
+    )
+
+
 def _digest(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 

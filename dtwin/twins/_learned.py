@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.atomic import write_text
+from dtwin.documents import unknown_form
 from dtwin.errors import InputError, StoreError
 from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.effect import Effect, Instance
@@ -96,9 +97,7 @@ def contradictions_from(document: Mapping[str, Any]) -> tuple[Contradiction, ...
 
 def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
     if document.get("format") != FORMAT:
-        raise StoreError(
-            "this is not a twin", code="twin.format", where=where, allowed=FORMAT, got=str(document.get("format"))[:40]
-        )
+        raise unknown_form("a twin", where, FORMAT, document.get("format"))
     terms = []
     for entry in document["effects"]:
         if entry["effect"] not in library:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.documents import unknown_form
+from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Quantity, Sizes, agreed, contradicting
@@ -225,8 +226,7 @@ class MachineTwins(TwinShelf):
                 raise ValueError(f"format {document['format']}")
             return self._twin(document)
         except (KeyError, TypeError, ValueError) as error:
-            told = {"where": str(path), "allowed": FORMAT, "got": str(error)[:80]}
-            raise StoreError("this is not a twin of several kinds", code="twin.format", **told) from error
+            raise unknown_form("a twin of several kinds", str(path), FORMAT, error) from error
 
     def _twin(self, document: Mapping[str, Any]) -> MachineTwin:
         shelves = {one["kind"]: self._shelf(one["kind"]) for one in document["campaigns"]}

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.documents import unknown_form
+from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.physics.agreed import Sizes
 from dtwin.schema import require_name
@@ -198,8 +199,7 @@ class TermTwins(TwinShelf, ABC, Generic[T, L, W, D]):
                 raise ValueError(f"format {document['format']}")
             return self.stored(document)
         except (KeyError, TypeError, ValueError) as error:
-            told = {"where": str(path), "allowed": self.form, "got": str(error)[:80]}
-            raise StoreError(f"this is not a twin of {self.named}", code="twin.format", **told) from error
+            raise unknown_form(f"a twin of {self.named}", str(path), self.form, error) from error
 
     def _diagnosed(self, twin: W, loaded: L) -> D:
         diagnosis = self.diagnosed(loaded, twin.terms)

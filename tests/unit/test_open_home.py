@@ -14,6 +14,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import dtwin
+from dtwin.documents import read_document, write_document
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
 from dtwin.notebook import open_home
@@ -235,6 +236,12 @@ def test_results_without_rows_or_figures_have_their_columns(tmp_path: Path) -> N
     lake.commit(Campaign("others", "cell-4"), [circle("a")])
     with pytest.raises(dtwin.InputError, match="another machine"):
         opened.fit("others", [], "bare")
+    for name in ("bare", "log"):
+        path = opened.home.root / "twins" / name / "v001.json"
+        write_document(path, read_document(path) | {"format": "dtwin-twin/9"}, "a twin of a version to come")
+        with pytest.raises(dtwin.DtwinError, match="another version of dtwin") as newer:
+            opened.show(name)
+        assert "install the newest" in str(newer.value.hint)
 
 
 @pytest.mark.parametrize(

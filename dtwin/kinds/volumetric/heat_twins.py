@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.documents import unknown_form
+from dtwin.errors import InputError
 from dtwin.kinds.volumetric._data import HeatLoaded, HeatMember, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
@@ -186,9 +187,7 @@ class HeatTwins(TwinShelf):
                 raise ValueError(f"format {document['format']}")
             return heat_twin_from(document)
         except (KeyError, TypeError, ValueError, InputError) as error:
-            raise StoreError(
-                "this is not a twin of heat", code="twin.format", where=str(path), allowed=FORMAT, got=str(error)[:80]
-            ) from error
+            raise unknown_form("a twin of heat", str(path), FORMAT, error) from error
 
     def _loaded(self, twin: HeatTwin, campaign: str | None = None) -> HeatLoaded:
         return load_heat(self.home, campaign or twin.campaign, [term.motion for term in twin.terms])
