@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 from dtwin.config import Home
@@ -64,7 +65,7 @@ class BarredWatch:
             return ""
         self._stamp = stamp
         if stamp == _GONE:
-            return "the folder of its bundles is gone, so that nothing could withdraw it"
+            return "the folder of its bundles cannot be seen any more, so that nothing could withdraw it"
         try:
             return barred_why(self._machine, self._home, self._version)
         except DtwinError:
@@ -74,7 +75,10 @@ class BarredWatch:
         try:
             state = self._file.stat()
         except OSError:
-            return _NO_LIST if self._file.parent.is_dir() else _GONE
+            with contextlib.suppress(OSError):
+                if self._file.parent.is_dir():
+                    return _NO_LIST
+            return _GONE
         return state.st_mtime_ns, state.st_ino
 
 

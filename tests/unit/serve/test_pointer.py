@@ -255,7 +255,7 @@ def test_a_withdrawn_version_stays_so_whatever_becomes_of_the_list(home: Home) -
     watch = BarredWatch("cobot-a", home, 3)
     pointer.parent.rename(pointer.parent.with_name("away"))
     watch._next_s = 0.0
-    assert "folder of its bundles is gone" in watch()
+    assert "cannot be seen any more" in watch()
 
 
 def test_a_tool_that_was_moved_is_refused(home: Home) -> None:
