@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from dtwin.acquire._readings import usable
 from dtwin.acquire.parquet_file import foreign_table
+from dtwin.acquire.repeated_heads import require_whole_end
 from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.table_dialect import encoding_of, is_comment
 from dtwin.acquire.xmlsafe import require_bounded
@@ -27,7 +29,7 @@ from dtwin.lake.parquet import NUMBERS, numbers_of
 from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
-_LONGEST_BEGIN = 2**20
+_LONGEST_BEGIN, _LONGEST_END = 2**20, 40_000
 _MOST_COMMENTS = 1000
 _UNEVEN = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+): ?(.*)", re.S)
 """What the reader of CSV says of a row that is longer or shorter than the first."""
@@ -161,7 +163,11 @@ def _dialect(path: Path, numbers: Mapping[str, pa.DataType] = MappingProxyType({
     source = _source(path)
     with source.open("rb") if isinstance(source, Path) else source as file:
         begin = file.read(_LONGEST_BEGIN)
+        # Of whole pairs of bytes: some encodings have two for a letter.
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _LONGEST_END) // 2 * 2)
+        end = file.read()
     encoding = encoding_of(begin)
+    require_whole_end(end.decode(encoding, "replace"), path)
     lines = begin.decode(encoding, "replace").split("\n", _MOST_COMMENTS + 1)
     comments = next((n for n, line in enumerate(lines[:_MOST_COMMENTS]) if not is_comment(line)), _MOST_COMMENTS)
     head = lines[comments] if comments < len(lines) else ""

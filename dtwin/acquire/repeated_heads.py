@@ -6,7 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Collection
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 
 from dtwin.acquire.foreign_columns import is_number
@@ -25,6 +25,8 @@ _NUMERIC = re.compile(r"[+\-\u2212]?[.,]?\d")
 _LOOKED_AT = 5000
 _LEFT_OUT = 5
 """Numbers of repeats that may be left out, beside as many as there are."""
+_END_LOOKED_AT, _FEWEST_ABOVE = 10_000, 8
+_DECIMALS = re.compile(r"^[-+]?\d+[.,](\d+)$")
 
 
 def counts_repeats(numbers: Collection[int], first: int = 1) -> bool:
@@ -70,6 +72,7 @@ def require_heads_for_all(text: str, path: Path) -> None:
 
     Of ``37,5`` commas make two cells; some programs number their rows, and write no head above the numbers. Rows that lack a number are refused, too.
     """
+    require_whole_end(text, path)
     _require_cells_for_all(text, path)
     # A log of hours is as wide as its begin.
     lines = list(islice((line for line in text.splitlines() if line.strip() and not is_comment(line)), _LOOKED_AT))
@@ -93,6 +96,32 @@ def require_heads_for_all(text: str, path: Path) -> None:
             got=f"{len(more[0])} cells below {heads} heads: {', '.join(more[0])[:60]}",
             allowed="a head for each column; where commas part the columns, decimal points, or numbers in quotes",
             hint="save the table anew with points, or with semicolons; write a head above numbers of rows, such as No.",
+        )
+
+
+def require_whole_end(text: str, path: Path) -> None:
+    """Refuse a table that ends in the middle of a number: with fewer decimals than all before it have, and no end of the line.
+
+    ``text``: the whole table, or its end.
+    """
+    *lines, last = text[-_END_LOOKED_AT:].split("\n")
+    if not last.strip() or last.endswith("\r"):
+        return
+    parted = r"[;\t]" if re.search(r"[;\t]", last) else r"[,\s]"
+    above, cut = ([re.split(parted, line.strip(' "\r')) for line in part] for part in (lines[::-1], [last]))
+    tails = [tail[1] for tail in takewhile(bool, (_DECIMALS.match(row[-1]) for row in above)) if tail]
+    told = {len(tail) for tail in tails}
+    # Programs that write 21.0 as 21 end no number in 0.
+    fixed = len(tails) >= _FEWEST_ABOVE and len(told) == 1 and any(tail.endswith("0") for tail in tails)
+    end = cut[0][-1].replace(",", ".")
+    if fixed and len(cut[0]) == len(above[0]) and is_number(end) and len(end.partition(".")[2]) < min(told):
+        raise InputError(
+            "the table ends in the middle of a number, as it seems: it was cut short",
+            code="table.cut",
+            where=f"{path}, last line",
+            got=f"{last.strip()[-60:]}, below numbers of {min(told)} decimals",
+            allowed="a whole last line",
+            hint="copy or export the file again; or take its last line out",
         )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-from dtwin.acquire.repeated_heads import require_one_block
+from dtwin.acquire.repeated_heads import require_one_block, require_whole_end
 from dtwin.errors import InputError
 
 TABLE = "speed [rpm];run-out [µm]\n1000;3\n2000;4\n"
@@ -70,3 +71,28 @@ def test_a_row_that_lacks_a_cell_is_refused_with_its_number() -> None:
         "0;1.2;3.1\n100;1.3;3.3\n200;1.5;3.2\nMean;2.2\nunit;tests\n1;2\n3;4\n",
     ):
         require_one_block(heads + sound, Path("a.csv"))
+
+
+@pytest.mark.parametrize(
+    ("value", "last", "cut"),
+    [
+        ("{:.3f}", "359.00,13", True),
+        ("{:.3f}", "359.00,1.", True),
+        ("{:.3f}", "359.00,1.25", True),
+        ("{:.3f}", "359.00,1.250", False),
+        ("{:.3f}", "359.00,1.25\n", False),
+        ("{:.3f}", "359.00,1.25\r\n", False),
+        ("{:.3f}", "# end", False),
+        # Without zeros at the end, or whole: nobody knows how long the number was.
+        ("{!r}", "359.00,1.2", False),
+        ("{:.0f}", "359.00,1", False),
+    ],
+)
+@pytest.mark.parametrize("european", [False, True])
+def test_a_table_that_ends_in_the_middle_of_a_number_is_refused(
+    value: str, last: str, cut: bool, european: bool
+) -> None:
+    text = "angle_deg,deviation_um\n" + "".join(f"{k}.00,{value.format(k / 8)}\n" for k in range(1, 41)) + last
+    text = text.replace(",", ";").replace(".", ",") if european else text
+    with pytest.raises(InputError, match="in the middle of a number") if cut else nullcontext():
+        require_whole_end(text, Path("a.csv"))
