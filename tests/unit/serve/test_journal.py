@@ -67,8 +67,8 @@ def test_a_killed_session_is_noted_by_the_writer(tmp_path: Path) -> None:
     code = f"""
 import time
 from pathlib import Path
-from dtwin.serve._journal import Journal
-Journal(Path({str(path)!r})).note("serving", at="here")
+from dtwin.serve._journal import _Journal
+_Journal(Path({str(path)!r})).note("serving", at="here")
 time.sleep(60)
 """
     with subprocess.Popen([sys.executable, "-c", code]) as session:
