@@ -306,7 +306,12 @@ class Hunt:
         return best
 
     def _with_one_mode(self, chosen: list[Entry]) -> list[Entry]:
-        """Return the set with one mode of an axis in place of one that bends and one that rings, unless it leaves clearly more."""
+        """Return the set with one mode of an axis in place of one that bends and one that rings, unless it leaves clearly more.
+
+        On one circle a bend is the oval of many effects.
+        """
+        if len({(c.radius_mm, c.feed_mm_min) for c in self.dictionary.problem.obs.conditions}) == 1:
+            return chosen
         for whole in chosen:
             part = f"{whole.term.instance.effect.at_one_speed} {whole.term.instance.axis}"
             rest = [entry for entry in chosen if entry is not whole and entry.label != part]

@@ -17,7 +17,10 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
         return np.zeros((state.n, 2))
     rate_rad_s = state.feed_mm_s / state.radius_mm
     turned_rad, lags = _turn(state.radius_mm, rate_rad_s, shape)
-    at_rad = rate_rad_s * state.since_reversal_s[axis] + np.where(state.last_end[axis] > 0, 0.0, np.pi)
+    # What turned longer ago than a circle takes is long past: friction slides at full speed.
+    since_rad = rate_rad_s * state.since_reversal_s[axis]
+    since_rad = np.where(since_rad > 2.0 * np.pi, 0.5 * np.pi, since_rad)
+    at_rad = since_rad + np.where(state.last_end[axis] > 0, 0.0, np.pi)
     return stacked(*(0.5 * np.interp(at_rad, turned_rad, lag) * state.sensitivity[axis] for lag in lags))
 
 

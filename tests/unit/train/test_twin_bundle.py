@@ -29,7 +29,7 @@ from dtwin.train.twin_terms import choose
 SOUND = MillParameters()
 LIBRARY = Library()
 # Their time since the last reversal is not finite at standstill.
-AT_STANDSTILL = {"reversal_ringing", "reversal_spike", "structural_resonance"}
+AT_STANDSTILL = {"friction", "reversal_ringing", "reversal_spike", "structural_resonance"}
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ def test_a_bomb_is_stopped_while_it_is_unpacked(tmp_path: Path) -> None:
 
 
 def test_the_whole_of_an_archive_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uploads, "MAX_UNPACKED_BYTES", 1000)
+    monkeypatch.setattr(uploads, "_MAX_UNPACKED_BYTES", 1000)
     archive(tmp_path / "c.zip", {f"{n}.csv": bytes(range(200)) for n in range(6)})
     with pytest.raises(InputError) as caught:
         uploads.sources(tmp_path)
