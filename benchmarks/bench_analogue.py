@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from simulated_analogue_board import AnalogueBoard
 
-from dtwin.links.analogue import _BAUD, AnalogueOutput, Output
+from dtwin.links.analogue import BAUD, AnalogueOutput, Output
 
 CLOCK_HZ, ANSWER_BYTES = 16e6, 19
 WARM_UP = 50
@@ -69,11 +69,11 @@ def main() -> None:
     load = os.getloadavg()[0]
     modes: tuple[Output, ...] = ("dac", "pwm")
     found = [measured(m, n, arguments.corrections) for m in modes for n in (1, 4)]
-    limits = {f"{bits} bits a byte": _BAUD / bits / ANSWER_BYTES for bits in (10, 11)}
+    limits = {f"{bits} bits a byte": BAUD / bits / ANSWER_BYTES for bits in (10, 11)}
     if arguments.json:
         print(json.dumps({"load_before": load, "limits_per_second": limits, "measured": found}))
         return
-    print(f"{_BAUD} baud; load before {load:.2f}")
+    print(f"{BAUD} baud; load before {load:.2f}")
     for name, limit in limits.items():
         print(f"  limit of the line, {name}: {limit:.0f} corrections/s")
     simulated = limits["11 bits a byte"]

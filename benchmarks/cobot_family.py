@@ -23,7 +23,7 @@ import numpy as np
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
-from dtwin.kinds.circular._evidence import WAYS, _CorrectedCircles, _evaluate_circle, _rms_per_run
+from dtwin.kinds.circular._evidence import WAYS, CorrectedCircles, evaluate_circle, rms_per_run
 from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters
@@ -115,19 +115,19 @@ def tried(name: str, seed: int, repeats: int) -> dict[str, Any]:
         bundle = Bundle.from_dict(registry.bundle(made.version))
     tcp_mm = np.array([0.0, 0.0, cobot.parameters.motion.tcp_z_mm])
     scores = report.candidate(report.proposed).scores
-    circles = _CorrectedCircles(cobot, bundle, tcp_mm)
+    circles = CorrectedCircles(cobot, bundle, tcp_mm)
     conditions = []
     for plane, radius, feed in size.evidence.conditions:
         left = {}
         for way in WAYS:
             runs = [
-                _evaluate_circle(
+                evaluate_circle(
                     circles.measure(CircleCondition(plane, radius, feed, turn), "evidence", 101 + number, way)[0], turn
                 )
                 for number in range(repeats)
                 for turn in ("CCW", "CW")
             ]
-            left[way] = float(_rms_per_run(runs).mean())
+            left[way] = float(rms_per_run(runs).mean())
         trained = feed in size.evidence.trained_feeds
         conditions.append({"feed_mm_min": feed, "trained": trained, **left})
     return {

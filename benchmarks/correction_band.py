@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.circular.freeze import twin_bundle
-from dtwin.kinds.linear._correction import _flanks_twin_bundle
+from dtwin.kinds.linear._correction import flanks_twin_bundle
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
@@ -114,7 +114,7 @@ def frozen(kind: str, runs: list[Run], effects: list[str]) -> Bundle:
     obs = observe(campaign, runs)
     found = fit(obs, chosen_terms(effects, Library(), obs))
     twin = twin_of(found, obs, name="t", version=1, action="fit", data={})
-    return (twin_bundle if kind == "circular" else _flanks_twin_bundle)(twin, obs).bundle
+    return (twin_bundle if kind == "circular" else flanks_twin_bundle)(twin, obs).bundle
 
 
 def told(bundle: Bundle, ticks: dict[str, Floats], *, fades: bool) -> tuple[Floats, Floats]:

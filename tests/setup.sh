@@ -3,7 +3,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 python="${PYTHON:-python3}"
 # A network may have an authority of its own, which the system's store of certificates knows.
 export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
-stamp=".venv/.locked-$(cksum < requirements.lock | tr -d ' ')"
+stamp=".venv/.locked-$(cat requirements.lock pyproject.toml | cksum | tr -d ' ')"
 if [ ! -e "$stamp" ]; then
     "$python" -c 'import sys; v = sys.version_info[:2]; sys.exit(f"dtwin needs Python 3.11 or 3.12, this is {v[0]}.{v[1]}; set PYTHON=") if v not in ((3, 11), (3, 12)) else None'
     "$python" -m venv .venv

@@ -19,7 +19,7 @@ from second_machine import Bench as SecondBench
 from second_machine import Machine
 from sizing import Bench, Sized, acting, sum_of
 
-from dtwin.machines.mill import Moment, VirtualMill, _Disturbance
+from dtwin.machines.mill import Disturbance, Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters, NoiseParameters
 from dtwin.schema import Campaign, Floats, Run
 
@@ -78,7 +78,7 @@ def make_case(row: Row, number: int) -> Case:
         mill = cause.change(mill, size)
     bench = Bench(_enough(tests, hidden), seed)
     sized = _sized(row, hidden, base, mill, bench, rng)
-    extra: list[_Disturbance] = []
+    extra: list[Disturbance] = []
     for cause, size in sized:
         mill = cause.change(mill, size)
         extra += acting(cause, size)
@@ -257,7 +257,7 @@ def _channels(n: int, rng: np.random.Generator) -> dict[str, Floats]:
     return out
 
 
-def _coolant(pressure: Floats, rms_um: float, phase: float) -> _Disturbance:
+def _coolant(pressure: Floats, rms_um: float, phase: float) -> Disturbance:
     def act(moment: Moment) -> Floats:
         return np.sqrt(2.0) * rms_um * pressure[moment.number] * np.cos(3 * moment.angle_rad + phase)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dtwin.machines.mill import Moment, _Disturbance
+from dtwin.machines.mill import Disturbance, Moment
 from dtwin.machines.mill_parameters import MillParameters
 
 Change = Callable[[MillParameters, float], MillParameters]
@@ -24,7 +24,7 @@ class Cause:
     label: str
     start: float
     change: Change = lambda mill, size: mill
-    disturbance: Callable[[float], _Disturbance] | None = None
+    disturbance: Callable[[float], Disturbance] | None = None
     truths: Truths = lambda size: {}
     design: str = "full"
     in_time: bool = False
@@ -262,7 +262,7 @@ BASE = {
 }
 
 
-def _law(shape: Callable[[Moment], np.ndarray]) -> Callable[[float], _Disturbance]:
+def _law(shape: Callable[[Moment], np.ndarray]) -> Callable[[float], Disturbance]:
     return lambda size: lambda moment: size * shape(moment)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from causes import Cause
 
 from dtwin.kinematics import UR10E
-from dtwin.machines.mill import Moment, _Disturbance
+from dtwin.machines.mill import Disturbance, Moment
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -29,7 +29,7 @@ def joint_cause(effect: str, rng: np.random.Generator) -> Cause:
     joint = int(rng.choice(JOINTS[effect]))
     order, phase = float(rng.integers(8, 60)), rng.uniform(0.0, 2.0 * np.pi)
 
-    def sized(size: float) -> _Disturbance:
+    def sized(size: float) -> Disturbance:
         def act(moment: Moment) -> Floats:
             sense = 1.0 if moment.test.direction == "CCW" else -1.0
             return _bar_um(effect, joint, moment, sense, size, (order, phase))

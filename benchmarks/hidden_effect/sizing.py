@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from causes import Cause
 
-from dtwin.machines.mill import Moment, SetupErrors, VirtualMill, _Disturbance
+from dtwin.machines.mill import Disturbance, Moment, SetupErrors, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
 from dtwin.schema import Floats
 
@@ -27,7 +27,7 @@ class Bench:
     tests: Sequence[CircularTest]
     seed: int
 
-    def response(self, mill: MillParameters, extra: Sequence[_Disturbance] = ()) -> Floats:
+    def response(self, mill: MillParameters, extra: Sequence[Disturbance] = ()) -> Floats:
         """Return what the bar would show, by degree: shape (tests, 360)."""
         made = VirtualMill(mill, self.seed, _QUIET, _STEADY, sum_of(extra)).measure(self.tests)
         return np.array([r.samples["deviation_um"].reshape(360, -1).mean(axis=1) for r in made])
@@ -75,12 +75,12 @@ class Bench:
         return np.array([v if way == "CCW" else v[::-1] for v, way in zip(values, ways, strict=True)])
 
 
-def acting(cause: Cause, size: float) -> list[_Disturbance]:
+def acting(cause: Cause, size: float) -> list[Disturbance]:
     """Return what a cause adds to the length besides its mechanism."""
     return [cause.disturbance(size)] if cause.disturbance else []
 
 
-def sum_of(parts: Sequence[_Disturbance]) -> _Disturbance | None:
+def sum_of(parts: Sequence[Disturbance]) -> Disturbance | None:
     """Return several disturbances as one."""
     if not parts:
         return None

@@ -23,7 +23,7 @@ from dtwin.links.opened import OpenAndClose
 from dtwin.links.serial_line import Frame, SerialLink
 
 AXES = ("x", "y", "z")
-_BAUD = 250_000
+BAUD = 250_000
 FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
@@ -125,7 +125,7 @@ class AnalogueOutput(OpenAndClose):
         output: Output = "dac",
         watchdog_ms: int = 20,
         in_flight: int = 4,
-        baud: int = _BAUD,
+        baud: int = BAUD,
         timeout_s: float = 0.25,
     ) -> None:
         if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:

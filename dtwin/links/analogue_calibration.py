@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _AxisFit:
+class AxisFit:
     """A line through what was measured on one axis.
 
     ``um_per_v``, ``neutral_v``: slope, and the voltage without displacement.
@@ -78,7 +78,7 @@ def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
     return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
 
 
-def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, _AxisFit]:
+def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, AxisFit]:
     """Fit a line to every axis.
 
     ``points``, shapes (n,) and (n, 3): voltages, and displacements along x, y and z, by the input that
@@ -98,7 +98,7 @@ def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, _AxisFit
     return {axis: _line(axis, *points[axis]) for axis in AXES}
 
 
-def save(path: Path, fits: Mapping[str, _AxisFit]) -> Path:
+def save(path: Path, fits: Mapping[str, AxisFit]) -> Path:
     """Write a calibration as JSON and return the path."""
     from dtwin.atomic import write_text
 
@@ -137,7 +137,7 @@ def _no_input(um_per_v: float, neutral_v: float) -> str:
     )
 
 
-def _line(axis: str, volts: Floats, moved_um: Floats) -> _AxisFit:
+def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     if len(np.unique(np.round(volts, 3))) < _LEVELS:
         raise _refused(axis, "too few voltages to see whether the answer is a line", len(volts))
     design = np.column_stack([volts, np.ones_like(volts)])
@@ -162,7 +162,7 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> _AxisFit:
         raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:z.0f} %")
     covariance = noise**2 * np.linalg.inv(design.T @ design)
     gradient = np.array([-neutral / um_per_v, -1.0 / um_per_v])
-    return _AxisFit(
+    return AxisFit(
         um_per_v=um_per_v,
         neutral_v=neutral,
         um_per_v_uncertainty=2.0 * float(np.sqrt(covariance[0, 0])),
@@ -192,7 +192,7 @@ def _bad(path: Path, where: str, got: str, allowed: str) -> InputError:
     )
 
 
-def calibration_rows(fits: Mapping[str, _AxisFit]) -> Sequence[tuple[str, ...]]:
+def calibration_rows(fits: Mapping[str, AxisFit]) -> Sequence[tuple[str, ...]]:
     """Return rows for a table: axis, slope, neutral, noise, cross-talk."""
     return [
         (

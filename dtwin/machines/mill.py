@@ -40,7 +40,7 @@ class Moment:
     rise_c: float
 
 
-_Disturbance = Callable[[Moment], Floats]
+Disturbance = Callable[[Moment], Floats]
 Correction = Callable[[CircularTest, Command], Floats]
 
 
@@ -74,7 +74,7 @@ class VirtualMill:
     seed: int = 0
     noise: NoiseParameters = field(default_factory=NoiseParameters)
     setup_errors: SetupErrors = field(default_factory=SetupErrors)
-    disturbance: _Disturbance | None = None
+    disturbance: Disturbance | None = None
     samples_per_turn: int = 1080
     corrections: Mapping[str, Correction] = field(default_factory=dict)
 

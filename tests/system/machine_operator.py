@@ -30,7 +30,7 @@ from dtwin.acquire.linuxcnc import run_circles
 from dtwin.acquire.linuxcnc import run_of as run_of_trace
 from dtwin.acquire.virtual import VirtualCobotBench, run_of
 from dtwin.acquire.virtual_mill import virtual_mill
-from dtwin.kinds.circular._evidence import _CorrectedCircles
+from dtwin.kinds.circular._evidence import CorrectedCircles
 from dtwin.machines.cobot import CircleCondition
 from dtwin.machines.linuxcnc.circles import Circle
 from dtwin.machines.linuxcnc.session import LinuxcncSession
@@ -76,7 +76,7 @@ def cobot(held: ExitStack) -> Move:
                 served = load_bundle(Path(bundle), "virtual-cobot").bundle
                 condition = CircleCondition(motion.plane, motion.radius_mm, motion.feed_mm_min, direction)
                 tcp = np.array([0.0, 0.0, bench.cobot.parameters.motion.tcp_z_mm])
-                circles = _CorrectedCircles(bench.cobot, served, tcp)
+                circles = CorrectedCircles(bench.cobot, served, tcp)
                 found, _ = circles.measure(condition, "shop", 50 + number, "compensated")
                 runs.append(run_of(found, direction.lower(), motion.plane, datetime.now(UTC)))
             else:

@@ -88,7 +88,7 @@ def measured_circles(
 def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, int]]]:
     content, seed, tcp, (plane, radius, feed), repeats = job
     bundle = Bundle.from_dict(content)
-    circles = _CorrectedCircles(VirtualCobot(seed=seed), bundle, np.array(tcp))
+    circles = CorrectedCircles(VirtualCobot(seed=seed), bundle, np.array(tcp))
     measured: list[tuple[str, Run, dict[str, int]]] = []
     setup = f"evidence-{plane}-{radius:g}"
     for _ in range(repeats):
@@ -106,7 +106,7 @@ def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, i
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 
 
-class _CorrectedCircles:
+class CorrectedCircles:
     """Circles of the virtual cobot in lock-step, by three ways: nothing, a bundle, or the best that is found.
 
     What the machine does is the same in every mounting and repeat: each program runs once, and the instruments record
@@ -158,7 +158,7 @@ def _best_of_both(cobot: VirtualCobot, condition: CircleCondition, safety: Safet
     return best_offsets(begun, centre, cobot.parameters.controller, safety)
 
 
-def _evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]:
+def evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]:
     """Return ``direction``, ``angle_rad`` and ``deviation_um`` of a recording's measured arc."""
     start, end = recording.window
     arc = 2.0 * math.pi if recording.condition.plane == "XY" else math.pi
@@ -170,10 +170,10 @@ def _evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any
     }
 
 
-def _rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
+def rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
     """Return each run's RMS after the set-up's centre and radius, common to these runs.
 
-    ``runs``: from ``_evaluate_circle``; each gets its remainder under ``rest_um``.
+    ``runs``: from ``evaluate_circle``; each gets its remainder under ``rest_um``.
     Returns (runs,): in um.
     """
     angle = np.concatenate([r["angle_rad"] for r in runs])
@@ -205,7 +205,7 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
         for direction in ("CCW", "CW")
         for way in ("uncompensated", "compensated")
     ]
-    circles = _CorrectedCircles(cobot, request.bundle, tcp_mm)
+    circles = CorrectedCircles(cobot, request.bundle, tcp_mm)
     by_condition: dict[Any, list[dict[str, Any]]] = defaultdict(list)
     order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
     for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
@@ -215,14 +215,14 @@ def checked_circles(request: EvidenceRequest, blocks: int, cobot: VirtualCobot) 
             1000 * (seed + 1) + number,
             way,
         )
-        run = _evaluate_circle(recording, direction) | {"block": block}
+        run = evaluate_circle(recording, direction) | {"block": block}
         by_condition[(plane, radius, feed), way].append(run)
         if request.progress is not None:
             request.progress(number + 1, len(order), f"{plane} R{radius:g} F{feed:g}, {way}")
     return [
         CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
         for ((plane, radius, feed), way), runs in by_condition.items()
-        for run, rms in zip(runs, _rms_per_run(runs), strict=True)
+        for run, rms in zip(runs, rms_per_run(runs), strict=True)
     ]
 
 

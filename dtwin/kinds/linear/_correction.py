@@ -50,7 +50,7 @@ _FEWEST_RUNS = 2
 def _freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of an axis, when there are runs enough to judge it by."""
     _test_of_runs(obs)
-    return _flanks_twin_bundle(twin, obs)
+    return flanks_twin_bundle(twin, obs)
 
 
 def _judge_axis(frozen: TwinBundle, seen: Seen, home: Home) -> Judged:
@@ -164,7 +164,7 @@ _LEAST_CLAMP_UM = 1.0
 _TOUCH_UM = 1e-6
 
 
-def _flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
+def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
     """Freeze the effects of a twin of an axis that a correction with memory can answer.
 
     ``twin``: fitted to positioning tests in both directions.

@@ -9,7 +9,7 @@ import pytest
 from mill_and_laser import circular_tests
 
 from dtwin.acquire.virtual_mill import _standard_tests
-from dtwin.machines.mill import Moment, VirtualMill, _Disturbance
+from dtwin.machines.mill import Disturbance, Moment, VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
@@ -25,7 +25,7 @@ LIBRARY = Library()
 PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
 
 
-def measured(mill: MillParameters, disturbance: _Disturbance, planes: tuple[Plane, ...] = ("XY",)) -> Observations:
+def measured(mill: MillParameters, disturbance: Disturbance, planes: tuple[Plane, ...] = ("XY",)) -> Observations:
     machine = VirtualMill(mill, seed=4, disturbance=disturbance)
     return observe(machine.campaign(), machine.measure(_standard_tests(4, planes=planes)))
 

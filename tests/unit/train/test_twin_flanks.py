@@ -12,7 +12,7 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
-from dtwin.kinds.linear._correction import _Flanks, _flanks_twin_bundle, _pitch_mm, _reach_mm, _test_of_runs
+from dtwin.kinds.linear._correction import _Flanks, _pitch_mm, _reach_mm, _test_of_runs, flanks_twin_bundle
 from dtwin.kinds.linear._gates import along, positioning_gates
 from dtwin.kinds.linear._plan import linear_plan
 from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
@@ -90,7 +90,7 @@ def test_both_flanks_are_what_the_twin_foretells(worn: Observations, twin: Twin,
 
 
 def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observations, twin: Twin) -> None:
-    frozen = _flanks_twin_bundle(twin, worn)
+    frozen = flanks_twin_bundle(twin, worn)
     assert [t.label for t in frozen.terms if t.included] == list(twin.labels)
     low, high = _reach_mm(worn)
     up = np.linspace(low, high, 400)
@@ -104,7 +104,7 @@ def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observa
 
 
 def test_a_slide_with_play_follows_its_command_better(worn: Observations, twin: Twin) -> None:
-    bundle = _flanks_twin_bundle(twin, worn).bundle
+    bundle = flanks_twin_bundle(twin, worn).bundle
     lathe = virtual_lathe("mechanism", 5)
     low, high = _reach_mm(worn)
     rng = np.random.default_rng(3)
@@ -119,7 +119,7 @@ def test_a_slide_with_play_follows_its_command_better(worn: Observations, twin: 
 def test_without_the_play_no_memory_can_carry_the_flanks(worn: Observations) -> None:
     terms = chosen_terms(["lead_error", "screw_error_by_direction"], LIBRARY, worn)
     with pytest.raises(InputError, match="play that the twin foretells is negative"):
-        _flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
+        flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
 
 
 def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> None:
@@ -144,7 +144,7 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
             correctable="yes",
         )
         terms = [*chosen_terms(["backlash"], LIBRARY, worn), Term(Instance(own, "Z"), {})]
-        frozen = _flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
+        frozen = flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
         assert [t.included for t in frozen.terms] == [True, False]
         assert told in frozen.terms[1].how
 
@@ -152,7 +152,7 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
 def test_heat_needs_a_channel_that_the_loop_is_not_told(worn: Observations) -> None:
     warm = replace(worn, columns=tuple({**c, "temperature_c": 20.0 + 0.1 * i} for i, c in enumerate(worn.columns)))
     terms = chosen_terms(["backlash", "thermal_growth:Z"], LIBRARY, warm)
-    frozen = _flanks_twin_bundle(twin_from(fit(warm, terms), warm), warm)
+    frozen = flanks_twin_bundle(twin_from(fit(warm, terms), warm), warm)
     assert "temperature_c, and the loop of an axis is told its position only" in frozen.terms[1].how
 
 
@@ -160,10 +160,10 @@ def test_runs_that_do_not_show_play_or_screw_are_refused(worn: Observations, tmp
     up = worn.take(np.flatnonzero(worn.sense > 0.0))
     lead = chosen_terms(["lead_error"], LIBRARY, up)
     with pytest.raises(InputError, match="cannot be made of these runs"):
-        _flanks_twin_bundle(twin_from(fit(up, lead), up), up)
+        flanks_twin_bundle(twin_from(fit(up, lead), up), up)
     coarse = measured(tmp_path / "coarse", step=0.5, end=31)
     with pytest.raises(InputError, match="do not show the screw"):
-        _flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
+        flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
 
 
 def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
