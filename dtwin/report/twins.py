@@ -44,7 +44,9 @@ def number(value: float | None, digits: int = 3) -> str:
     """Return a number for people; absent ones as a dash."""
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:.{digits}g}"
+    rounded = float(f"{value:.{digits}g}")
+    # 180, not 1.8e+02.
+    return f"{rounded:.6g}"
 
 
 def condition_words(condition: Mapping[str, Any]) -> str:
