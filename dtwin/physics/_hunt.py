@@ -145,7 +145,7 @@ class Hunt:
             if cost >= least - self._per_effect:
                 break
             best, least = chosen, cost
-        return best
+        return self._without_bends(best)
 
     def _price(self, entry: Entry) -> float:
         chosen_from = _NAMELESS if entry.term.instance.effect.source == LEARNED else 1.0
@@ -310,23 +310,46 @@ class Hunt:
 
         On one circle a bend is the oval of many effects.
         """
-        if len({(c.radius_mm, c.feed_mm_min) for c in self.dictionary.problem.obs.conditions}) == 1:
-            return chosen
-        for whole in chosen:
-            part = f"{whole.term.instance.effect.at_one_speed} {whole.term.instance.axis}"
-            rest = [entry for entry in chosen if entry is not whole and entry.label != part]
-            for rings in (entry for entry in chosen if entry.label == part):
-                one = self._refined([*rest, *self.dictionary.add([replace(whole.term, shape=rings.term.shape)])])
-                left = self.left(chosen)
-                if self.left(one) < left + _CLEARLY * (self.left(rest) - left):
-                    return one
+        if not self._on_one_circle:
+            for whole in chosen:
+                label = _part_of(whole)
+                for rings in (entry for entry in chosen if entry.label == label):
+                    one = self._instead(chosen, whole, replace(whole.term, shape=rings.term.shape))
+                    if one is not chosen:
+                        return one
         return chosen
+
+    def _without_bends(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with what only rings in place of each mode whose bend explains next to nothing."""
+        if not self._on_one_circle:
+            for whole in chosen:
+                for instance in self.dictionary.candidates.instances:
+                    if instance.label == _part_of(whole):
+                        chosen = self._instead(chosen, whole, Term(instance, whole.term.shape))
+        return chosen
+
+    def _instead(self, chosen: list[Entry], whole: Entry, term: Term) -> list[Entry]:
+        """Return the set with a term in place of a mode and of what rings beside it, or the set itself if that leaves clearly more."""
+        rest = [entry for entry in chosen if entry.label not in (whole.label, _part_of(whole))]
+        one = self._refined([*rest, *self.dictionary.add([term])])
+        left = self.left(chosen)
+        without = rest if term.instance is whole.term.instance else [entry for entry in chosen if entry is not whole]
+        return one if self.left(one) < left + _CLEARLY * (self.left(without) - left) else chosen
+
+    @property
+    def _on_one_circle(self) -> bool:
+        return len({(c.radius_mm, c.feed_mm_min) for c in self.dictionary.problem.obs.conditions}) == 1
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
         terms = refined(self.dictionary.campaign, [e.term for e in chosen], self._per_number, bounded=True)
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]
+
+
+def _part_of(entry: Entry) -> str:
+    """Return the label of what an effect is at one speed, or else of nothing."""
+    return f"{entry.term.instance.effect.at_one_speed} {entry.term.instance.axis}"
 
 
 def _alike(entry: Entry) -> set[str]:

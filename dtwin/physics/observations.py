@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.physics._kept_columns import condition_key, kept_columns
+from dtwin.physics.centres import with_own_centres, without_centre
 from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.grid import Grid, PathCondition
 from dtwin.physics.gridding import CIRCLE, Indices
@@ -38,6 +39,8 @@ class Observations:
         columns: Logged columns of each row: a number, or an array of shape (n,).
         feed_mm_s: Path speed that was reached. Shape (rows,).
         grid: The n points along the path: on a circle 360.
+        wander_um: RMS by which the centre moves from run to run of a set-up, where that is most of what repeats differ by;
+            every row then has a centre of its own, and effects are told by what else they do. Otherwise 0.
     """
 
     campaign: Campaign
@@ -52,6 +55,7 @@ class Observations:
     columns: tuple[Mapping[str, Any], ...]
     feed_mm_s: Floats
     grid: Grid = CIRCLE
+    wander_um: float = 0.0
 
     @property
     def n_bins(self) -> int:
@@ -198,7 +202,7 @@ class Observations:
                 make = partial(_averaged, self.grid, instance, shape, state)
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
-        return np.where(self.mask[:, :, None], out, 0.0)
+        return self._told(np.where(self.mask[:, :, None], out, 0.0), self.mask)
 
     def harmonics(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
@@ -218,7 +222,13 @@ class Observations:
             kept_columns(instance, shape, key, make) if keep else make()
             for key, make in zip(self._condition_keys, made, strict=True)
         ]
-        return to_harmonics(np.stack(columns) * masks[:, :, None]), self.condition_of
+        return to_harmonics(self._told(np.stack(columns) * masks[:, :, None], masks)), self.condition_of
+
+    def _told(self, columns: Floats, masks: NDArray[np.bool_]) -> Floats:
+        """Return columns of shape (k, n, parameters) as runs tell them: without the centre that every row has of its own."""
+        if not self.wander_um:
+            return columns
+        return np.stack([without_centre(row, mask, self.grid.setup) for row, mask in zip(columns, masks, strict=True)])
 
     @staticmethod
     def is_alike_in_repeats(instance: Instance) -> bool:
@@ -307,7 +317,7 @@ def _without_second_order(made: Observations) -> Observations:
         for logged, (a_um, b_um) in zip(made.columns, centres.tolist(), strict=True)
     )
     made = replace(made, columns=columns)
-    return made.with_y(made.y_um - _second_order_um(made, centres))
+    return with_own_centres(made.with_y(made.y_um - _second_order_um(made, centres)))
 
 
 def _times_h(runs: Sequence[Run]) -> list[float]:

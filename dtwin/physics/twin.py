@@ -161,9 +161,15 @@ class Twin:
 
 
 def data_lines(data: Mapping[str, Any]) -> list[str]:
-    """Return a line for each run that was left out, and for each amendment of the metadata."""
+    """Return a line for each run that was left out, for each amendment of the metadata, and for a centre that moves."""
     out = [f"left out, {run}: {why}" for run, why in data.get("left_out", {}).items()]
-    return [*out, *data.get("amended", [])]
+    out += data.get("amended", [])
+    if wander_um := data.get("wander_um", 0.0):
+        out.append(
+            f"the centre moves by {wander_um:.2g} µm RMS between runs of one set-up: every run is given a centre of its own, "
+            "and effects are told by what else they do"
+        )
+    return out
 
 
 def twin_of(fit: Fit, obs: Observations, *, name: str, version: int, action: str, data: Mapping[str, Any]) -> Twin:

@@ -27,7 +27,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.physics import grid, gridding, localise, observations
+from dtwin.physics import centres, grid, gridding, localise, observations
 from dtwin.physics.gridding import CIRCLE, N_BINS, Condition
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
@@ -134,7 +134,7 @@ def load(home: Home, campaign: str) -> Loaded:
         "amended": [f.message for f in amendment_findings(rows) if f.code == AMENDED],
     }
     obs, controller_um = _reduced(home, lake, found, usable)
-    return Loaded(obs, data, controller_um)
+    return Loaded(obs, data | {"wander_um": obs.wander_um}, controller_um)
 
 
 def _error_in(row: Mapping[str, Any]) -> str:
@@ -211,6 +211,7 @@ def _read_reduced(home: Home, campaign: str, stamp: str) -> _Reduced | None:
         runs=tuple(RunMeta(**meta) for meta in words["runs"]),
         conditions=tuple(Condition(**c) for c in words["conditions"]),
         setups=tuple(words["setups"]),
+        wander_um=words["wander_um"],
         columns=tuple(numbers),
         **arrays,
     )
@@ -241,6 +242,7 @@ def _keep_reduced(home: Home, campaign: str, stamp: str, reduced: _Reduced) -> N
         "runs": [asdict(meta) for meta in obs.runs],
         "conditions": [c.as_dict() for c in obs.conditions],
         "setups": obs.setups,
+        "wander_um": obs.wander_um,
         "columns": [{n: float(v) for n, v in row.items() if n not in names} for row in obs.columns],
     }
     try:
@@ -258,6 +260,6 @@ def _path(home: Home, campaign: str) -> Path:
 def _code_sha256() -> str:
     """Return the check sum of the code that reduces runs."""
     digest = hashlib.sha256()
-    for module in (grid, gridding, observations, encoder_comparison):
+    for module in (grid, gridding, centres, observations, encoder_comparison):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()

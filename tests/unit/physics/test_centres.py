@@ -1,0 +1,75 @@
+"""Circles of a machine that is written here: a square that is not one, lost motion, and a centre that wanders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Instance
+from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.problem import Term
+from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+
+LIBRARY = Library()
+WAYS: tuple[tuple[float, Direction], ...] = ((1.0, "CCW"), (-1.0, "CW"))
+NOTHING = np.zeros(2)
+
+
+def measured(
+    centre_um: Callable[[float], Floats], lobes_um: float = 0.0, feeds: tuple[float, ...] = (500.0, 2000.0)
+) -> Observations:
+    """Return three repeats; ``centre_um``: of a run that begins after so many hours; ``lobes_um``: of seven lobes."""
+    rng, runs = np.random.default_rng(4), list[Run]()
+    for repeat in (1, 2, 3):
+        for feed in feeds:
+            for sense, way in WAYS:
+                hour = len(runs) / 20.0
+                angle = sense * 2.0 * np.pi * (np.arange(1440) + 0.5) / 1440
+                cos, sin = np.cos(angle), np.sin(angle)
+                lost_um = -np.sign(-sense * sin) * cos
+                read_um = -1.5 * np.sin(2.0 * angle) + lost_um + np.stack([cos, sin], axis=1) @ centre_um(hour)
+                read_um += lobes_um * np.cos(7.0 * angle + 1.0) + 0.2 * rng.standard_normal(len(angle))
+                meta = RunMeta(
+                    f"r{len(runs)}",
+                    plane="XY",
+                    direction=way,
+                    radius_mm=150.0,
+                    feed_mm_min=feed,
+                    repeat=repeat,
+                    started=f"2026-03-02T08:{3 * len(runs):02d}:00Z",
+                )
+                turned = {"angle_deg": np.degrees(angle) % 360.0, "deviation_um": read_um}
+                runs.append(Run(meta, {"t_s": np.linspace(0.0, 9000.0 * 2.0 * np.pi / feed, 1440), **turned}))
+    return observe(Campaign("written", "here"), runs)
+
+
+def test_a_centre_that_wanders_costs_nothing_that_is_told() -> None:
+    rng = np.random.default_rng(5)
+    still, wandering = measured(lambda hour: NOTHING), measured(lambda hour: 3.0 * rng.standard_normal(2))
+    assert still.wander_um == 0.0
+    assert wandering.wander_um == pytest.approx(3.0, rel=0.35)
+    terms = [
+        Term(Instance(LIBRARY["squareness"], "XY")),
+        Term(Instance(LIBRARY["backlash"], "X"), {"standstill_um": 0.1}),
+    ]
+    for told, truth in zip(fit(wandering, terms, refine=False).estimates, (20.0, 2.0), strict=True):
+        assert abs(told.value) == pytest.approx(truth, abs=1.5 * told.uncertainty)
+        assert told.uncertainty < 0.05 * truth
+
+
+def test_a_centre_that_moves_evenly_is_a_drift_and_stays() -> None:
+    assert measured(lambda hour: np.array([20.0 * hour, -8.0 * hour])).wander_um == 0.0
+
+
+def test_lobes_are_not_waves_of_two_axes_that_take_each_other_away() -> None:
+    found = diagnose(measured(lambda hour: NOTHING, lobes_um=0.7, feeds=(1000.0,)), [], LIBRARY)
+    names = {suspect.label for group in found.found for suspect in group}
+    assert "squareness XY" in names
+    assert not names & {"pitch_error X", "pitch_error Y", "cyclic_error X", "cyclic_error Y"}
+    assert found.unresolved is not None
+    assert found.unresolved.systematic_rms_um == pytest.approx(0.7 / np.sqrt(2.0), rel=0.2)
