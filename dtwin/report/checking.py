@@ -250,7 +250,7 @@ def render_check(result: dict[str, Any]) -> str:
     if len(runs) <= _MAX_DETAILED and not kind.in_one_table:
         lines += [line for run in runs for line in ("", *_render_run(run))]
     elif not kind.in_one_table:
-        lines += ["", *_render_table(runs)]
+        lines += ["", *_render_table(runs, result["findings"])]
     for pair in result["bidirectional"][:_MAX_DETAILED]:
         lines.append(
             f"\n{' and '.join(pair['runs'])}: circular deviation G(b) of both directions "
@@ -311,8 +311,11 @@ def _render_run(run: dict[str, Any]) -> list[str]:
     return lines + [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
 
 
-def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line for each run that has figures or findings of its own, and one for each kind of error and warning."""
+def _render_table(runs: Sequence[dict[str, Any]], together: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a line for each run that has figures or findings of its own, and one for each kind of error and warning.
+
+    ``together``: findings of all runs together, which are told elsewhere.
+    """
     figures = {"circular_deviation_um": "circular deviation, µm", "rms_um": "RMS, µm"}
     known = [name for name in figures if any(name in run.get("by_file_indices", {}) for run in runs)]
     rows = [
@@ -326,7 +329,10 @@ def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     shown = [row for row in rows if known or row[-1] != "-"]
     lines = table(("run", *(figures[name] for name in known), "findings"), shown).splitlines() if shown else []
     if len(shown) < len(rows):
-        lines.append(f"{len(rows) - len(shown)} of {len(rows)} runs: no error and no warning")
+        alone = f"{len(rows) - len(shown)} of {len(rows)} runs: no error and no warning"
+        counts = {s: sum(f["severity"] == s for f in together) for s in ("error", "warning")}
+        of_all = " and ".join(counted(count, s) for s, count in counts.items() if count)
+        lines.append(f"{alone} in a run alone; of all runs together: {of_all}" if of_all else alone)
     rejected = [run["rejected_rows"] for run in runs if "rejected_rows" in run]
     if rejected:
         lines.append(f"rows that are not used: {sum(rejected)} in {counted(len(rejected), 'run')}; --json tells which")

@@ -212,5 +212,10 @@ def test_check_gives_the_standard_and_the_four_figures(tmp_path: Path) -> None:
     text = render_check(result)
     assert "A, bi-directional accuracy" in text
     assert "Max reversal error" in text
+    # A page that tells an error of all runs does not say beside it that there is none.
+    alone = {**result, "findings": []}
+    assert "no error and no warning\n" in render_check(alone)
+    told = {**result, "findings": [{"severity": "error", "code": "linear.spoilt_readings", "message": "one"}]}
+    assert "no error and no warning in a run alone; of all runs together: 1 error\n" in render_check(told)
     coarse = check_source(campaign(tmp_path, errors(), np.arange(31.0)))["positioning"]
     assert coarse["before_after"]["cyclic_error_um"] is None
