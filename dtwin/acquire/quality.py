@@ -7,6 +7,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.kinds.registry import kind_named
 from dtwin.local_time import is_to_come
@@ -153,8 +154,11 @@ def without_samples(run: Run, columns: Sequence[str] = ()) -> Run:
     return replace(run, samples=kept, signals=())
 
 
-def judge_clock(run: Run) -> Iterator[Finding]:
-    """Yield what is wrong with the times of the samples."""
+def judge_clock(run: Run, pauses: NDArray[np.bool_] | None = None) -> Iterator[Finding]:
+    """Yield what is wrong with the times of the samples.
+
+    ``pauses``, (samples - 1,): between which samples the machine did something else, as turn round: a gap there is no lost sample.
+    """
     t_s = run.samples.get("t_s", np.empty(0))
     gaps = np.diff(t_s)
     if not gaps.size:
@@ -169,7 +173,8 @@ def judge_clock(run: Run) -> Iterator[Finding]:
             {"sample_1": float(back[0] + 1)},
         )
         return
-    holes = np.flatnonzero(gaps > 1.5 * typical)
+    steady = np.ones(gaps.size, dtype=bool) if pauses is None else ~pauses
+    holes = np.flatnonzero((gaps > 1.5 * typical) & steady)
     if holes.size:
         lost = float(np.sum(gaps[holes] / typical - 1.0))
         yield Finding(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, spoilt_finding, zero_of_each_cycle
@@ -67,7 +68,7 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> Iterator[Finding]
     position, error = run.samples[scale.position], run.samples[scale.error]
     # Of a clock that was assumed, a gap is a reading that is missing.
     assumed = clock_is_assumed([run])
-    clock = [finding for finding in judge_clock(run) if not assumed or finding.code != "clock.dropout"]
+    clock = [f for f in judge_clock(run, _turns(run, scale)) if not assumed or f.code != "clock.dropout"]
     yield from clock
     yield from _missed(run, scale)
     largest = float(np.max(np.abs(error)))
@@ -91,6 +92,12 @@ def judge_positioning_run(run: Run, scale: Scale = LENGTHS) -> Iterator[Finding]
     pitch = run.meta.condition.get("screw_pitch_mm")
     if is_number(pitch):
         yield from _aliased(_targets_of(position), pitch)
+
+
+def _turns(run: Run, scale: Scale) -> NDArray[np.bool_]:
+    """Return between which readings, (readings - 1,), the axis turned or went back to where a sweep begins."""
+    position, way = run.samples[scale.position], run.samples["direction"]
+    return np.asarray((way[1:] != way[:-1]) | (np.abs(np.diff(position)) > np.ptp(position) - TARGET_MM))
 
 
 def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> list[Finding]:

@@ -209,3 +209,17 @@ def test_reverse_readings_that_stand_upside_down_are_told() -> None:
         for run, e in ((run, run.samples["error_um"]) for run in runs)
     ]
     assert {f.code: f.severity for f in judge(turned)}["linear.turned"] == "warning"
+
+
+def test_a_pause_at_the_turn_is_no_lost_reading() -> None:
+    """ISO 230-2 has an overrun and a dwell at each end; a reading that a steady log lacks is told."""
+    (run,) = sweeps(1, TARGETS)
+    n = len(TARGETS)
+    judge = kind_named("linear").judge_run
+    paused = replace(run, samples={**run.samples, "t_s": run.samples["t_s"] + 1.0 * (np.arange(2 * n) >= n)})
+    assert "clock.dropout" not in {f.code for f in judge(paused)}
+    lost = replace(run, samples={**run.samples, "t_s": run.samples["t_s"] + 1.0 * (np.arange(2 * n) >= 3)})
+    assert "clock.dropout" in {f.code for f in judge(lost)}
+    one_way = {name: np.append(values[:n], values[:n]) for name, values in paused.samples.items()}
+    again = replace(run, samples={**one_way, "t_s": paused.samples["t_s"]})
+    assert "clock.dropout" not in {f.code for f in judge(again)}
