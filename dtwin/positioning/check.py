@@ -107,11 +107,14 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
     single = [Finding("campaign.no_repeat", "warning", said, {"conditions_1": 1.0})] if len(runs) == 1 else []
     tests = tests_by_axis(runs, scale) if runs else []
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum, zeroed, clipped, turned = (
+    datum, zeroed, clipped = (
         [finding for test in tests if (finding := judge(test)) is not None]
-        for judge in (shifted_zero, zero_of_each_cycle, _clipped, _turned)
+        for judge in (shifted_zero, zero_of_each_cycle, _clipped)
     )
-    drift = [finding for _, alike in by_axis(runs) for finding in _drift(alike, scale)]
+    of_axes = [alike for _, alike in by_axis(runs)]
+    unknown = [test for test, alike in zip(tests, of_axes, strict=True) if not _read_backwards(alike, scale)]
+    turned = [finding for test in unknown if (finding := _turned(test)) is not None]
+    drift = [finding for alike in of_axes for finding in _drift(alike, scale)]
     return [*single, *clipped, *turned, *(told or drift), *datum, *zeroed]
 
 
@@ -154,6 +157,13 @@ def _clipped(test: LinearTest) -> Finding | None:
             )
             return Finding(f"{test.scale.kind}.clipped", "error", said, {"readings_1": float(counts[end])})
     return None
+
+
+def _read_backwards(runs: Sequence[Run], scale: Scale) -> bool:
+    """Return whether the clock of the readings tells that reverse targets were read from the last to the first in every run."""
+    reverse = [run.samples[scale.position][run.samples["direction"] == "reverse"] for run in runs]
+    falls = all(places.size > 1 and float(np.median(np.diff(places))) < 0.0 for places in reverse)
+    return falls and not clock_is_assumed(runs)
 
 
 def _turned(test: LinearTest) -> Finding | None:
