@@ -1,31 +1,24 @@
-"""What differs from cycle to cycle of a positioning test: spoilt readings, and a zero that moves."""
+"""What moves from cycle to cycle of a positioning test: its zero."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from dtwin.physics.linear import linear_figures
+from dtwin.positioning._spoilt import spoilt_readings, step_um
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import f_tail, usual_size
 
 _FEWEST_CYCLES = 4
+"""Cycles that tell how a zero moves."""
 _FEWEST_ALIKE = 3
 """Cycles whose exact zero is no chance."""
-_FAR = 8.0
-"""Robust standard deviations of all readings about those of the other cycles."""
-_APART = 5.0
-"""How many times a spoilt reading is further off than the others of its target span."""
-_SAME_UM = 1e-4
-"""Readings nearer than this are equal: they are differences of positions in mm."""
-_MOST_SPOILT = 0.1
-"""Share of all readings that may be called spoilt; more is something else."""
 _TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Time constants of warming that are tried, in cycles."""
 _WORTH = 0.5
@@ -45,113 +38,6 @@ _HELD = 3
 _MOST_TIMES = 400
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
-
-
-@dataclass(frozen=True)
-class _SpoiltReading:
-    """A reading that the other cycles contradict.
-
-    ``cycle``: from 0.
-    ``way``: ``forward`` or ``reverse``.
-    ``off_um``: from the median of the other cycles.
-    ``span_um``: range of the other cycles.
-    """
-
-    target: int
-    cycle: int
-    way: str
-    off_um: float
-    span_um: float
-
-
-def spoilt_readings(test: LinearTest) -> list[_SpoiltReading]:
-    """Return the readings that the others of their target contradict, as they stand, else beside what each sweep is off as a whole."""
-    if test.forward_um.shape[1] < _FEWEST_CYCLES:
-        return []
-    ways = dict(zip(test.ways, (test.forward_um, test.reverse_um), strict=True))
-    if found := _contradicted(test, ways):
-        return found
-    ways = {way: _beside_its_sweep(values) for way, values in ways.items()}
-    return [s for s in _contradicted(test, ways) if _stands_alone(ways[s.way], s)]
-
-
-def _stands_alone(values: Floats, spoilt: _SpoiltReading) -> bool:
-    """Return whether those before and after a reading of its sweep are not off with it: a shift in a sweep leaves a part of it so."""
-    off = (values - _of_others(values, np.median))[:, spoilt.cycle]
-    beside = (
-        off[spoilt.target - 1 : spoilt.target + 2 : 2] if 0 < spoilt.target < len(off) - 1 else off[[spoilt.target]]
-    )
-    return bool(np.all(np.abs(beside) < 0.5 * abs(spoilt.off_um)))
-
-
-def _beside_its_sweep(values: Floats) -> Floats:
-    """Return readings of one direction (targets, cycles) without what each sweep is off by as a whole and in proportion to its place in it.
-
-    Straight lines by the median of slopes between the first half and the second (Theil), which no single reading moves.
-    """
-    half = len(values) // 2
-    if half < 1:
-        return values
-    off = values - np.median(values, axis=1, keepdims=True)
-    slopes = np.median(off[-half:] - off[:half], axis=0) / (len(values) - half)
-    lines = np.arange(len(values), dtype=float)[:, None] * slopes
-    return np.asarray(values - lines - np.median(off - lines, axis=0))
-
-
-def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[_SpoiltReading]:
-    off = {way: values - _of_others(values, np.median) for way, values in ways.items()}
-    span = {way: _of_others(values, np.ptp) for way, values in ways.items()}
-    every = np.concatenate([o.ravel() for o in off.values()])
-    # Readings that are rounded agree better than what was read: not to less than a step.
-    step_um = _step_um(np.concatenate([test.forward_um, test.reverse_um]))
-    limit = _FAR * max(usual_size(every), step_um / math.sqrt(12.0))
-    found = [
-        _SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
-        for way in ways
-        for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * (span[way] + step_um)))
-    ]
-    return found if len(found) <= max(2, _MOST_SPOILT * every.size) else []
-
-
-def _step_um(values: Floats) -> float:
-    """Return the step to which readings are rounded: the least by which two of them differ."""
-    apart = np.diff(np.sort(values, axis=None))
-    told = apart[apart > _SAME_UM]
-    return float(told.min()) if told.size else 0.0
-
-
-def spoilt_finding(test: LinearTest) -> Finding | None:
-    """Return which readings are spoilt and what they do to the repeatability, None when none is."""
-    found = spoilt_readings(test)
-    if not found:
-        return None
-    told = "; ".join(
-        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} {test.scale.unit}: {s.off_um:+z.3g} {test.scale.fine} from the other "
-        f"{test.forward_um.shape[1] - 1}, which agree within {s.span_um:.2g} {test.scale.fine}"
-        for s in found[:6]
-    )
-    with_all = linear_figures(test.forward_um, test.reverse_um).repeatability_um
-    one = len(found) == 1
-    return Finding(
-        f"{test.scale.kind}.spoilt_readings",
-        "error",
-        f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
-        f"{with_all:z.4g} {test.scale.fine} with {'it' if one else 'them'} and {_repeatability_without(test, found):z.4g} {test.scale.fine} without; measure "
-        "that sweep again, or leave that cycle out",
-        {"readings_1": float(len(found)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in found)},
-    )
-
-
-def _repeatability_without(test: LinearTest, spoilt: Sequence[_SpoiltReading]) -> float:
-    """Return R when at each target the cycles with a spoilt reading there are left out."""
-    largest = 0.0
-    for i in range(len(test.position_mm)):
-        bad = {s.cycle for s in spoilt if s.target == i}
-        kept = [c for c in range(test.forward_um.shape[1]) if c not in bad]
-        if len(kept) > 1:
-            part = linear_figures(test.forward_um[[i]][:, kept], test.reverse_um[[i]][:, kept])
-            largest = max(largest, part.repeatability_um)
-    return largest
 
 
 def shifted_zero(test: LinearTest) -> Finding | None:
@@ -293,7 +179,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
         name = "settling"
     shift = np.sum([size * np.broadcast_to(c, moved.shape) for size, c in zip(sizes, columns, strict=True)], axis=0)
     # What is less than two steps of the display, or than readings scatter by, is no lost step that anybody saw.
-    ordinary = max(ORDINARY, 2.0 * _step_um(values[told]), usual_size(rest[told]))
+    ordinary = max(ORDINARY, 2.0 * step_um(values[told]), usual_size(rest[told]))
     range_um = float(np.ptp(shift))
     if name in _SUDDEN and range_um < ordinary:
         name = "zero_wanders"
@@ -389,9 +275,3 @@ def _wanders(rest_um: Floats) -> bool:
     in_time = np.concatenate([rest_um[0], *rest_um[1:, ::-1]])
     successive = float(np.nanmean(np.diff(in_time, axis=0) ** 2)) / 2.0
     return successive < min(0.7, 1.0 - 4.0 / np.sqrt(in_time.size)) * float(np.nanmean(in_time**2))
-
-
-def _of_others(values: Floats, figure: Callable[..., Floats]) -> Floats:
-    """Return a figure of the other cycles for each reading, shape (targets, cycles)."""
-    others = [figure(np.delete(values, c, axis=1), axis=1) for c in range(values.shape[1])]
-    return np.stack(others, axis=1)

@@ -11,8 +11,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics.linear import linear_figures, stacked_figures
+from dtwin.positioning._spoilt import spoilt_finding
 from dtwin.positioning.check import by_axis
-from dtwin.positioning.cycles import spoilt_finding
 from dtwin.positioning.matrix import LinearTest, linear_test, other_formulas_um
 from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, can_be_told, ways_of
 from dtwin.report.plots import error_figure

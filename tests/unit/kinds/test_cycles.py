@@ -9,24 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dtwin.positioning._spoilt import spoilt_readings
 from dtwin.positioning.check import judge_positioning_campaign
-from dtwin.positioning.cycles import moving_zero, spoilt_readings, zero_of_each_cycle
+from dtwin.positioning.cycles import moving_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.position_table import read_position_runs
 from dtwin.positioning.still import still
 from dtwin.schema import Campaign, Finding, Run
 
 
-def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
-    """Return a test of five cycles; ``zero(x, time)`` is what moves, in µm, x in mm and time in cycles."""
+def made(zero: Any, seed: int, noise_um: float = 0.5, cycles: int = 5) -> LinearTest:
+    """Return a test; ``zero(x, time)`` is what moves, in µm, x in mm and time in cycles."""
     rng = np.random.default_rng(seed)
     x = np.linspace(0.0, 300.0, 11)
-    fixed = 5.0 * np.cos(x / 40.0)[:, None] + np.zeros((1, 5))
+    fixed = 5.0 * np.cos(x / 40.0)[:, None] + np.zeros((1, cycles))
     # A reading after the other, forward and back again; time in cycles.
-    time = np.arange(5.0)[None, :] + (np.arange(22.0)[:, None] + 0.5) / 22.0
+    time = np.arange(float(cycles))[None, :] + (np.arange(22.0)[:, None] + 0.5) / 22.0
     forward, reverse = time[:11], time[11:][::-1]
     ways = [
-        fixed + play + zero(x[:, None], when) + rng.normal(0.0, noise_um, (11, 5))
+        fixed + play + zero(x[:, None], when) + rng.normal(0.0, noise_um, (11, cycles))
         for play, when in ((0.0, forward), (-6.0, reverse))
     ]
     return LinearTest(x, ways[0], ways[1], 0, None)
@@ -164,9 +165,11 @@ def test_nothing_is_told_where_nothing_moves(noise_um: float, first: str) -> Non
     assert [found for test in tests if (found := moving(test)) is not None] == []
 
 
-def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
+@pytest.mark.parametrize("cycles", [2, 3, 5])
+def test_readings_that_are_spoilt_are_named_and_no_others(cycles: int) -> None:
     for seed in range(20):
-        test = made(lambda x, c: 0.0 * x * c, seed)
+        test = made(lambda x, c: 0.0 * x * c, seed, cycles=cycles)
+        assert spoilt_readings(test) == []
         test.forward_um[0, 0] += 110.0
         test.forward_um[1, 0] += 40.0
         assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
