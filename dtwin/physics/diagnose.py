@@ -39,7 +39,7 @@ from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of
 from dtwin.physics._suspects import members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
-from dtwin.physics.candidates import Candidate, Candidates, applicable
+from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.learned import can_learn
@@ -217,7 +217,7 @@ def _concluded(
     bare = unweighted(obs, known)
     tests = _tests(found)
     words = localise.headline(obs, localise.in_angle(bare))
-    few = f"{int(obs.run_of.max()) + 1} runs do not tell what moves between them"
+    few = f"tested, but {_many(obs)} do not tell what moves between them"
     blank = replace(
         blank,
         lack_of_fit_p=first.lack_of_fit[0],
@@ -267,8 +267,8 @@ def _concluded(
         return replace(
             blank,
             verdict="unknown_effect",
-            headline=_unexplained(words, [c.name for c in channels]),
-            closest=found.found[0].label,
+            headline=_unexplained(words, channels, found),
+            closest=_closest(found) if found.untold else found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
     verdict: Verdict = "missing_effect" if len(groups[0]) == 1 else "ambiguous"
@@ -311,9 +311,13 @@ def _nothing_found(
         suspects=shown,
         laws=laws,
         unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
-        headline=_unexplained(words, [c.name for c in channels]),
-        closest=_closest(found.first.candidates),
+        headline=_unexplained(words, channels, found),
+        closest=_closest(found),
     )
+
+
+def _many(obs: Observations) -> str:
+    return f"{int(obs.run_of.max()) + 1} runs"
 
 
 def _unresolved(found: Search, left: Floats, p_value: float) -> Unresolved:
@@ -329,9 +333,12 @@ def _unresolved(found: Search, left: Floats, p_value: float) -> Unresolved:
     )
 
 
-def _unexplained(words: str, moving: Sequence[str]) -> str:
-    said = f"no known effect explains it: {words}"
-    return f"{said}; it moves with {', '.join(moving)}" if moving else said
+def _unexplained(words: str, channels: Sequence[Channel], found: Search) -> str:
+    because = "no known effect explains it"
+    if found.untold:
+        because = f"{' or '.join(found.untold)} may be it, which {_many(found.plain.obs)} do not tell"
+    moving = ", ".join(c.name for c in channels)
+    return f"{because}: {words}" + f"; it moves with {moving}" * bool(moving)
 
 
 def _much_left(found: Search, floor_um: float) -> bool:
@@ -376,7 +383,9 @@ def _is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
     return name != "time_h" and all(name not in effect.needs for effect in library.values())
 
 
-def _closest(tested: Sequence[Candidate]) -> str | None:
+def _closest(found: Search) -> str | None:
+    """Return the effect that explains most, among those that few runs do not tell where there are any."""
+    tested = [c for c in found.first.candidates if not found.untold or c.term.label in found.untold]
     if not tested:
         return None
     best = max(tested, key=lambda c: c.score.gain)

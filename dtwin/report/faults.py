@@ -78,8 +78,8 @@ def faults(
     return faults
 
 
-def not_tried(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> list[str]:
-    """Return the effects that a diagnosis could not try, by the reason; their labels, with a library their titles."""
+def not_told(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> list[str]:
+    """Return the effects that a diagnosis could not judge, by the reason; their labels, with a library their titles."""
     of_reason: dict[str, list[str]] = {}
     for label, why in diagnosis.get("untestable", {}).items():
         of_reason.setdefault(why, []).append(label if library is None else title_of(label, library))

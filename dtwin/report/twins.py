@@ -15,7 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
-from dtwin.report.faults import faults, not_tried, undecided_lines, with_k2
+from dtwin.report.faults import faults, not_told, undecided_lines, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -186,7 +186,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
-    lines += [f"not tried: {line}" for line in not_tried(result)]
+    lines += [f"not told: {line}" for line in not_told(result)]
     lines += undecided_lines(result)
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
@@ -381,6 +381,8 @@ def _advice(name: str, result: Mapping[str, Any]) -> str:
         return f"try: dtwin twin add {name} {best['effect']}{axis}\nremedy: {best['remedy']}{every}"
     if result["verdict"] == "ambiguous":
         return "these runs cannot tell them apart; adding one would only be a guess"
+    if result["verdict"] == "unknown_effect" and result["closest"] in result["untestable"]:
+        return f"measure more repeats: they tell whether it is {result['closest']}"
     if result["verdict"] == "unknown_effect":
         return "write your own effect: dtwin effects template NAME"
     if result["verdict"] == "need_repeats":

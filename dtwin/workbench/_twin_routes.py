@@ -18,7 +18,7 @@ from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.twin_report import twin_report
 from dtwin.report.encoder_split import encoder_section, tells
-from dtwin.report.faults import faults, found_faults, not_tried, title_of
+from dtwin.report.faults import faults, found_faults, not_told, title_of
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of, with_nan
 from dtwin.report.twin_plots import (
@@ -112,7 +112,7 @@ def diagnose_page(request: Request, bench: Here, name: str) -> Response:
         found=found_table(diagnosis or {}),
         faults=faults(twin, diagnosis, bench.library),
         missing=found_faults(diagnosis or {}, bench.library),
-        untried=not_tried(diagnosis or {}, bench.library),
+        not_told=not_told(diagnosis or {}, bench.library),
         together=report_of(diagnosis).diagnosis_section(name, with_nan(diagnosis))
         if diagnosis and "campaigns" in diagnosis
         else None,

@@ -15,6 +15,7 @@ from dtwin.physics.problem import Term, set_up
 from dtwin.physics.score import NoiseLevel, score_test
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import pure_error
+from dtwin.report.twins import diagnosis_text
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 
 LIBRARY = Library()
@@ -193,7 +194,20 @@ def test_what_stays_is_told_beside_heat_that_three_runs_do_not_tell() -> None:
     obs = campaign(error, np.random.default_rng(9), celsius=np.array([20.0, 21.0, 20.5, 20.0, 20.0]))
     found = diagnose(obs.take(np.flatnonzero(obs.run_of < 3)), [], LIBRARY)
     assert {group[0].label for group in found.found} == {"backlash X", "lead_error X"}
-    assert found.untestable["thermal_growth X"] == "3 runs do not tell what moves between them"
+    assert found.untestable["thermal_growth X"] == "tested, but 3 runs do not tell what moves between them"
+
+
+def test_what_three_runs_do_not_tell_is_one_thing_all_over_the_answer() -> None:
+    grown = 5.0 * np.arange(RUNS)[:, None, None] * SHARE
+    celsius = np.array([20.0, 21.0, 20.5, 20.0, 20.0])
+    obs = campaign(grown, np.random.default_rng(8), celsius=celsius)
+    found = diagnose(obs.take(np.flatnonzero(obs.run_of < 3)), [], LIBRARY)
+    assert (found.verdict, found.closest) == ("unknown_effect", "warming_growth X")
+    assert found.headline.startswith("warming_growth X may be it, which 3 runs do not tell: ")
+    told = diagnosis_text("t", found.as_dict())
+    assert "not told: warming_growth X: tested, but 3 runs do not tell what moves between them" in told
+    assert "not tried" not in told
+    assert told.endswith("measure more repeats: they tell whether it is warming_growth X")
 
 
 def test_growth_that_nobody_logged_is_named() -> None:

@@ -14,7 +14,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.twin import chosen_terms, twin_of
 from dtwin.physics.undecided import undecided
-from dtwin.report.faults import faults, not_tried
+from dtwin.report.faults import faults, not_told
 
 _WRONG = MillParameters().with_axis("X", scale_ppm=25.0, play_um=3.0)
 _KNOWN = ("backlash:X", "scale_mismatch")
@@ -67,6 +67,6 @@ def test_what_could_not_be_tried_is_told_by_its_reason() -> None:
     said = diagnose(obs, [], library).as_dict()
     assert (
         "screw_error X, screw_error_by_direction X: screw_pitch_mm is not stated in the machine's geometry"
-        in not_tried(said)
+        in not_told(said)
     )
-    assert any(line.startswith("Screw error within a turn X") for line in not_tried(said, library))
+    assert any(line.startswith("Screw error within a turn X") for line in not_told(said, library))
