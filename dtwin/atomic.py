@@ -22,11 +22,12 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     """Yield a name to write to; the file gets its own name once it is complete and on disk.
 
     ``what``: what it is, for the error message.
-    Raises ``StoreError`` when it is the name of no file, or the folder is read-only or full; nothing is left behind.
+    Raises ``StoreError`` when it is the name of no file, or the folder is read-only or full; nothing is left behind, no folder either.
     """
     if not path.name:
         raise StoreError(f"{what} has no name to be written under", code="store.write", where=repr(str(path)))
     partial = path.with_name(f".{path.name}.{os.getpid()}-{get_ident()}.partial")
+    absent = [folder for folder in path.parents if not folder.exists()]
     try:
         make_folder(path.parent)
         yield partial
@@ -45,6 +46,8 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
         # Also when the work was refused, or interrupted.
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+            for folder in [] if path.exists() else absent:
+                folder.rmdir()
 
 
 def make_folder(folder: Path, *, private: bool = False) -> None:

@@ -8,7 +8,7 @@ import json
 import os
 import pwd
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -173,36 +173,23 @@ def note(home: Home, what: str, why: str, came: str, who: str = "") -> None:
         ) from error
 
 
-def audit(home: Home) -> list[dict[str, Any]]:
-    """Return the record, oldest first. Raises ``StoreError`` when a line was changed, taken out or put in."""
-    entries = []
-    for number, said in enumerate(_lines(home), start=1):
-        if said is None:
-            raise StoreError(
-                "the record of who did what was changed, or a line of it is cut",
-                code="audit.changed",
-                where=f"{home.root / AUDIT} line {number}",
-                hint="compare it with a backup",
-            )
-        entries.append(said)
-    return entries
+def damaged_in(record: Iterable[dict[str, Any] | None]) -> list[int]:
+    """Return the numbers, from 1, of lines of the record that are damaged."""
+    return [number for number, said in enumerate(record, start=1) if said is None]
 
 
-def damaged_in_audit(home: Home) -> list[int]:
-    """Return the numbers, from 1, of lines of the record that are cut, or before which something was changed."""
-    return [number for number, said in enumerate(_lines(home), start=1) if said is None]
-
-
-def _lines(home: Home) -> Iterator[dict[str, Any] | None]:
-    """Yield what each line of the record says, None where it is none or does not follow the one before."""
+def audit(home: Home) -> list[dict[str, Any] | None]:
+    """Return the record, oldest first; None for a line that is cut, or before which something was changed."""
     path, before = home.root / AUDIT, _FIRST
+    record: list[dict[str, Any] | None] = []
     for line in path.read_bytes().splitlines() if path.exists() else []:
         try:
             said = json.loads(line)
-            yield said if said["after"] == before else None
+            record.append(said if said["after"] == before else None)
         except (ValueError, TypeError, KeyError, RecursionError):
-            yield None
+            record.append(None)
         before = hashlib.sha256(line).hexdigest()
+    return record
 
 
 def _hash_of_last(path: Path) -> str:

@@ -8,6 +8,7 @@ import typer
 
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
+from dtwin.errors import StoreError
 from dtwin.report.text import table
 
 app = typer.Typer(
@@ -77,9 +78,26 @@ def second(
 @app.command()
 def record(as_json: Json = False) -> None:
     """Show who did what, when and why, after comparing each line with the hash in the next."""
-    from dtwin.people import audit
+    from dtwin.people import AUDIT, audit, damaged_in
 
     said = audit(home())
-    rows = [[line["when"], line["who"], line["what"], line["came"], line["why"]] for line in said]
+    names = ("when", "who", "what", "came", "why")
+    rows = [
+        [str(line.get(name, "")) for name in names] if line else ["?", "?", "a damaged line", "?", "?"] for line in said
+    ]
     heads = ("when", "who", "what", "came of it", "why")
-    emit({"record": said}, lambda: table(heads, rows) if rows else "nothing is recorded yet", as_json=as_json)
+    damaged = damaged_in(said)
+    emit(
+        {"record": said, "damaged": damaged},
+        lambda: table(heads, rows) if rows else "nothing is recorded yet",
+        as_json=as_json,
+    )
+    if damaged:
+        told = StoreError(
+            "the record of who did what was changed, or a line of it is cut; all others are shown",
+            code="audit.changed",
+            where=f"{home().root / AUDIT} line {', '.join(map(str, damaged))}",
+            hint="compare it with a backup: there, or in the line before, something was changed, taken out or put in",
+        )
+        typer.echo(told.render(), err=True)
+        raise typer.Exit(told.exit_code)

@@ -13,7 +13,7 @@ from dtwin.commands._effects import Paths, library_with
 from dtwin.commands._output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
 from dtwin.config import home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 
 if TYPE_CHECKING:
     from dtwin.twins.of_kind import AnyTwins
@@ -268,11 +268,23 @@ def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) 
     from dtwin.report.twins import history_text
     from dtwin.twins.registration import waiting, waiting_text
 
-    rungs = twins_named(name, effects_path).history(name)
+    twins = twins_named(name, effects_path)
+    rungs = twins.history(name)
     left = waiting(home(), name)
+    unread = None
+    try:
+        twins.newest(name)
+    except StoreError as error:
+        unread = error
+    told = [waiting_text(left)] if left else []
     emit(
-        {"twin": name, "rungs": rungs, "not_in_mlflow": [item.as_dict() for item in left]},
-        lambda: "\n".join([history_text(rungs), *([waiting_text(left)] if left else [])]),
+        {
+            "twin": name,
+            "rungs": rungs,
+            "not_in_mlflow": [item.as_dict() for item in left],
+            "unread": unread.as_dict() if unread else None,
+        },
+        lambda: "\n".join([history_text(rungs), *told, *([unread.render()] if unread else [])]),
         as_json=as_json,
     )
 

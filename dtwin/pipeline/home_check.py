@@ -16,7 +16,7 @@ from dtwin.documents import read_document
 from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.lake.store import Lake
 from dtwin.machine_record import read_record, recorded
-from dtwin.people import AUDIT, damaged_in_audit
+from dtwin.people import AUDIT, audit, damaged_in
 from dtwin.progress import Progress
 from dtwin.serve.pointer import resolve
 from dtwin.serve.sealed import CHAMPION, MACHINE
@@ -166,7 +166,7 @@ def _histories(home: Home) -> Iterator[tuple[str, str]]:
         yield (
             AUDIT,
             _in_lines(
-                damaged_in_audit(home), "a line is cut, or one was changed, taken out or put in, there or before"
+                damaged_in(audit(home)), "a line is cut, or one was changed, taken out or put in, there or before"
             ),
         )
     for path in sorted(home.bundles.glob(f"*/{HISTORY}")):

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError
+from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.kinds.registry import kind_of, machine_of_type
+from dtwin.locks import locked
 from dtwin.machine_record import changed_since
 from dtwin.people import acting, read_people
+from dtwin.schema import require_name
 from dtwin.serve.barred import allow, bar, barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import replace_bundle, save_bundle
-from dtwin.serve.pointer import clear_trial, on_trial, proven_states, write_machine, write_pointer
+from dtwin.serve.pointer import clear_trial, on_trial, proven_states, resolve, write_machine, write_pointer
 from dtwin.shared_documents import follow_shared
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
-from dtwin.train.promotion_books import alone, bundle_path, by_pointer, enter, history, remember, was_champion
-from dtwin.train.registry import RegisteredVersion, Registry, model_name
+from dtwin.train.promotion_books import bundle_path, by_pointer, enter, history, remember, was_champion
+from dtwin.train.registry import FAULTS, RegisteredVersion, Registry, model_name
 
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
@@ -85,7 +88,7 @@ def promote(
         raise _refusal(version, verdicts)
     _require_second_person(home, version, comment, verdicts)
     kind = evidence.kind if evidence else "none"
-    with alone(home, version.machine):
+    with _alone(home, version.machine):
         previous = by_pointer(registry, home, version.machine)
         _write_machine(version.machine, home, geometry)
         path = _freeze(home, version, bundle, verdicts, kind, valid_days)
@@ -114,7 +117,7 @@ def trial(
         remember(home, version, "refused", comment, verdicts)
         raise _refusal(version, verdicts)
     path = bundle_path(home, version)
-    with alone(home, version.machine):
+    with _alone(home, version.machine):
         by_pointer(registry, home, version.machine)
         version = registry.version(version.machine, version.version)
         # What is champion, or may be again, keeps its bundle with the evidence: its pointer names the checksum.
@@ -133,7 +136,7 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
 
     Raises ``InputError`` when the machine has neither.
     """
-    with alone(home, machine):
+    with _alone(home, machine):
         return _roll_back(registry, home, machine, by_pointer(registry, home, machine), comment)
 
 
@@ -147,7 +150,7 @@ def withdraw(
     none.
     """
     machine = judged.machine
-    with alone(home, machine):
+    with _alone(home, machine):
         # First what moves the machine, then the books.
         bar(machine, home, int(judged.version), reason)
         champion = by_pointer(registry, home, machine)
@@ -156,6 +159,35 @@ def withdraw(
         registry.mark(judged, {"state": "barred", "barred_why": reason[:500]})
         remember(home, judged, "rollback", reason, [])
         return judged, champion
+
+
+@contextlib.contextmanager
+def _alone(home: Home, machine: str) -> Iterator[None]:
+    """Wait for others that promote or roll back: pointer and books of one come before those of the next.
+
+    Raises ``StoreError`` that says which version is in force, when not all could be written: the pointer is moved first.
+    """
+    with locked(home.root / "locks" / f"promote-{require_name(machine, 'the machine')}.lock", wait=True):
+        try:
+            yield
+        except (StoreError, *FAULTS) as error:
+            raise StoreError(
+                "not all of it could be written",
+                code="promote.unfinished",
+                where=f"machine {machine}; in force now: {_in_force(home, machine)}",
+                got=str(getattr(error, "got", None) or error).split("\n")[0][:200],
+                hint="see that there is free space and that the registry answers, then run this again",
+            ) from error
+
+
+def _in_force(home: Home, machine: str) -> str:
+    """Return which versions a machine may be served with, in words."""
+    told = []
+    for model in ("latest", "trial"):
+        with contextlib.suppress(InputError, GateRefusal):
+            found = resolve(model, machine, home)
+            told.append(f"version {found.version} ({found.state})")
+    return ", ".join(told) or "no version"
 
 
 def _roll_back(

@@ -5,7 +5,6 @@ Serving follows the pointer alone. It is moved first, so that a kill leaves book
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -15,9 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dtwin.atomic import append_line
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
-from dtwin.locks import locked
 from dtwin.people import acting, note
-from dtwin.schema import require_name
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.pointer import machine_folder, resolve
@@ -31,11 +28,6 @@ HISTORY = "promotions.jsonl"
 """Name of the history in the folder of a machine's bundles."""
 _ENTRY = {"time", "version", "action", "comment", "failed"}
 _Action = Literal["trial", "proposed", "champion", "refused", "rollback"]
-
-
-def alone(home: Home, machine: str) -> contextlib.AbstractContextManager[bool]:
-    """Wait for others that promote or roll back: pointer and books of one come before those of the next."""
-    return locked(home.root / "locks" / f"promote-{require_name(machine, 'the machine')}.lock", wait=True)
 
 
 def bundle_path(home: Home, version: RegisteredVersion) -> Path:

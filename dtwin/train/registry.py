@@ -15,6 +15,7 @@ from mlflow.entities import Metric, Param, RunTag
 from mlflow.entities.model_registry import ModelVersion, RegisteredModel
 from mlflow.exceptions import MlflowException
 from mlflow.store.entities import PagedList
+from sqlalchemy.exc import SQLAlchemyError
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
@@ -38,6 +39,8 @@ _OURS = f"name LIKE '{_PREFIX}%'"
 _BUNDLE_FOLDER = "bundle"
 MODEL = "model_sha256"
 """Tag of a version: checksum of what moves the machine, ``Bundle.model_sha256``."""
+FAULTS = (MlflowException, SQLAlchemyError, OSError)
+"""What calls of a registry raise when its database was lost, or is full."""
 _PROCESS = "dtwin.process"
 _ALIASES = ("candidate", "champion", "previous")
 _Found = TypeVar("_Found")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dtwin.atomic import append_line, whole_file, write_text
+from dtwin.errors import StoreError
 
 
 def test_a_line_that_was_cut_short_spoils_no_other(tmp_path: Path) -> None:
@@ -35,3 +36,9 @@ def test_threads_that_write_one_file_at_once_take_nothing_from_each_other(tmp_pa
         assert path.read_text() == "second"
     assert path.read_text() == "first"
     assert [p.name for p in tmp_path.iterdir()] == ["bundle.json"]
+
+
+def test_what_could_not_be_written_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be written"), whole_file(tmp_path / "twins" / "t" / "v", "it"):
+        raise OSError(28, "No space left on device")
+    assert not list(tmp_path.iterdir())

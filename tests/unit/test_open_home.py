@@ -12,8 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
+from typer.testing import CliRunner
 
 import dtwin
+from dtwin.cli import app
 from dtwin.documents import read_document, write_document
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
@@ -242,6 +244,8 @@ def test_results_without_rows_or_figures_have_their_columns(tmp_path: Path) -> N
         with pytest.raises(dtwin.DtwinError, match="another version of dtwin") as newer:
             opened.show(name)
         assert "install the newest" in str(newer.value.hint)
+        told = CliRunner().invoke(app, ["twin", "history", name], env={"DTWIN_HOME": str(opened.home.root)})
+        assert "another version of dtwin" in told.stdout
 
 
 @pytest.mark.parametrize(

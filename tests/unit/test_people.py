@@ -24,6 +24,7 @@ from dtwin.people import (
     acting,
     add_person,
     audit,
+    damaged_in,
     note,
     read_people,
     remove_person,
@@ -100,8 +101,13 @@ def test_a_record_that_was_changed_says_so(tmp_path: Path) -> None:
         [lines[0], lines[0], *lines[1:]],
     ):
         path.write_text("".join(spoilt))
-        with pytest.raises(StoreError, match="changed"):
-            audit(state)
+        damaged = damaged_in(audit(state))
+        assert damaged
+        note(state, "went on", "", "done")
+        assert damaged_in(audit(state)) == damaged
+        shown = CliRunner().invoke(app, ["people", "record"])
+        assert (shown.exit_code, "went on" in shown.stdout) == (1, True)
+        assert f"{AUDIT} line {damaged[0]}" in shown.stderr
     path.write_text("".join(lines))
     note(state, "more", "", "done")
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -12,7 +12,7 @@ from bundles import path_bundle
 
 import dtwin.train.promotion as promoting
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError
+from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.machine_record import changed_since, with_event
 from dtwin.pipeline.machine_history import champion_of
 from dtwin.serve.barred import barred_why
@@ -212,6 +212,28 @@ def test_what_happened_on_the_day_of_the_evidence_refuses_nothing_and_is_said(tm
         assert changed_since(home, "m", moment, doubtful=True) == "repair on 2026-03-02, the same day"
     assert changed_since(home, "m", "2026-03-01T23:59:59") == "repair on 2026-03-02"
     assert changed_since(home, "m", "2026-03-03", doubtful=True) == ""
+
+
+@pytest.mark.parametrize("failing", ["registry", "pointer"])
+def test_a_full_disk_is_told_with_what_is_in_force(
+    registry: Registry, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    machine = f"full-{failing}"
+    first, second = versions(registry, machine, 2)
+    champion(registry, first)
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*((promoting, "enter") if failing == "registry" else (Path, "replace")), full)
+        with pytest.raises(StoreError, match="not all of it") as refused:
+            champion(registry, second)
+    served = resolve("latest", machine, registry.home).version
+    assert served == (2 if failing == "registry" else 1)
+    assert str(refused.value.where).endswith(f"in force now: version {served} (champion)")
+    champion(registry, second)
+    assert [e["version"] for e in history(registry.home, machine)][-1] == "2"
 
 
 def test_a_line_of_the_history_that_was_cut_short_says_nothing(registry: Registry) -> None:
