@@ -46,8 +46,10 @@ from dtwin.kinds.circular._circle_ways import (
     deviates,
     in_motion,
     may_be_gon,
+    require_ways,
     stretches,
     way_of,
+    way_of_title,
 )
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -106,7 +108,9 @@ def is_circle_table(path: Path) -> bool:
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
     try:
-        return _form_of(_table(first_rows(path, _MAX_BYTES), path)[0]) is not None
+        lines = first_rows(path, _MAX_BYTES)
+        columns, body = _table(lines, path)
+        return _form_of(columns, lines[: len(lines) - len(body)]) is not None
     except InputError:
         return False
 
@@ -124,11 +128,12 @@ def read_circle_runs(
     require_heads_for_all(text, path)
     lines = rows_of(text)
     columns, body = _table(lines, path)
-    form = _form_of(columns)
     above = lines[: len(lines) - len(body)]
+    form = _form_of(columns, above)
     _require_as_titled(above, stated, path)
     require_usual_sign(above, path)
     _require_one_meaning(columns, path)
+    require_ways(columns, body, path)
     require_one_table([column.head for column in columns], body, path)
     radius_mm, feed_mm_min = stated.get("radius_mm"), stated.get("feed_mm_min")
     if form is None or not radius_mm or not feed_mm_min:
@@ -202,7 +207,7 @@ def _table(rows: list[list[str]], path: Path) -> tuple[tuple[Column, ...], list[
     return columns_of(heads, units, {}), body
 
 
-def _form_of(columns: Sequence[Column]) -> _Form | None:
+def _form_of(columns: Sequence[Column], above: Sequence[Sequence[str]]) -> _Form | None:
     names = [bare(column) for column in columns]
     first = {
         pattern: next((i for i, n in enumerate(names) if pattern.match(n)), None)
@@ -211,19 +216,17 @@ def _form_of(columns: Sequence[Column]) -> _Form | None:
     ways: tuple[tuple[int, Direction | None], ...] = tuple(
         (i, way_of(name)) for i, name in enumerate(names) if way_of(name)
     )
-    told_by_row = any(map(DIRECTION.match, names))
-    ways = ways or tuple(
-        (i, None) for i, c in enumerate(columns) if c.head == "deviation_um" or (told_by_row and deviates(c))
-    )
+    told = any(map(DIRECTION.match, names)) or any(map(way_of_title, above))
+    ways = ways or tuple((i, None) for i, c in enumerate(columns) if c.head == "deviation_um" or (told and deviates(c)))
     pair = tuple(
         (i, match[3].upper()) for i, match in ((i, _COORDINATE.match(n)) for i, n in enumerate(names)) if match
     )
     # Beside deviations a radius is the programmed one, or says the same again.
     form = _Form(first[_ANGLE], first[_TIME], None if ways else first[_RADIUS], ways, pair)
     known = len(ways) + len(pair) + sum(i is not None for i in first.values())
-    told = sum(not _COMMANDED.search(name) for name in names)
+    actual = sum(not _COMMANDED.search(name) for name in names)
     lengths = all(columns[i].name.endswith(("_mm", "_um")) or not columns[i].unit for i, _ in pair)
-    if len({axis for _, axis in pair}) == len(pair) == 2 and lengths and known == 2 + (form.time is not None) == told:
+    if len({axis for _, axis in pair}) == len(pair) == 2 and lengths and known == 2 + (form.time is not None) == actual:
         return _Form(None, form.time, None, (), pair)
     if {"t_s", "angle_deg", "deviation_um"} <= {column.head for column in columns}:
         return None

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
+from dtwin.errors import InputError
 from dtwin.schema import Direction, Finding, Floats
 
+_CLOCK = r"(clock[- ]?wise|uhrzeiger(sinn|richtung)?|uzs\b|(sens[- ])?horaire|h?orario)"
+_AGAINST = r"(sens[- ])?(counter|anti|against|contra|contre|contro|entgegen|gegen|inverse?|not|non|nicht)([- ]*(dem|den|des|du|al|the|to|sens))*[- ]*"
 _SPELT = (
-    (
-        re.compile(
-            r"(counter|anti)[- ]?clockwise|gegen( ?den)? ?uhrzeigersinn|gegenuhrzeiger(sinn)?|anti ?horaire|antiorario|antihorario",
-            re.I,
-        ),
-        "ccw",
-    ),
-    (re.compile(r"clockwise|(im )?uhrzeigersinn|(sens )?horaire|\borario|\bhorario", re.I), "cw"),
+    (re.compile(rf"{_AGAINST}({_CLOCK}|cw\b)", re.I), "ccw"),
+    (re.compile(rf"(im )?{_CLOCK}", re.I), "cw"),
     # The probe on the left is no direction.
     (re.compile(rf"^(?!.*({PROBES})).*\b(left|links(lauf|herum|drehend)?)\b.*"), "ccw"),
     (re.compile(rf"^(?!.*({PROBES})).*\b(right|rechts(lauf|herum|drehend)?)\b.*"), "cw"),
 )
 """How a direction is spelt out, those against the clock first: their names hold the others."""
-_WAYS = {"ccw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
+_WAYS = {"ccw": "CCW", "acw": "CCW", "g03": "CCW", "g3": "CCW", "cw": "CW", "g02": "CW", "g2": "CW"}
 DIRECTION = re.compile(r"^(direction|dir|richtung|drehrichtung|drehsinn|sens(e|o)?)$", re.I)
 
 _BACK_DEG = 20.0
@@ -62,11 +60,11 @@ def blocks(
     # A number for each row counts rows.
     of_run = of_run if 2 * len(set(of_run)) < len(of_run) else [""] * len(of_run)
     column = next((i for i, c in enumerate(columns) if DIRECTION.match(bare(c))), None)
-    titles = [_way_of_title(row) for row in above]
+    titles = [way_of_title(row) for row in above]
     ways: list[Direction | None] = [next((way for way in titles[::-1] if way), None)]
     begins = [0]
     for n, row in enumerate(body):
-        told = _way_of_title(row) if column is None else way_of(row[column].lower()) if column < len(row) else None
+        told = way_of_title(row) if column is None else way_of(row[column].lower()) if column < len(row) else None
         if n and of_run[n] and of_run[n] != of_run[n - 1]:
             begins.append(n)
             ways.append(told or ways[-1])
@@ -81,9 +79,32 @@ def blocks(
     return [(way, (rows >= a) & (rows < b)) for way, a, b in zip(ways, begins, ends, strict=True)]
 
 
-def _way_of_title(row: Sequence[str]) -> Direction | None:
-    """Return the direction that a title of a single cell names; CW42 is a week, and what is on the right no direction."""
+def require_ways(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse a column of directions that names none: a circle each way round would be one of two turns."""
+    for i in (i for i, column in enumerate(columns) if DIRECTION.match(bare(column))):
+        cells = {row[i].strip() for row in body if i < len(row)} - {""}
+        if strange := sorted(cell for cell in cells if way_of(cell.lower()) is None):
+            raise InputError(
+                "a column of directions does not say which way round",
+                code="circle_table.direction",
+                where=f"{path} {columns[i].head}",
+                got=", ".join(strange)[:80],
+                allowed="CCW, CW, G3, G2",
+                hint="replace the words, or take the column out: then the direction is the one in which the angle runs",
+            )
+
+
+def way_of_title(row: Sequence[str]) -> Direction | None:
+    """Return the direction that a title names, of a single cell or behind a word such as ``Direction``.
+
+    CW42 is a week, and what is on the right no direction.
+    """
     told = [cell.strip().lower() for cell in row if cell.strip()]
+    if len(told) > 2:
+        return None
+    said = re.split(r"\s*[:=]\s*", ":".join(cell.rstrip(" :=") for cell in told))
+    if len(said) == 2 and DIRECTION.match(said[0]):
+        return way_of(said[1])
     words = re.sub(r"\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if len(told) == 1 else ""
     return way_of(re.sub(r"[^\w-]+", " ", words))
 

@@ -296,6 +296,9 @@ def test_what_is_no_deviation_of_a_run_is_not_read_as_one(tmp_path: Path, heads:
         ("counter-clockwise run", "clockwise run"),
         ("Abweichung gegen den Uhrzeigersinn", "Abweichung im Uhrzeigersinn"),
         ("Gegenuhrzeigersinn", "Uhrzeigersinn"),
+        ("Lauf entgegen dem Uhrzeigersinn", "Lauf im Uhrzeigersinn"),
+        ("anti-clockwise", "clock-wise"),
+        ("sens anti-horaire", "sens horaire"),
         ("antihoraire", "horaire"),
         ("senso antiorario", "senso orario"),
         ("links", "rechts"),
@@ -317,6 +320,7 @@ def test_directions_that_are_spelt_out(tmp_path: Path, left: str, right: str) ->
         ("R100 {}", "angle [deg],radius [mm]", "{0},{2}"),
         ("Run 1 {},", "angle [deg],deviation_um", "{0},{1}"),
         ("", "angle [deg],deviation [µm],direction", "{0},{1},{3}"),
+        ("direction,{}", "angle [deg],deviation [µm]", "{0},{1}"),
         ("CW42, right spindle", "Winkel [°],Abweichung [µm],Drehrichtung", "{0},{1},{3}"),
     ],
 )
@@ -333,6 +337,13 @@ def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_ro
     assert (ccw.meta.direction, cw.meta.direction) == ("CCW", "CW")
     assert ccw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, 1.0), abs=1e-5)
     assert cw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::-1], abs=1e-5)
+
+
+def test_a_column_of_directions_that_names_none_is_refused(tmp_path: Path) -> None:
+    rows = [f"{a},{d},{way}" for way in "+-" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
+    with pytest.raises(InputError, match="which way round") as refused:
+        read(tmp_path / "a.csv", "\n".join(["angle [deg],deviation [µm],direction", *rows]))
+    assert refused.value.got == "+, -"
 
 
 @pytest.mark.parametrize("head", ["run", "Messung Nr.", "repeat"])
