@@ -26,7 +26,7 @@ from dtwin.positioning.table_heads import (
     plain_unit,
     told_unit,
 )
-from dtwin.positioning.ways import Scale
+from dtwin.positioning.ways import FROM_SIGN, Scale
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
@@ -48,6 +48,16 @@ def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
             got=diameter[:60],
             allowed="targets, and readings, of the slide (radius)",
             hint="halve the targets, and readings that are of diameters, too (those of a laser on the slide are not); then leave the word out of the heads",
+        )
+    side = next((head.strip() for head in heads if FROM_SIGN.search(head)), None)
+    if side is not None:
+        raise InputError(
+            "a head may name the side that a target was approached from, or the direction: that is the other way",
+            code="position_table.side",
+            where=str(path),
+            got=side[:60],
+            allowed="forward (towards larger targets), reverse; from below, from above",
+            hint="write forward or reverse into the heads",
         )
     if other is not None:
         raise InputError(

@@ -55,6 +55,11 @@ _WORDS = {
 }
 _FROM = re.compile(r"(?:^|(?<![^\W_])from[\s_]+)(below|above)(?![^\W_])|(?<![^\W_])von[\s_]+(unten|oben)(?![^\W_])")
 """A side; a sensor may be above and below, too, and ``nach unten`` is the other direction."""
+FROM_SIGN = re.compile(
+    r"(?<![^\W_])(from|von|aus|da|de|desde|depuis)[\s_]+(the[\s_]+|der[\s_]+)?([+\-\u2212]|(plus|minus|pos\w*|neg\w*)(?![^\W_]))(?!.*(→|->|\bto\b))",
+    re.I,
+)
+"""The side from which a target was approached, or the direction: nobody knows which."""
 SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
 
 
@@ -63,6 +68,8 @@ def way_of(text: str, *, ones: bool = False) -> str | None:
 
     ``ones``: a bare 1 is forward, as beside -1.
     """
+    if FROM_SIGN.search(text):
+        return None
     told = "+1" if ones and text.strip() == "1" else text.strip().lower()
     words = set(re.findall(r"[^\W\d_]+", told))
     named = {way for way, known in _WORDS.items() if words & known}
