@@ -96,7 +96,11 @@ class _LocalFolder:
 
     def write(self, name: str, data: bytes | memoryview) -> int:
         """Write a file and bring it to disk."""
-        return write_bytes(self._path / name, data)
+        try:
+            return write_bytes(self._path / name, data)
+        except StoreError as error:
+            error.hint = "make space and run this again; dtwin repair frees what was written and is not in the lake yet"
+            raise
 
     def names(self, ending: str, after: str = "") -> list[str]:
         """Return the files with this ending, sorted."""

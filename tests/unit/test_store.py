@@ -162,8 +162,9 @@ def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
     try:
         lake = Lake(disk / "lake")
         lake.commit(CAMPAIGN, [make_run("r1")])
-        with pytest.raises(StoreError):
+        with pytest.raises(StoreError) as full:
             lake.commit(CAMPAIGN, [make_run(f"big{i}", i, 60_000) for i in range(4)])
+        assert "dtwin repair frees" in str(full.value.hint)
         assert [row["run_id"] for row in lake.runs()] == ["r1"]
         assert list((disk / "lake").rglob("*.partial")) == []
         np.testing.assert_array_equal(
