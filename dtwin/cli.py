@@ -17,7 +17,7 @@ from dtwin import __version__
 from dtwin.commands import register
 from dtwin.commands.tasks import ByTask, Commands, EndedEarly
 from dtwin.config import home, quiet_environment
-from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError
+from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError, in_a_line
 
 _BEGIN = """\b
 New here?
@@ -180,12 +180,12 @@ def _is_of_database(error: Exception) -> bool:
 
 def _registry_away(error: Exception) -> StoreError:
     """Say that the registry was lost, held by another, or out of space while a command asked it; a library may put a line before."""
-    lines, elsewhere = str(error).split("\n"), not home().mlflow_uri.startswith("sqlite")
+    elsewhere = not home().mlflow_uri.startswith("sqlite")
     return StoreError(
         "the model registry was lost, or refused",
         code="registry.away",
         where=home().mlflow_uri.rpartition("@")[2] if elsewhere else str(home().root / "mlflow"),
-        got=next((line for line in lines if "(sqlite3." in line), lines[0])[:200],
+        got=in_a_line(error),
         hint="run this again when it is back: what is done already is not done twice"
         if elsewhere
         else "see that there is free space, and run this again: another process may have held it; dtwin home check says whether it is damaged",

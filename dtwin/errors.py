@@ -25,6 +25,12 @@ def printable(text: str) -> str:
     return _STEERING.sub("\ufffd", text)
 
 
+def in_a_line(error: Exception) -> str:
+    """Return what a library says, in a line: that of the database, which another may stand above and statements below."""
+    lines = str(error).split("\n")
+    return next((line for line in lines if "(sqlite3." in line), lines[0])[:200]
+
+
 class DtwinError(Exception):
     """A problem that the user can understand and mend.
 

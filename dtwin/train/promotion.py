@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.errors import GateRefusal, InputError, StoreError, in_a_line
 from dtwin.kinds.registry import kind_of, machine_of_type
 from dtwin.locks import locked
 from dtwin.machine_record import changed_since
@@ -175,7 +175,7 @@ def _alone(home: Home, machine: str) -> Iterator[None]:
                 "not all of it could be written",
                 code="promote.unfinished",
                 where=f"machine {machine}; in force now: {_in_force(home, machine)}",
-                got=str(getattr(error, "got", None) or error).split("\n")[0][:200],
+                got=getattr(error, "got", None) or in_a_line(error),
                 hint="see that there is free space and that the registry answers, then run this again",
             ) from error
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
-from dtwin.errors import StoreError
+from dtwin.errors import StoreError, in_a_line
 from dtwin.locks import locked
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def _keep(path: Path, receipt: Mapping[str, Any]) -> None:
 
 
 def _fail(path: Path, error: Exception) -> None:
-    said = f"{type(error).__name__}: {error}"[:300]
+    said = f"{type(error).__name__}: {in_a_line(error)}"
     about = {"version": _sha256(path), "failed": said, "failed_at": datetime.now(UTC).isoformat()}
     _keep(path, {**_known(path), **about})
 

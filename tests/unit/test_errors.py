@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 
-from dtwin.errors import InputError
+from dtwin.errors import InputError, in_a_line
 
 
 def test_a_slip_is_answered_with_the_name_that_was_meant() -> None:
@@ -57,3 +57,9 @@ def test_a_traceback_says_what_a_terminal_says() -> None:
     shown = "".join(traceback.format_exception(error)).splitlines()
     assert shown[-5:] == error.render().splitlines()[1:]
     assert shown[-1] == "  try: look again"
+
+
+def test_what_a_database_says_is_a_line() -> None:
+    said = "(raised as a result of a flush)\n(sqlite3.OperationalError) database or disk is full\n[SQL: CREATE TABLE"
+    assert in_a_line(RuntimeError(said)) == "(sqlite3.OperationalError) database or disk is full"
+    assert in_a_line(RuntimeError("gone\nfor good")) == "gone"
