@@ -157,7 +157,9 @@ def header_row(rows: Sequence[Sequence[str]], path: Path) -> int:
         width = max((i for i, cell in enumerate(row, start=1) if cell.strip()), default=0)
         if 2 <= len(row) <= _MOST_COLUMNS and 2 * named > width and named >= 2 and len(after) == len(row):
             numbers = sum(is_number(cell) for cell in after)
-            if numbers >= 2 and not all_units(row):
+            # Of a logger of one channel a time and a reading.
+            timed = numbers == 1 and _STAMPED.match(after[0].strip()) is not None
+            if (numbers >= 2 or timed) and not all_units(row):
                 return n
     raise InputError(
         "no table is found in the file",
@@ -352,6 +354,7 @@ def _scaled(head: str, unit: str, name: str, here: str, wanted: str, factor: flo
     return Column(head, unit, "", why_not=f"{unit or 'nothing'} cannot be {name}")
 
 
+_STAMPED = re.compile(r"\d[\d./-]*(?:[T\s]+\d+)?:\d\d")
 CLOCK = re.compile(
     r"((dd|tt|mm|yyyy|jjjj|yy)[./-]?){3}t?|(((dd|tt|mm|yyyy|jjjj|yy)[./-]?){3}t?)?hh:mm(:ss)?([.,](s+|f+|0+))?"
 )

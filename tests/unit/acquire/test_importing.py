@@ -399,9 +399,12 @@ def test_a_refused_text_is_sent_to_the_import_and_numbers_without_heads_are_not_
 def test_a_second_circle_below_the_first_is_not_imported_as_its_second_turn(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     block = ["angle [deg],deviation [µm]", *(f"{n},{n % 7}" for n in range(360))]
-    path.write_text("\n".join(["G03", *block, "G02", *block]), encoding="utf-8")
+    path.write_text("\n".join(["Part 1", *block, "Part 2", *block]), encoding="utf-8")
     with pytest.raises(InputError, match="second table"):
         understand(path, Home(tmp_path / "home"), CIRCLE, {})
+    # Titles that tell the direction part them.
+    path.write_text("\n".join(["G03", *block, "G02", *block]), encoding="utf-8")
+    assert understand(path, Home(tmp_path / "home"), CIRCLE, {}).runs == (("a-ccw1", 360), ("a-cw1", 360))
 
 
 def test_conditions_that_are_missing_are_asked_of_the_file_that_the_user_knows(tmp_path: Path) -> None:

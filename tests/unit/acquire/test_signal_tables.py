@@ -34,6 +34,13 @@ def test_a_table_of_temperatures_is_a_group_of_signals(tmp_path: Path, text: str
     assert np.isnan(group.columns["column_c"][1])
 
 
+def test_a_log_of_one_channel_by_time_stamps_is_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "c000.bed.csv"
+    path.write_text("Logger 7\nZeit;bed [°C]\n08:00:00;20,5\n08:01:00;20,6\n08:02:00;20,7\n", encoding="utf-8")
+    (group,) = read_signals(path)
+    assert (group.rate_hz, group.columns["bed_c"].tolist()) == (1.0 / 60.0, [20.5, 20.6, 20.7])
+
+
 @pytest.mark.parametrize("head", ["bed [°F]", "bed (deg F)", "bed_degF"])
 def test_degrees_fahrenheit_are_degrees_celsius_here(tmp_path: Path, head: str) -> None:
     path = tmp_path / "c000.thermocouples.csv"
