@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import json
 import os
@@ -17,7 +16,8 @@ from dtwin import __version__
 from dtwin.commands import register
 from dtwin.commands.tasks import ByTask, Commands, EndedEarly
 from dtwin.config import home, quiet_environment
-from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, InputError, MissingPart, StoreError, in_a_line
+from dtwin.errors import EXIT_INTERRUPTED, DtwinError, InputError, MissingPart
+from dtwin.faults import fault_of
 
 _BEGIN = """\b
 New here?
@@ -37,21 +37,6 @@ app = Commands(
     rich_markup_mode=None,
 )
 register(app)
-
-
-# Of a disk or folder; any other error of the system is a mistake of ours.
-_UNUSABLE = (
-    errno.EACCES,
-    errno.EPERM,
-    errno.EROFS,
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.ENOTDIR,
-    errno.EISDIR,
-    errno.EEXIST,
-    errno.ENAMETOOLONG,
-    errno.ELOOP,
-)
 
 
 def _show_version(wanted: bool) -> None:
@@ -156,51 +141,12 @@ def _run() -> None:
             sys.exit(0)
         print("interrupted; run the same command again to continue", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
-    except OSError as error:
-        if error.errno not in _UNUSABLE:
-            raise
-        _report(_not_usable(error))
-        sys.exit(EXIT_USER)
     except Exception as error:
-        if not _is_of_database(error):
+        fault = fault_of(error)
+        if fault is None:
             raise
-        away = _registry_away(error)
-        _report(away)
-        sys.exit(away.exit_code)
-
-
-def _is_of_database(error: Exception) -> bool:
-    """Tell whether a library says that the registry's database was lost or is held; nothing is imported for it."""
-    raised = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
-    libraries = {"mlflow.exceptions.MlflowException", "sqlalchemy.exc.SQLAlchemyError"}
-    elsewhere = not home().mlflow_uri.startswith("sqlite")
-    in_them = bool(raised & libraries) and (elsewhere or "(sqlite3." in str(error))
-    return in_them or "sqlite3.Error" in raised
-
-
-def _registry_away(error: Exception) -> StoreError:
-    """Say that the registry was lost, held by another, or out of space while a command asked it; a library may put a line before."""
-    elsewhere = not home().mlflow_uri.startswith("sqlite")
-    return StoreError(
-        "the model registry was lost, or refused",
-        code="registry.away",
-        where=home().mlflow_uri.rpartition("@")[2] if elsewhere else str(home().root / "mlflow"),
-        got=in_a_line(error),
-        hint="run this again when it is back: what is done already is not done twice"
-        if elsewhere
-        else "see that there is free space, and run this again: another process may have held it; dtwin home check says whether it is damaged",
-    )
-
-
-def _not_usable(error: OSError) -> StoreError:
-    """Say which file or folder of ours cannot be read or written, and why."""
-    return StoreError(
-        "a file or folder cannot be used",
-        code="store.permission",
-        where=str(error.filename or "an unnamed file"),
-        got=error.strerror or str(error),
-        hint="check permissions and free space, or set DTWIN_HOME to another folder",
-    )
+        _report(fault)
+        sys.exit(fault.exit_code)
 
 
 def _missing_part(package: str) -> MissingPart:

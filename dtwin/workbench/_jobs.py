@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError
+from dtwin.faults import fault_of
 
 _MOST_KEPT = 40
 Tell = Callable[[str], None]
@@ -115,8 +116,10 @@ class Jobs:
         except DtwinError as error:
             job.error, job.state = error.render(), "failed"
         except Exception as error:
-            logging.getLogger(__name__).exception("%s failed", job.title)
-            job.error, job.state = f"error[internal]: {type(error).__name__}: {error}", "failed"
+            if (fault := fault_of(error)) is None:
+                logging.getLogger(__name__).exception("%s failed", job.title)
+            job.error = f"error[internal]: {type(error).__name__}: {error}" if fault is None else fault.render()
+            job.state = "failed"
         job.seconds = time.monotonic() - since
         # On a full disk the work is over all the same, and so is not the thread: later work would wait for ever.
         with contextlib.suppress(DtwinError):

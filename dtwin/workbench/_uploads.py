@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 
 from dtwin.acquire.spreadsheet import LEFT_BY_SYSTEMS
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.atomic import whole_file
 from dtwin.errors import InputError
 
 MAX_TRAY_BYTES = 512 * 1024 * 1024
@@ -82,19 +83,20 @@ class Trays:
             raise InputError(
                 "a file and a folder have one name", code="upload.name", got=repr(name[:120]), hint="rename one of them"
             )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._bytes[tray] -= path.stat().st_size if path.is_file() else 0
-        size = 0
-        with path.open("wb") as file:
-            async for chunk in body:
-                size += len(chunk)
-                self._bytes[tray] += len(chunk)
-                if self._bytes[tray] > MAX_TRAY_BYTES:
-                    file.close()
-                    path.unlink()
-                    self._bytes[tray] -= size
-                    raise _too_much("bytes", f"more than {MAX_TRAY_BYTES}", f"{MAX_TRAY_BYTES} in all")
-                file.write(chunk)
+        before, size = path.stat().st_size if path.is_file() else 0, 0
+        try:
+            with whole_file(path, "the upload") as partial, partial.open("wb") as file:
+                async for chunk in body:
+                    size += len(chunk)
+                    self._bytes[tray] += len(chunk)
+                    if self._bytes[tray] - before > MAX_TRAY_BYTES:
+                        raise _too_much("bytes", f"more than {MAX_TRAY_BYTES}", f"{MAX_TRAY_BYTES} in all")
+                    file.write(chunk)
+        except BaseException:
+            # Also when the browser goes away.
+            self._bytes[tray] -= size
+            raise
+        self._bytes[tray] -= before
         return size
 
     def drop(self, tray: str) -> None:

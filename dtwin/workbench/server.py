@@ -23,6 +23,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
+from dtwin.faults import fault_of
 from dtwin.workbench import _budget_routes as budget_routes
 from dtwin.workbench import _campaign_routes as campaign_routes
 from dtwin.workbench import _delivery_routes as delivery_routes
@@ -74,6 +75,8 @@ def application(bench: Bench) -> Guarded:
     app.add_exception_handler(ModuleNotFoundError, _absent)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _unknown)
+    for broken in (OSError, Exception):
+        app.add_exception_handler(broken, _broken)
     return Guarded(app, bench.access)
 
 
@@ -149,6 +152,13 @@ def _absent(request: Request, error: Exception) -> Response:
         hint="pip install '.[all]' in a checkout of dtwin",
     )
     return refused(request, said)
+
+
+def _broken(request: Request, error: Exception) -> Response:
+    fault = fault_of(error)
+    if fault is not None:
+        return refused(request, fault)
+    return Response("Internal Server Error", 500, media_type="text/plain")
 
 
 def _warm(bench: Bench) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import io
 import json
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -286,6 +287,26 @@ from dtwin.workbench import server as _server
 threading.Thread = lambda **_: sys.exit(f"pandas: {'pandas' in sys.modules}")
 _server.run(Home(Path(sys.argv[1])), "127.0.0.1", socket.create_server(("127.0.0.1", 0)), None, print)
 """
+
+
+def test_what_a_disk_or_the_registry_does_to_a_page_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = TestClient(
+        application(Bench(Home(tmp_path), Access("127.0.0.1", 8765))),
+        base_url="http://127.0.0.1:8765",
+        raise_server_exceptions=False,
+    )
+    for error, status, told in (
+        (OSError(28, "No space left on device", "x.json"), 400, "No space left on device"),
+        (sqlite3.OperationalError("database or disk is full"), 400, "the model registry was lost, or refused"),
+        (ValueError("a mistake of ours"), 500, "Internal Server Error"),
+    ):
+
+        def failing(*_: object, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr(Bench, "campaigns", failing)
+        answer = client.get("/campaigns")
+        assert (answer.status_code, told in answer.text) == (status, True)
 
 
 def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(

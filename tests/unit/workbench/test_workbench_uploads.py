@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.workbench import _uploads as uploads
 
 
@@ -178,6 +178,19 @@ def test_files_that_come_at_once_are_limited_together(tmp_path: Path, monkeypatc
     # What was refused counts no more, and a file in the place of another takes its room.
     assert asyncio.run(trays.receive(tray, "c.csv", parts(40))) == 40
     assert asyncio.run(trays.receive(tray, "c.csv", parts(20, 20))) == 40
+
+
+def test_an_upload_that_ends_early_leaves_no_part_of_a_file(tmp_path: Path) -> None:
+    trays = uploads.Trays(tmp_path / "trays")
+    tray = trays.new()
+
+    async def broken() -> AsyncIterator[bytes]:
+        yield b"1,2"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(StoreError, match="the upload cannot be written"):
+        asyncio.run(trays.receive(tray, "a/b.csv", broken()))
+    assert not list(trays.folder(tray).iterdir())
 
 
 def test_uploads_that_are_only_begun_are_limited_and_given_up(tmp_path: Path) -> None:
