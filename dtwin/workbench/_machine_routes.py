@@ -230,8 +230,8 @@ def add_machine(bench: Here, told: _MachineTold) -> JSONResponse:
 
 @router.post("/api/machines/{name}/facts")
 def tell_facts(bench: Here, name: str, told: _FactsTold) -> JSONResponse:
-    """State what is known of a machine."""
-    return _stated(bench, name, "Record", told.model_dump())
+    """State what is known of a machine; what is not in the request stays."""
+    return _stated(bench, name, "Record", told.model_dump(exclude_unset=True))
 
 
 @router.post("/api/machines/{name}/axis")

@@ -245,6 +245,8 @@ async function start(title, begin) {
 function contentOf(form) {
   const content = {};
   for (const field of all("[name]", form)) {
+    // What stands there as it was read may be stated anew elsewhere meanwhile.
+    if ("changes" in form.dataset && field.value === field.defaultValue) continue;
     if (field.type === "checkbox" && "list" in field.dataset) {
       content[field.name] = content[field.name] || [];
       if (field.checked) content[field.name].push(field.value);

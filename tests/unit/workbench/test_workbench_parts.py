@@ -237,6 +237,8 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     axis = {"axis": "X", "low_mm": -250.0, "high_mm": 250.0, "travel_mm": None}
     for address, body in (
         ("/api/machines/mill-a/facts", {"serial": "7"}),
+        # Of another tab, which read the page before.
+        ("/api/machines/mill-a/facts", {"notes": "moved"}),
         ("/api/machines/mill-a/axis", axis),
         ("/api/machines", {"machine": "mill-b", "type": "Fräse"}),
     ):
@@ -249,6 +251,7 @@ def test_what_is_stated_while_other_work_runs_is_all_kept(tmp_path: Path) -> Non
     assert set(tolerances_of(bench.home, "mill-a")) == {"H", "G(CW)"}
     page = client.get("/machines/mill-a").text
     assert "serial 7" in page
+    assert "notes moved" in page
     assert 'value="-250"' in page
     assert "Fräse" in client.get("/machines").text
 
