@@ -146,12 +146,11 @@ def cancelled(found: Search, bare: Problem, candidates: Candidates) -> list[Foun
     ``bare``: the campaign without weights, with what is known.
     """
     kept, out = list(found.found), list[Found]()
+    all_um = bare.obs.rms(localise.in_angle(bare))
     while True:
         made_um = dict(zip((f.label for f in kept), _makes_um(kept, bare, candidates), strict=True))
         too_large = [
-            f
-            for f in kept
-            if f.top.term.instance.effect.law.feed == 0.0 and made_um[f.label] > _MORE_THAN_ALL * found.systematic_um[0]
+            f for f in kept if f.top.term.instance.effect.law.feed == 0.0 and made_um[f.label] > _MORE_THAN_ALL * all_um
         ]
         if not too_large:
             break

@@ -331,7 +331,8 @@ class Hunt:
     def _instead(self, chosen: list[Entry], whole: Entry, term: Term) -> list[Entry]:
         """Return the set with a term in place of a mode and of what rings beside it, or the set itself if that leaves clearly more."""
         rest = [entry for entry in chosen if entry.label not in (whole.label, _part_of(whole))]
-        one = self._refined([*rest, *self.dictionary.add([term])])
+        beside = self.dictionary.campaign.given(entry.term for entry in rest)
+        one = [*rest, *self.dictionary.add(refined(beside, [term], self._per_number, bounded=True))]
         left = self.left(chosen)
         without = rest if term.instance is whole.term.instance else [entry for entry in chosen if entry is not whole]
         return one if self.left(one) < left + _CLEARLY * (self.left(without) - left) else chosen

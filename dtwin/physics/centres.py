@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dtwin.physics.whitening import harmonic_numbers, to_harmonics, within_condition
+from dtwin.physics.whitening import CENTRE, from_harmonics, harmonic_numbers, to_harmonics, within_condition
 from dtwin.schema import Floats
 
 if TYPE_CHECKING:
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 _MOST, _STANDS_OUT = 0.5, 25.0
 _NEXT = (2, 5)
 _FEWEST = 4
-_ROUNDING = 1e-20
 
 
 def with_own_centres(obs: Observations) -> Observations:
@@ -29,26 +27,16 @@ def with_own_centres(obs: Observations) -> Observations:
     wander_um = _wander_um(obs)
     if not wander_um:
         return obs
-    basis, y_um = obs.grid.setup, np.empty_like(obs.y_um)
-    for row, mask in enumerate(obs.mask):
-        y_um[row] = without_centre(obs.y_um[row][:, None], mask, basis)[:, 0]
+    rows = to_harmonics(obs.y_um)
+    own = rows - without_centre(rows)
     # The centre of the set-up stays, for its own sake.
-    for setup in range(len(obs.setups)):
-        rows = obs.setup_of == setup
-        design = np.broadcast_to(basis, (int(rows.sum()), *basis.shape))[obs.mask[rows]]
-        y_um[rows] += basis[:, 1:] @ np.linalg.lstsq(design, obs.y_um[rows][obs.mask[rows]], rcond=None)[0][1:]
-    return replace(obs.with_y(y_um), wander_um=wander_um)
+    of_setup = np.stack([own[obs.setup_of == setup].mean(axis=0) for setup in range(len(obs.setups))])
+    return replace(obs.with_y(from_harmonics(rows - own + of_setup[obs.setup_of])), wander_um=wander_um)
 
 
-def without_centre(columns: Floats, mask: NDArray[np.bool_], basis: Floats) -> Floats:
-    """Return columns of shape (n, k) without the centre that fits them best, zero where nothing was measured.
-
-    ``basis``, (n, 3): radius and centre.
-    """
-    fitted = np.linalg.lstsq(basis[mask], columns[mask], rcond=None)[0]
-    left = np.where(mask[:, None], columns - basis[:, 1:] @ fitted[1:], 0.0)
-    # A centre and nothing else leaves rounding.
-    return np.where((left**2).sum(axis=0) > _ROUNDING * (columns**2).sum(axis=0), left, 0.0)
+def without_centre(rows: Floats) -> Floats:
+    """Return rows of harmonics of whole circles, shape (k, n, ...), without harmonic 1."""
+    return np.concatenate([rows[:, :1], np.zeros_like(rows[:, CENTRE]), rows[:, CENTRE.stop :]], axis=1)
 
 
 def _wander_um(obs: Observations) -> float:

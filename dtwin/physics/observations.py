@@ -19,7 +19,7 @@ from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.grid import Grid, PathCondition
 from dtwin.physics.gridding import CIRCLE, Indices
 from dtwin.physics.state import State
-from dtwin.physics.whitening import to_harmonics
+from dtwin.physics.whitening import from_harmonics, to_harmonics
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -202,7 +202,8 @@ class Observations:
                 make = partial(_averaged, self.grid, instance, shape, state)
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
-        return self._told(np.where(self.mask[:, :, None], out, 0.0), self.mask)
+        out = np.where(self.mask[:, :, None], out, 0.0)
+        return from_harmonics(self._told(to_harmonics(out))) if self.wander_um else out
 
     def harmonics(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
@@ -216,19 +217,17 @@ class Observations:
         """
         masks = self.condition_masks
         if masks is None or not self.is_alike_in_repeats(instance):
-            return to_harmonics(self.regressors(instance, shape)), np.arange(self.n_rows)
+            return self._told(to_harmonics(self.regressors(instance, shape))), np.arange(self.n_rows)
         made = [partial(_averaged, self.grid, instance, shape, state) for state in self._condition_states]
         columns = [
             kept_columns(instance, shape, key, make) if keep else make()
             for key, make in zip(self._condition_keys, made, strict=True)
         ]
-        return to_harmonics(self._told(np.stack(columns) * masks[:, :, None], masks)), self.condition_of
+        return self._told(to_harmonics(np.stack(columns) * masks[:, :, None])), self.condition_of
 
-    def _told(self, columns: Floats, masks: NDArray[np.bool_]) -> Floats:
-        """Return columns of shape (k, n, parameters) as runs tell them: without the centre that every row has of its own."""
-        if not self.wander_um:
-            return columns
-        return np.stack([without_centre(row, mask, self.grid.setup) for row, mask in zip(columns, masks, strict=True)])
+    def _told(self, rows: Floats) -> Floats:
+        """Return rows of harmonics, shape (k, n, ...), as runs tell them: without the centre that every row has of its own."""
+        return without_centre(rows) if self.wander_um else rows
 
     @staticmethod
     def is_alike_in_repeats(instance: Instance) -> bool:

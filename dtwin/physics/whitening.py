@@ -18,8 +18,8 @@ _ROUNDING = 1e-20
 # A zero that wanders between runs by more than their rows differ by, at this level of an F test.
 _WANDERS = 0.05
 
-# Coefficients of harmonic 1.
-_CENTRE = slice(1, 3)
+CENTRE = slice(1, 3)
+"""Coefficients of harmonic 1: the centre of a circle."""
 
 
 def to_harmonics(values: Floats) -> Floats:
@@ -150,9 +150,9 @@ def pure_error(
     if run_of is not None:
         deviation = zero_weighted(deviation, run_of, zero_weight)
         power[0] = (deviation[repeated, 0] ** 2).mean() * full_dof / (full_dof - lost[0])
-    if 2 * _CENTRE.stop < n_bins and power[_CENTRE].sum() < _ROUNDING * power[_CENTRE.stop :].max():
+    if 2 * CENTRE.stop < n_bins and power[CENTRE].sum() < _ROUNDING * power[CENTRE.stop :].max():
         # Every row has a centre of its own: what is not there need not be white.
-        power[_CENTRE] = power[_CENTRE.stop : 2 * _CENTRE.stop].mean()
+        power[CENTRE] = power[CENTRE.stop : 2 * CENTRE.stop].mean()
     weights = inverse_root(smoothed(power))
     white = deviation * weights
     variance = np.full(int(condition_of.max()) + 1, np.nan)
