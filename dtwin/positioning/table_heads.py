@@ -43,7 +43,7 @@ _NAMED = re.compile(r"([XYZUVWABCJM])\d(?=[\s_]+[a-z])")
 """At the begin of a head: the name of one of several axes that go the same way, or of a machine."""
 UNIT_INSIDE = re.compile(rf"\s*[\[(]\s*({_UNITS})\s*[\])]", re.I)
 _UNIT = re.compile(rf"[_\s/,]({_UNITS})\s*$", re.I)
-_VALUE = re.compile(r"\d+|[+-]?\d*[.,]\d+")
+_VALUE = re.compile(r"(\d+|[+-]?\d*[.,]\d+)(e[+-]?\d+)?", re.I)
 _COUNTS = re.compile(r"[\d\s,.]*|[ijkn](\s*,\s*[ijkn\d]+)*", re.I)
 _ONE = r"(?![a-z])(?![\s_]*[xyz](?![a-z]))"
 """Behind a word that is cut short, which with a letter of an axis is a part of a place: ``cmd_z_mm``."""

@@ -581,6 +581,14 @@ def test_heads_of_poses_of_many_languages_below_titles_and_above_units(
     ((run,), _) = next(iter(runs))
     assert run.samples["target_x_mm"][1] == pytest.approx(100.0 * per_unit)
     assert run.samples["measured_x_mm"][1] == pytest.approx(101.0 * per_unit)
+    # A minus before a number with an exponent is no way back.
+    far = [
+        ",".join(f"{sign * float(cell):.3E}" for cell in row.split(","))
+        for n, row in enumerate(rows)
+        for sign in (1 - n % 3,)
+    ]
+    table.write_text("\n".join([XYZ.format("Target", "Actual"), *far]), encoding="utf-8")
+    assert kind_of_table(table) == "poses"
     robots = ["Robot," + XYZ.format("Target", "Actual"), *(f"R{n % 2},{row}" for n, row in enumerate(rows))]
     table.write_text("\n".join(robots), encoding="utf-8")
     with pytest.raises(InputError, match="several machines"):
