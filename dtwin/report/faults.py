@@ -69,13 +69,30 @@ def faults(
     """
     instead = {own: others for own, *others in undecided_of(diagnosis)}
     faults = []
+    titles = {t.label: _title(t.instance.effect, t.instance.axis) for t in twin.terms}
     for term in twin.terms:
-        effect, axis = term.instance.effect, term.instance.axis
-        mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
         own = (label for label in _labels(twin, term) if label in instead)
         others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
-        faults.append(replace(_fault(effect, axis, mine), instead=others))
+        fault = _fault(term.instance.effect, term.instance.axis, told_of(twin, term))
+        if alike := _alike(twin, term):
+            beside = ", ".join(titles.get(label, label) for label, _ in alike)
+            # What cannot be told is not mended: another test comes first.
+            fault = replace(fault, size=f"these runs do not tell it from {beside}", remedy=alike[0][1])
+        faults.append(replace(fault, instead=others))
     return faults
+
+
+def told_of(twin: Twin, term: Term) -> list[Estimate]:
+    """Return the parameters of an effect of a twin; none is told where its runs show the effect and another one of the twin alike."""
+    alike = bool(_alike(twin, term))
+    return [replace(e, identifiable=e.identifiable and not alike) for e in twin.estimates_of(term)]
+
+
+def _alike(twin: Twin, term: Term) -> list[tuple[str, str]]:
+    """Return the effects of a twin that its runs show as they show this one, each with the run that would separate them."""
+    own = _labels(twin, term)
+    pairs = [(alias["first"], alias["second"], alias["separate_by"]) for alias in twin.aliases]
+    return [(b if a in own else a, how) for a, b, how in pairs if a in own or b in own]
 
 
 def not_told(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | None = None) -> list[str]:
@@ -137,9 +154,14 @@ def found_faults(diagnosis: Mapping[str, Any], library: Mapping[str, Effect]) ->
 
 
 def _fault(effect: Effect, axis: str, estimates: Sequence[Estimate]) -> _Fault:
-    title = f"{effect.title}, {axis}" if axis else effect.title
     picture = signature_svg(effect, axis, _PICTURE_PX)
-    return _Fault(effect.name, axis, title, size_of(estimates), effect.looks_like, effect.remedy, picture)
+    return _Fault(
+        effect.name, axis, _title(effect, axis), size_of(estimates), effect.looks_like, effect.remedy, picture
+    )
+
+
+def _title(effect: Effect, axis: str) -> str:
+    return f"{effect.title}, {axis}" if axis else effect.title
 
 
 def size_of(estimates: Sequence[Estimate]) -> str:
@@ -177,8 +199,7 @@ def sized_effects(twin: Twin, shares: Budget | None = None) -> list[dict[str, An
     makes_um = {share.label: share.rms_um[""] for share in shares.shares} if shares else {}
     out: list[dict[str, Any]] = []
     for entry, term in zip(twin.as_dict()["effects"], twin.terms, strict=True):
-        where = term.instance.effect.name, term.instance.axis
-        mine = [e for e in twin.estimates if (e.effect, e.axis) == where]
+        mine = told_of(twin, term)
         sizes = sizes_of(mine)
         _, value, spread, unit = sizes[0] if sizes else ("", None, None, term.instance.effect.parameters[0].unit)
         made = {"makes_um": makes_um[term.label]} if term.label in makes_um else {}

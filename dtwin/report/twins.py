@@ -15,7 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
-from dtwin.report.faults import faults, not_told, undecided_lines, with_k2
+from dtwin.report.faults import faults, not_told, told_of, undecided_lines, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -70,7 +70,8 @@ def parameter_table(twin: Twin, *, in_words: bool = True) -> Table:
             _rounded(e.value, e.uncertainty) if e.identifiable else "not told",
             shown_unit(e.unit),
         )
-        for e in twin.estimates
+        for term in twin.terms
+        for e in told_of(twin, term)
         if not e.is_unseen
     ]
     for term in twin.terms:

@@ -15,6 +15,7 @@ from dtwin.physics.library import Library
 from dtwin.physics.twin import chosen_terms, twin_of
 from dtwin.physics.undecided import undecided
 from dtwin.report.faults import faults, not_told
+from dtwin.report.twins import parameter_table
 
 _WRONG = MillParameters().with_axis("X", scale_ppm=25.0, play_um=3.0)
 _KNOWN = ("backlash:X", "scale_mismatch")
@@ -36,6 +37,21 @@ def test_one_radius_and_feed_do_not_tell_a_scale_from_a_lag_and_say_so() -> None
     assert "do not tell it from" in scale
     assert "Servo lag" in scale
     assert "do not tell" not in backlash
+
+
+def test_effects_of_a_twin_that_its_runs_show_alike_have_no_size_and_no_remedy() -> None:
+    library, obs = Library(), circles(_WRONG)
+    known = chosen_terms(("backlash:X", "friction:X", "squareness"), library, obs)
+    twin = twin_of(fit(obs, known, refine=False), obs, name="mill", version=1, action="add friction", data={})
+    told = {fault.effect: fault for fault in faults(twin)}
+    assert [{alias["first"], alias["second"]} for alias in twin.aliases] == [{"backlash X", "friction X"}]
+    assert told["backlash"].sentence.startswith("Backlash, X: these runs do not tell it from Friction, X. ")
+    assert library["backlash"].remedy not in told["backlash"].sentence
+    assert twin.aliases[0]["separate_by"] in told["friction"].sentence
+    assert "±" in told["squareness"].size
+    sizes = {row[:2]: row[2] for row in parameter_table(twin, in_words=False).rows}
+    assert sizes["backlash X", "backlash"] == "not told"
+    assert "±" in sizes["squareness XY", "squareness"]
 
 
 def test_runs_that_separate_them_are_proposed_and_decide() -> None:
