@@ -16,6 +16,7 @@ from numba import njit
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats, standard_plane
+from dtwin.units import shown_number
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -268,7 +269,7 @@ class KinematicChain:
             raise InputError(
                 f"{self.name} cannot reach this pose from the given joint branch",
                 code="kinematics.unreachable",
-                got=f"{left_mm:.3g} mm of pose error left",
+                got=f"{shown_number(left_mm)} mm of pose error left",
                 hint="move the circle's centre, or start from another joint branch",
             )
 

@@ -95,6 +95,8 @@ TIMES_S = (
 )
 """The same of times, in seconds."""
 G_MM_S2 = 9806.65
+_SMALL = 1e-4
+"""Numbers below have more noughts than anybody counts."""
 _LARGEST = sys.float_info.max
 
 
@@ -113,6 +115,17 @@ def _share(found: re.Match[str]) -> str:
     power = _POWERS[word[:2].lower()] if word else 1 + len(zeros)
     unit = "mm" if found["unit"].lower() == "mm" else "in"
     return f"{_SHARES[power - 1]}{unit}" if power <= len(_SHARES) else found[0]
+
+
+def shown_number(value: float, digits: int = 3, sign: str = "") -> str:
+    """Return a number as people read it, rounded to so many digits: 180 and 0.0012, not 1.8e+02; exponents below 0.0001 and from a million on.
+
+    ``sign``: ``"+"`` writes that of positive numbers, too.
+    """
+    if 0.0 < abs(value) < _SMALL:
+        return f"{value:{sign}.{digits}g}"
+    # What is rounded to nothing has no sign.
+    return f"{float(f'{value:.{digits}g}'):{sign}z.6g}"
 
 
 def shown_unit(unit: str) -> str:

@@ -13,6 +13,7 @@ from dtwin.kinds.circular._simulate_hexapod import FEEDS_MM_MIN, QUICK_FEEDS_MM_
 from dtwin.machines.hexapod import VirtualHexapod
 from dtwin.machines.motion import CircleCondition
 from dtwin.progress import Progress
+from dtwin.units import shown_number
 from studies.dynamics.figures import dynamic_components, eq15
 from studies.dynamics.filters import LowPass, RandomWalkFilter, UnscentedFilter, response
 from studies.dynamics.swarm import SwarmSettings
@@ -162,7 +163,7 @@ def _alpha(seed: int) -> list[Line]:
             Line(
                 f"circular deviation over alpha, {model}",
                 paper,
-                f"{width:.2g} µm, relative {width / values.mean():.1e}",
+                f"{shown_number(width, 2)} µm, relative {width / values.mean():.1e}",
                 yes_or_no(1.0 / FACTOR <= width / _ALPHA_UM <= FACTOR),
                 "A5" if model == "random-walk" else "",
             )
@@ -246,7 +247,7 @@ def _swarm(size: Size, seed: int) -> Line:
     return Line(
         f"swarm of {size.particles} and {size.iterations} iterations, 360 readings",
         "alpha 0.0442; no time told",
-        f"Q/R {found.chosen.q_um2:.3g} in {found.seconds:z.0f} s, fitness "
+        f"Q/R {shown_number(found.chosen.q_um2)} in {found.seconds:z.0f} s, fitness "
         f"{found.unfiltered.fitness:z.1f} to {found.judged.fitness:z.1f}",
         "not judged",
         "A10",

@@ -20,6 +20,7 @@ from dtwin.physics.circular import fit_circle
 from dtwin.progress import Progress
 from dtwin.schema import Direction, Floats, Run
 from dtwin.statistics import rms
+from dtwin.units import shown_number
 from studies.robot_equation import robot_equation
 
 RADIUS_MM = 50.0
@@ -173,7 +174,7 @@ def _verdict(influence: dict[str, float], sessions: Sequence[dict[str, Any]]) ->
     same, anew = sessions
     mounting = 1.0 - (same["mounting_out_before_um"] / same["before_um"]) ** 2
     sensor = influence["accelerometer RMS, g"]
-    dead = f"the accelerometer decides {100 * sensor:.2g} % of the equation's output"
+    dead = f"the accelerometer decides {shown_number(100 * sensor, 2)} % of the equation's output"
     worth = (
         f"R² {same['r2']:z.3f} on left-out runs of the same mounting, whose mean square is the "
         f"mounting to {100 * mounting:z.1f} %; with the bar mounted anew it leaves "

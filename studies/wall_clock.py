@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import DeviceError
 from dtwin.links.ur_worker import RTDE_PORT
 from dtwin.processes import end_child
+from dtwin.units import shown_number
 
 Circle = tuple[str, float, float]
 """Plane, radius in mm, feed in mm/min."""
@@ -67,10 +68,10 @@ def serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:
     ]
     for name, value in serving["timing"].items():
         if isinstance(value, Mapping) and "p50" in value:
-            shown = ", ".join(f"{k} {v:.4g}" for k, v in value.items() if isinstance(v, float))
+            shown = ", ".join(f"{k} {shown_number(v, 4)}" for k, v in value.items() if isinstance(v, float))
             rows.append([name, shown])
         elif isinstance(value, int | float):
-            rows.append([name, f"{value:.4g}"])
+            rows.append([name, shown_number(value, 4)])
     rows += [[f"real time: {k}", v] for k, v in serving["realtime"].items()]
     return rows
 

@@ -18,6 +18,7 @@ from dtwin.errors import StoreError
 from dtwin.lake.parquet import unit_metadata, write_parquet
 from dtwin.locks import take
 from dtwin.schema import Finding
+from dtwin.units import shown_number
 
 # The header of signal files, which ``dtwin.acquire.signal_files`` reads.
 _SIGNALS_KEY = b"dtwin.signals"
@@ -245,7 +246,7 @@ def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[F
             Finding(
                 "recording.gap",
                 "warning",
-                f"{lost} samples ({lost / rate_hz:.3g} s) were lost in {len(gaps)} gaps: {reasons}",
+                f"{lost} samples ({shown_number(lost / rate_hz)} s) were lost in {len(gaps)} gaps: {reasons}",
                 {"gaps": float(len(gaps)), "lost": float(lost), "lost_s": lost / rate_hz},
             )
         )

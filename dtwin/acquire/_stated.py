@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind
 from dtwin.local_time import was_set
-from dtwin.units import is_number, require_units
+from dtwin.units import is_number, require_units, shown_number
 
 _DEEPEST = 6
 _COLDEST_C = -273.15
@@ -185,5 +185,5 @@ def _plain(value: object, name: str, where: str, deepest: int) -> None:
 
 
 def _refused(name: str, where: str, value: object, allowed: str) -> InputError:
-    shown = f"{value:.3g}" if isinstance(value, float) and math.isfinite(value) else repr(value)
+    shown = shown_number(value) if isinstance(value, float) and math.isfinite(value) else repr(value)
     return InputError(f"{name} is not usable", code="campaign.value", where=where, got=shown[:60], allowed=allowed)

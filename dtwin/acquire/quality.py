@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dtwin.kinds.registry import kind_named
 from dtwin.local_time import is_to_come
 from dtwin.schema import Finding, Floats, Run, of_one_way
+from dtwin.units import shown_number
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
 _MIN_SPREAD_UM = 0.02
@@ -67,7 +68,7 @@ def _too_small(run: Run) -> Iterator[Finding]:
             yield Finding(
                 "reading.too_small",
                 "error",
-                f"{name} spreads by {spread:.2g} µm RMS, less than any instrument resolves: are these millimetres?",
+                f"{name} spreads by {shown_number(spread, 2)} µm RMS, less than any instrument resolves: are these millimetres?",
                 {"spread_um": spread},
             )
 

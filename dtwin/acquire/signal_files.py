@@ -25,7 +25,7 @@ from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.parquet import NUMBERS, columns_of, read_encoded, table_of, write_parquet
 from dtwin.schema import Encoded, SignalGroup, require_name
-from dtwin.units import require_units
+from dtwin.units import require_units, shown_number
 
 _KEY = b"dtwin.signals"
 _TABLES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
@@ -159,7 +159,7 @@ def _require_even(t_s: NDArray[Any], path: Path) -> None:
             "the readings of the signals do not follow each other evenly: the clock jumps, or readings are lost",
             code="signals.clock",
             where=f"{path} reading {at + 2}",
-            got=f"{t_s[at + 1]:g} s after {t_s[at]:g} s; a reading every {step_s:.4g} s on average",
+            got=f"{t_s[at + 1]:g} s after {t_s[at]:g} s; a reading every {shown_number(step_s, 4)} s on average",
             allowed="readings at a fixed rate, in the order of their times",
             hint="interpolate lost readings; where t_s is when a block arrived, write when each reading was taken",
         )

@@ -11,6 +11,7 @@ from dtwin.commands._effects import Paths
 from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.units import shown_number
 
 app = typer.Typer()
 _Force = Annotated[bool, typer.Option("--force", help="Replace the file.")]
@@ -114,7 +115,7 @@ def _require_new(out: Path, source: Path | None = None, *, force: bool) -> None:
 def _shown(value: object) -> str:
     if isinstance(value, dict):
         return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return shown_number(value) if isinstance(value, float) else str(value)
 
 
 def numbers(text: str, count: int, option: str) -> list[float]:

@@ -12,6 +12,7 @@ from dtwin.commands.tasks import FleetCommands
 from dtwin.config import home
 from dtwin.errors import EXIT_USER, InputError
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.fleet.jobs import Job
@@ -166,7 +167,7 @@ def sister_machines(
 
 
 def _um(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+    return "-" if value is None else shown_number(value)
 
 
 def _known(machines: list[str] | None) -> list[str]:

@@ -13,6 +13,7 @@ from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.machine_record import MachineRecord
@@ -185,8 +186,8 @@ def _next_text(advice: Mapping[str, Any]) -> str:
             t["name"],
             t["kind"],
             round(t["minutes"]),
-            f"{t['bits']:.2g}",
-            f"{60 * t['bits_per_minute']:.2g}",
+            shown_number(t["bits"], 2),
+            shown_number(60 * t["bits_per_minute"], 2),
             _told_text(t["told"]),
         ]
         for t in advice["tests"]
@@ -204,7 +205,10 @@ def _next_text(advice: Mapping[str, Any]) -> str:
 def _told_text(told: Sequence[Mapping[str, Any]]) -> str:
     from dtwin.units import shown_unit
 
-    most = [f"{g['cause']} ± {g['before']:.2g} → {g['after']:.2g} {shown_unit(g['unit'])}" for g in told[:2]]
+    most = [
+        f"{g['cause']} ± {shown_number(g['before'], 2)} → {shown_number(g['after'], 2)} {shown_unit(g['unit'])}"
+        for g in told[:2]
+    ]
     return ", ".join(most) + (f" and {len(told) - 2} more" if len(told) > 2 else "")
 
 

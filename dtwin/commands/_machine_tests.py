@@ -15,6 +15,7 @@ from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 
 @machine_app.command()
@@ -134,7 +135,8 @@ def _foretold_text(forecast: Mapping[str, Any]) -> str:
     if forecast["detectable"] is not None:
         shown = [one for one in forecast["detectable"] if one["amplitude"] is not None]
         rows = [
-            [one["label"], f"{one['amplitude']:.2g} {shown_unit(one['unit'])}", f"{one['typical']:g}"] for one in shown
+            [one["label"], f"{shown_number(one['amplitude'], 2)} {shown_unit(one['unit'])}", f"{one['typical']:g}"]
+            for one in shown
         ]
         head = ("effect", f"seen from (80 %, noise {forecast['noise_um']:g} µm)", "ordinary size")
         hidden = [one["label"] for one in forecast["detectable"] if one["amplitude"] is None]

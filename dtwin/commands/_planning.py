@@ -13,6 +13,7 @@ from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
 from dtwin.kinds.registry import own_kinds
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.kinds.kind import Kind, Planned
@@ -124,7 +125,7 @@ def _detectable_text(payload: Mapping[str, Any]) -> str:
     rows = [
         [
             d["label"],
-            f"{d['amplitude']:.3g} {d['unit']}" if math.isfinite(d["amplitude"]) else "invisible",
+            f"{shown_number(d['amplitude'])} {d['unit']}" if math.isfinite(d["amplitude"]) else "invisible",
             f"{d['typical']:g} {d['unit']}",
             "" if not math.isfinite(d["amplitude"]) else f"{d['rms_um']:z.3f}",
         ]

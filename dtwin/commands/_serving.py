@@ -14,6 +14,7 @@ from dtwin.commands._output import Json, emit
 from dtwin.config import home
 from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.serve.analogue_link import AnalogueWiring
@@ -143,7 +144,7 @@ def _render_served(served: Served) -> str:
         head,
         f"  ended: {status.ended}; the correction is {kept}",
         f"  longest correction {status.largest_um:z.1f} µm, clamp {served.clamp_um:z.1f} µm"
-        + (f"; uncertainty up to {status.largest_band_um:.2g} µm (k = 2)" if served.band else ""),
+        + (f"; uncertainty up to {shown_number(status.largest_band_um, 2)} µm (k = 2)" if served.band else ""),
         _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),

@@ -17,7 +17,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, lost_motion_notes, lost_motion_um
 from dtwin.schema import Floats
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 _POINTS, _STEP, _MAGNIFICATION, _BACKLASH = 128, 7, 100, 9999
 _AXES = "XYZ"
@@ -47,7 +47,7 @@ def _steps(table: AxisTable) -> tuple[list[int], int, int]:
     raise InputError(
         "the error changes by more between two rows than the control takes",
         code="export.step",
-        got=f"{np.abs(np.diff(trim)).max():.3g} µm",
+        got=f"{shown_number(np.abs(np.diff(trim)).max())} µm",
         allowed=f"{_STEP * _MAGNIFICATION} µm",
         hint="--points with more rows, up to 128",
     )

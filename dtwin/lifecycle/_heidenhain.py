@@ -12,7 +12,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 # Of the TNC 407 to 425: neighbouring values differ by no more than their distance over this.
 _SLOPE = 64.0
@@ -31,8 +31,8 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         raise InputError(
             "neighbouring values differ by too much",
             code="export.slope",
-            got=f"{1000.0 * steepest:.3g} µm in a millimetre",
-            allowed=f"{1000.0 / _SLOPE:.3g} µm in a millimetre",
+            got=f"{shown_number(1000.0 * steepest)} µm in a millimetre",
+            allowed=f"{shown_number(1000.0 / _SLOPE)} µm in a millimetre",
             hint="--points with fewer rows, or --travel",
         )
     lines = [

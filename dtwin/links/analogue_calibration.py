@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import GateRefusal, InputError
 from dtwin.links.analogue import AXES, FULL_SCALE_V, AxisCalibration
-from dtwin.units import is_number
+from dtwin.units import is_number, shown_number
 
 HEAD = ("axis", "voltage_v", "x_um", "y_um", "z_um")
 _LEVELS = 3
@@ -129,7 +129,7 @@ def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]
 def _no_input(um_per_v: float, neutral_v: float) -> str:
     """Return why a slope and a neutral voltage are of no correction input; empty when they may be."""
     if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
-        return f"{um_per_v:.3g} µm per volt is no correction input"
+        return f"{shown_number(um_per_v)} µm per volt is no correction input"
     return (
         ""
         if 0.0 < neutral_v < FULL_SCALE_V
@@ -149,13 +149,13 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     um_per_v = float(slopes[own])
     neutral = -float(offsets[own]) / um_per_v if um_per_v else math.nan
     if wrong := _no_input(um_per_v, neutral):
-        raise _refused(axis, wrong, f"{um_per_v:.3g} µm/V, neutral {neutral:.3g} V")
+        raise _refused(axis, wrong, f"{shown_number(um_per_v)} µm/V, neutral {shown_number(neutral)} V")
     left = moved_um[:, own] - design @ np.array([um_per_v, offsets[own]])
     dof = max(len(volts) - 2, 1)
     noise = float(np.sqrt((left**2).sum() / dof))
     span = float(np.ptp(moved_um[:, own]))
     if float(np.abs(left).max()) > _MOST_BENT * span:
-        raise _refused(axis, "the answer is not a line", f"{np.abs(left).max():.3g} µm off it")
+        raise _refused(axis, "the answer is not a line", f"{shown_number(np.abs(left).max())} µm off it")
     cross = {other: float(slopes[i] / um_per_v) for i, other in enumerate(AXES) if other != axis}
     worst = max(cross, key=lambda other: abs(cross[other]))
     if abs(cross[worst]) > _MOST_CROSS_TALK:

@@ -13,6 +13,7 @@ from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail, holm
+from dtwin.units import shown_number
 
 _FEED_EXPONENTS = (-1.0, 0.0, 0.5, 1.0, 2.0)
 _RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
@@ -50,7 +51,7 @@ class ScalingLaw:
         wave = f"cos({self.harmonic}t + p)" if self.harmonic else "1"
         feed = "" if self.feed == 0.0 else f" (F/F0)^{self.feed:g}"
         radius = "" if self.radius == 0.0 else f" (R/R0)^{self.radius:g}"
-        return f"{self.amplitude_um:.3g} µm {sign}{wave}{feed}{radius}"
+        return f"{shown_number(self.amplitude_um)} µm {sign}{wave}{feed}{radius}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

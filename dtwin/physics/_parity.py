@@ -16,6 +16,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem
 from dtwin.physics.search import Search
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 # A curve has a number for every target; where there are more, waves and half waves say enough.
 _MOST_TARGETS = 150
@@ -89,7 +90,7 @@ def joined(
     return replace(
         answer,
         verdict="missing_effect" if len(groups[0]) == 1 else "ambiguous",
-        headline=f"{names}; besides, {rms_um:.2g} µm is not resolved: {words}",
+        headline=f"{names}; besides, {shown_number(rms_um, 2)} µm is not resolved: {words}",
         found=tuple(groups),
         suspects=(*_as_shown(groups), *rest),
         closest=None,

@@ -48,6 +48,7 @@ from dtwin.physics.problem import Problem, Term, set_up, unweighted, weighted_li
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.search import Search, search
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 _FIT_IS_DOUBTFUL = 0.05
 # What was found must explain this share, or what is left must be this small beside the floor.
@@ -179,7 +180,7 @@ def _once(
     copies, floor_um = copied
     found = diagnose(copies, known, library, seed=seed)
     groups = tuple(tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found)
-    said += f", it is at least {floor_um:.2g} µm (harmonics above {HIGHEST_HARMONIC})"
+    said += f", it is at least {shown_number(floor_um, 2)} µm (harmonics above {HIGHEST_HARMONIC})"
     names = "; ".join(" or ".join(s.label for s in group) for group in groups)
     return replace(
         blank,
@@ -276,7 +277,7 @@ def _concluded(
     said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
     said += f": {words}"
     if unresolved is not None:
-        said += f"; besides, {unresolved.systematic_rms_um:.2g} µm is not resolved"
+        said += f"; besides, {shown_number(unresolved.systematic_rms_um, 2)} µm is not resolved"
     if foreign:
         said += f"; besides, something moves with {', '.join(foreign)}"
     return replace(blank, verdict=verdict, headline=said, found=groups)
@@ -297,7 +298,7 @@ def _nothing_found(
     fit_p, left_um = found.lack_of_fit[0], found.systematic_um[0]
     shown = suspects(found, candidates, known, ())
     if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
-        said = f"what repeats agree on ({left_um:.2g} µm) is small beside the noise floor"
+        said = f"what repeats agree on ({shown_number(left_um, 2)} µm) is small beside the noise floor"
         return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
     laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
     if fit_p > LACK_OF_FIT and not laws and not channels:

@@ -8,6 +8,7 @@ import numpy as np
 
 from dtwin.physics.problem import Term
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 # Nearer to a limit than this share counts as at it.
 _AT_LIMIT = 0.01
@@ -29,13 +30,13 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
             at, (low, high) = term.shape[shape.name], shape.bounds
             if not low * (1.0 + _AT_LIMIT) <= at < high / (1.0 + _AT_LIMIT):
                 said.append(
-                    f"its {shape.name} of {at:.3g} {shape.unit} lies at a limit of what is possible "
-                    f"({low:.3g} to {high:.3g})"
+                    f"its {shape.name} of {shown_number(at)} {shape.unit} lies at a limit of what is possible "
+                    f"({shown_number(low)} to {shown_number(high)})"
                 )
         for parameter, value in zip(effect.parameters, own, strict=True):
             if not np.abs(value) <= parameter.largest:
                 said.append(
-                    f"its {parameter.name} of {value:.3g} {parameter.unit} is more than {parameter.largest:.3g}"
+                    f"its {parameter.name} of {shown_number(value)} {parameter.unit} is more than {shown_number(parameter.largest)}"
                 )
         if said:
             out[term.label] = "; ".join(said)

@@ -17,6 +17,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 FORMAT = "dtwin-twin/1"
 
@@ -166,7 +167,7 @@ def data_lines(data: Mapping[str, Any]) -> list[str]:
     out += data.get("amended", [])
     if wander_um := data.get("wander_um", 0.0):
         out.append(
-            f"the centre moves by {wander_um:.2g} µm RMS between runs of one set-up: every run is given a centre of its own, "
+            f"the centre moves by {shown_number(wander_um, 2)} µm RMS between runs of one set-up: every run is given a centre of its own, "
             "and effects are told by what else they do"
         )
     return out

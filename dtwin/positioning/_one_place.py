@@ -16,6 +16,7 @@ from dtwin.positioning.table_heads import is_index, plain_unit, told_unit
 from dtwin.positioning.ways import Scale
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
+from dtwin.units import shown_number
 
 _COUNTS = re.compile(
     r"^(trial|run|cycle|repeat|repetition|approach|test|home|homing|session|series|day|versuch|messung|zyklus|lauf|anfahrt|serie|sitzung|essai|prova)"
@@ -87,16 +88,16 @@ def one_place(path: Path, groups_um: Mapping[str, Sequence[float]], fine: str) -
     groups = [np.array(group) for group in groups_um.values() if len(group)]
     dof = sum(len(group) - 1 for group in groups)
     within = float(np.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in groups) / dof)) if dof else float("nan")
-    got = f"{sum(map(len, groups))} readings, standard deviation {within:z.3g} {fine}, a next one lies within ± {2.0 * within:z.3g} {fine} (k = 2)"
+    got = f"{sum(map(len, groups))} readings, standard deviation {shown_number(within)} {fine}, a next one lies within ± {shown_number(2.0 * within)} {fine} (k = 2)"
     if len(groups) > 1:
         means = [float(group.mean()) for group in groups]
         names = (
             " and ".join(name for name in groups_um if name) if set(groups_um) <= {"forward", "reverse"} else "sessions"
         )
-        got += f"; means of {names} differ by {max(means) - min(means):z.3g} {fine}"
+        got += f"; means of {names} differ by {shown_number(max(means) - min(means))} {fine}"
     step, rest = _moves(groups)
     if step:
-        got += f"; but they move by {step:+z.3g} {fine} from one reading to the next, and scatter by {rest:z.2g} {fine} about that: slip, lost steps, or heat, and a next one lies farther off"
+        got += f"; but they move by {shown_number(step, sign='+')} {fine} from one reading to the next, and scatter by {shown_number(rest, 2)} {fine} about that: slip, lost steps, or heat, and a next one lies farther off"
     return InputError(
         "one target, however often: its readings tell how a place or a switch repeats, not how an axis positions",
         code="position_table.one_place",

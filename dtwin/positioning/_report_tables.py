@@ -35,7 +35,7 @@ from dtwin.positioning.table_heads import (
 )
 from dtwin.positioning.ways import way_of
 from dtwin.schema import Finding, Floats
-from dtwin.units import LENGTHS_MM, UM_PER_MM
+from dtwin.units import LENGTHS_MM, UM_PER_MM, shown_number
 
 _RULE = re.compile(r"^\s*\|?\s*:?-{2,}:?\s*(\|\s*:?-{2,}:?\s*)*\|?\s*$")
 _HEADING = re.compile(r"^(#{1,6})\s+(.*)$")
@@ -249,10 +249,12 @@ def stated_figures(text: str, forward_um: Floats, reverse_um: Floats) -> list[Fi
             same.append(symbol)
         elif symbol in others and abs(theirs - others[symbol]) <= near:
             formula.append(
-                f"{symbol} {theirs:.4g} µm is of another formula than the standard's, which gives {value:.4g} µm"
+                f"{symbol} {shown_number(theirs, 4)} µm is of another formula than the standard's, which gives {shown_number(value, 4)} µm"
             )
         else:
-            apart.append(f"{symbol} is stated as {theirs:.4g} µm, and its readings give {value:.4g} µm")
+            apart.append(
+                f"{symbol} is stated as {shown_number(theirs, 4)} µm, and its readings give {shown_number(value, 4)} µm"
+            )
     told = [f"{', '.join(same)} as here"] if same else []
     said = f"figures that the file states: {'; '.join([*told, *formula, *apart])}"
     return [Finding("linear.stated_figures", "warning" if apart else "info", said, {"apart_1": float(len(apart))})]

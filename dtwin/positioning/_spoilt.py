@@ -13,6 +13,7 @@ from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.ways import BOTH
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import usual_size
+from dtwin.units import shown_number
 
 _FEWEST_OF_TARGET = 2
 """Readings, beside the one that is judged, that have to agree; of two cycles one of them is what the other direction tells."""
@@ -125,8 +126,8 @@ def spoilt_finding(test: LinearTest) -> Finding | None:
     cycles = test.forward_um.shape[1]
     others = f"the other {cycles - 1}" if cycles > _FEWEST_OF_TARGET else "the other cycle and the other direction"
     told = "; ".join(
-        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} {test.scale.unit}: {s.off_um:+z.3g} {test.scale.fine} from {others}, "
-        f"which agree within {s.span_um:.2g} {test.scale.fine}"
+        f"cycle {test.cycle(s.cycle)} {s.way} at {test.position_mm[s.target]:g} {test.scale.unit}: {shown_number(s.off_um, sign='+')} {test.scale.fine} from {others}, "
+        f"which agree within {shown_number(s.span_um, 2)} {test.scale.fine}"
         for s in found[:6]
     )
     with_all = linear_figures(test.forward_um, test.reverse_um).repeatability_um
@@ -135,7 +136,7 @@ def spoilt_finding(test: LinearTest) -> Finding | None:
         f"{test.scale.kind}.spoilt_readings",
         "error",
         f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
-        f"{with_all:z.4g} {test.scale.fine} with {'it' if one else 'them'} and {_repeatability_without(test, found):z.4g} {test.scale.fine} without; measure "
+        f"{shown_number(with_all, 4)} {test.scale.fine} with {'it' if one else 'them'} and {shown_number(_repeatability_without(test, found), 4)} {test.scale.fine} without; measure "
         "that sweep again, or leave that cycle out",
         {"readings_1": float(len(found)), f"largest_{test.scale.figure}": max(abs(s.off_um) for s in found)},
     )

@@ -14,7 +14,7 @@ from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, zero_o
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
 from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
-from dtwin.units import is_number
+from dtwin.units import is_number, shown_number
 
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
@@ -179,7 +179,7 @@ def _turned(test: LinearTest) -> Finding | None:
     if as_told < _TURNED * max(as_read, noise):
         return None
     said = (
-        f"axis {test.axis}: forward and reverse means differ by {as_told:z.3g} {test.scale.fine} RMS about the mean reversal, and by {as_read:z.3g} {test.scale.fine} when the reverse "
+        f"axis {test.axis}: forward and reverse means differ by {shown_number(as_told)} {test.scale.fine} RMS about the mean reversal, and by {shown_number(as_read)} {test.scale.fine} when the reverse "
         "readings are taken from the last target to the first: were they written in the order in which they were read? B, E and A would be wrong"
     )
     return Finding(f"{test.scale.kind}.turned", "warning", said, {"ratio_1": as_told / max(as_read, 1e-9)})

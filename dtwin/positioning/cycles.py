@@ -14,6 +14,7 @@ from dtwin.positioning._spoilt import spoilt_readings, step_um
 from dtwin.positioning.matrix import LinearTest
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import f_tail, usual_size
+from dtwin.units import shown_number
 
 _FEWEST_CYCLES = 4
 """Cycles that tell how a zero moves."""
@@ -50,7 +51,7 @@ def shifted_zero(test: LinearTest) -> Finding | None:
         return None
     fine = test.scale.fine
     said = (
-        f"all readings are off by {shift:+z.1f} {fine}, alike to within {spread:z.3g} {fine}: a datum, the zero of instrument or axis; "
+        f"all readings are off by {shift:+z.1f} {fine}, alike to within {shown_number(spread)} {fine}: a datum, the zero of instrument or axis; "
         "the figures of ISO 230-2 do not count it, and it is no error of positioning"
     )
     return Finding(
@@ -154,7 +155,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
 
         def warmed(tau: float, within: Floats = within) -> float:
             settling = -np.exp(-within / tau)
-            tried("warming", f"{tau:.2g}", [settling, settling * place[None, :, None]], 1)
+            tried("warming", shown_number(tau, 2), [settling, settling * place[None, :, None]], 1)
             return rivals[-1][0]
 
         # Where readings move by much more than they scatter, a time constant between two of the list leaves what looks like another law.
@@ -172,7 +173,7 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
     little = 1.0 - kept / total < _WORTH or free < 1 or f_tail(ratio, (many, free)) > _CHANCE
     if little or name not in _SAID or _wanders(rest):
         return None
-    moves = ", ".join(f"{size:+z.3g}" for size in sizes)
+    moves = ", ".join(shown_number(size, sign="+") for size in sizes)
     stretch = test.scale.stretch * max(float(np.ptp(test.position_mm)), 1e-9)
     warmer_k = 1000.0 * abs(float(sizes[-1])) / stretch if stretch else math.inf
     if name == "warming" and warmer_k > _MOST_WARMER_K:
@@ -186,16 +187,16 @@ def moving_zero(test: LinearTest) -> _MovingZero | None:
     steel = f"; steel would have to be {warmer_k:z.0f} K warmer to stretch so" if stretch else ""
     words = _SAID[name].format(
         steps=moves,
-        range=f"{range_um:z.2g}",
-        size=f"{sizes[0]:+z.3g}",
-        more=f"{sizes[-1]:+z.3g}",
+        range=shown_number(range_um, 2),
+        size=shown_number(sizes[0], sign="+"),
+        more=shown_number(sizes[-1], sign="+"),
         where=where,
         fine=test.scale.fine,
         steel=steel,
     )
     if len(ways) > 1 and name in _SUDDEN and (name == "slip" or where == _BETWEEN):
         half = float(np.mean(np.abs(sizes))) / 2.0
-        words += f". Up to {half:z.3g} {test.scale.fine} of B and E may be this, too, if it goes on between the directions of a cycle"
+        words += f". Up to {shown_number(half)} {test.scale.fine} of B and E may be this, too, if it goes on between the directions of a cycle"
     finding = Finding(
         f"{test.scale.kind}.{name}",
         "info" if name == "zero_wanders" else "warning",

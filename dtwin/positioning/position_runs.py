@@ -13,6 +13,7 @@ from dtwin.positioning.assignments import wrong_form
 from dtwin.positioning.table_heads import OWN_SENSOR
 from dtwin.positioning.ways import LENGTHS, Scale
 from dtwin.schema import Finding, Floats, Run, RunMeta
+from dtwin.units import shown_number
 
 _PERIOD_S = 1.0
 _LISTED = 4
@@ -59,7 +60,7 @@ def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: S
     )
     scale, joined = table.scale, table.joined_mm * table.scale.per
     if joined:
-        text = f"targets that differ by up to {joined:z.2g} {scale.fine} are taken as one, their mean; deviations are from each one's own"
+        text = f"targets that differ by up to {shown_number(joined, 2)} {scale.fine} are taken as one, their mean; deviations are from each one's own"
         said = [*said, Finding("targets.joined", "info", text, {f"off_{scale.figure}": joined})]
     targets = table.target_mm
     position = np.concatenate([targets, targets[::-1]])

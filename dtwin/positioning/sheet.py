@@ -20,6 +20,7 @@ from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
 from dtwin.report.uncertainty import Contribution
 from dtwin.schema import Floats, Run
 from dtwin.statistics import shared_variances, times_simulated
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -137,11 +138,11 @@ def _other_formulas(test: LinearTest, title: str) -> list[str]:
     said = []
     if larger < 0.995 * told.repeatability_um:
         said.append(
-            f"R as the larger of R↑ and R↓ would be {larger:z.4g} {test.scale.fine}; the standard's has the reversal in it"
+            f"R as the larger of R↑ and R↓ would be {shown_number(larger, 4)} {test.scale.fine}; the standard's has the reversal in it"
         )
     if narrow < 0.995 * told.systematic_um:
         said.append(
-            f"E from the higher of both minima would be {narrow:z.4g} {test.scale.fine}; the standard takes the lowest of all means"
+            f"E from the higher of both minima would be {shown_number(narrow, 4)} {test.scale.fine}; the standard takes the lowest of all means"
         )
     return [f"{title}: {'; '.join(said)}."] if said else []
 

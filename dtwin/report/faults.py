@@ -21,7 +21,7 @@ from dtwin.physics.state import State, circular_state
 from dtwin.physics.twin import Twin
 from dtwin.report.text import decimals
 from dtwin.schema import Direction, Floats, Plane, RunMeta
-from dtwin.units import shown_unit
+from dtwin.units import shown_number, shown_unit
 
 _PICTURE_PX = 72
 
@@ -211,7 +211,7 @@ def with_k2(value: float, uncertainty: float, unit: str) -> str:
     """Return a value rounded to two digits of its uncertainty."""
     words = "" if unit == "1" else f" {shown_unit(unit)}"
     if not math.isfinite(uncertainty) or uncertainty <= 0:
-        return f"{value:z.3g}{words}"
+        return f"{shown_number(value)}{words}"
     digits = decimals(uncertainty)
     return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f}{words}"
 

@@ -31,7 +31,7 @@ def series_figure(series: Mapping[str, Any], events: Sequence[Mapping[str, Any]]
             mode="markers",
             name=series["name"],
             text=[f"{p['campaign']}{', alarm' if i in alarms else ''}" for i, p in enumerate(points)],
-            hovertemplate="%{text}<br>%{y:z.3g} " + unit + "<extra></extra>",
+            hovertemplate="%{text}<br>%{y:.3~r} " + unit + "<extra></extra>",
             marker={
                 "color": [COLOURS["second" if i in alarms else "measured"] for i in range(len(points))],
                 "symbol": ["diamond" if i in alarms else "circle" for i in range(len(points))],

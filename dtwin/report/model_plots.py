@@ -112,7 +112,7 @@ def _over_latency(
                 customdata=[c[told] for c in chosen] if told else None,
                 text=[c["name"] for c in chosen],
                 mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} µs, " + shown + "<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3~r} µs, " + shown + "<extra></extra>",
                 name=_PROMOTABLE if promotable else "comparison only",
                 marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )

@@ -11,7 +11,7 @@ from dtwin.report.text import decimals, micrometres, table
 from dtwin.report.uncertainty import REPEATABILITY, Budget, Contribution, combined
 from dtwin.schema import Run
 from dtwin.tolerances import Limits
-from dtwin.units import shown_unit
+from dtwin.units import shown_number, shown_unit
 
 _INSIDE, OUTSIDE, OPEN = "inside", "outside", "cannot say"
 
@@ -199,7 +199,7 @@ def judged(sheet: Sheet, limits: Mapping[str, Limits], asked: Sequence[str] = ()
         c = replace(c, limits=limits.get(c.symbol))
         if not c.dof > 0 or not sound:
             return replace(c, expanded_um=math.nan, budget=None)
-        basis = f"standard deviation {c.deviation_um:.3g} {shown_unit(sheet.unit)}, {c.dof:.3g} degrees of freedom"
+        basis = f"standard deviation {shown_number(c.deviation_um)} {shown_unit(sheet.unit)}, {shown_number(c.dof)} degrees of freedom"
         scatter = Contribution(REPEATABILITY, c.deviation_um / math.sqrt(c.repeats), basis, c.dof)
         budget = combined([scatter, *c.contributions])
         return replace(c, expanded_um=budget.expanded_um, budget=budget)

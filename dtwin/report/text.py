@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from dtwin.units import shown_number
+
 _NANOMETRES = 0.1
 VERDICTS = {
     "missing_effect": "An effect is missing",
@@ -36,7 +38,7 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         if not math.isfinite(value):
             return "-"
-        return f"{value:z.4g}" if abs(value) < 1e5 else f"{value:z.3e}"
+        return shown_number(value, 4) if abs(value) < 1e5 else f"{value:z.3e}"
     # A line end in what somebody wrote would make lines of the table that say something else.
     return " ".join(str(value).splitlines())
 
@@ -55,7 +57,7 @@ def micrometres(value: float | None) -> str:
     """Return micrometres for people: two decimals, below a tenth three digits that count."""
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:z.3g}"
+    return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else shown_number(value)
 
 
 def circle_figure(title: str, value: float | None) -> str:

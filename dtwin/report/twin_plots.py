@@ -112,7 +112,7 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         y, hover = (
             [round(float(v), 4) for v in curve],
-            "%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
+            "%{x:.4~r} " + _unit(grid) + "<br>%{y:.3~r} µm<extra>" + name + "</extra>",
         )
         draw_line(figure, grid.points, y, name, hover=hover, color=colour, width=1.6, dash=_dash_of(name))
     draw_floor_band(figure, floor_um)
@@ -183,7 +183,7 @@ def residual_map(
             zmax=limit,
             colorscale=[[0.0, "#D55E00"], [0.5, "#FFFFFF"], [1.0, "#0072B2"]],
             colorbar={"title": "µm"},
-            hovertemplate="%{y}<br>%{x:.4g} " + _unit(grid) + ": %{z:.3g} µm<extra></extra>",
+            hovertemplate="%{y}<br>%{x:.4~r} " + _unit(grid) + ": %{z:.3~r} µm<extra></extra>",
         )
     )
     figure.update_layout(

@@ -21,7 +21,7 @@ from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
-from dtwin.units import shown_unit
+from dtwin.units import shown_number, shown_unit
 
 if TYPE_CHECKING:
     from dtwin.twins.measured import Comparison
@@ -44,9 +44,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """Return a number for people; absent ones as a dash."""
     if value is None or not math.isfinite(value):
         return "-"
-    rounded = float(f"{value:.{digits}g}")
-    # 180, not 1.8e+02.
-    return f"{rounded:.6g}"
+    return shown_number(value, digits)
 
 
 def condition_words(condition: Mapping[str, Any]) -> str:

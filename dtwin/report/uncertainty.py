@@ -12,7 +12,7 @@ from typing import Any
 
 from dtwin.errors import InputError
 from dtwin.statistics import k2_factor
-from dtwin.units import shown_unit
+from dtwin.units import shown_number, shown_unit
 
 REPEATABILITY = "repeatability"
 _MANY_DOF = 1e6
@@ -201,9 +201,7 @@ class Circumstances:
             return []
         # Both readings lie anywhere in the range: a rectangular distribution each.
         standard = self.variation.range_um / math.sqrt(6.0 * repeats)
-        basis = (
-            f"{self.variation.range_um:.3g} µm within {self.variation.hours:g} h, drift test {self.variation.campaign}"
-        )
+        basis = f"{shown_number(self.variation.range_um)} µm within {self.variation.hours:g} h, drift test {self.variation.campaign}"
         return [Contribution("environment", standard, basis, within=REPEATABILITY)]
 
 

@@ -15,6 +15,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
+from dtwin.units import shown_number
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _stated(row: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def um_text(value_um: float) -> str:
     """Return micrometres for people: one decimal, two digits below one."""
-    return f"{value_um:.2g}" if 0.0 < value_um < 1.0 else f"{value_um:z.1f}"
+    return shown_number(value_um, 2) if 0.0 < value_um < 1.0 else f"{value_um:z.1f}"
 
 
 Condition = Mapping[str, str | float]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dtwin import __version__
 from dtwin.statistics import deviation_interval
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.kinds.circular.physics_fit import PhysicsFit
@@ -180,7 +181,7 @@ def worse_in_sample(candidates: Sequence[Candidate]) -> list[str]:
         return []
     return [
         f"{c.name} is worse than no correction on the rows that it was fitted to "
-        f"({c.train_rms_um:.3g} against {zero.train_rms_um:.3g} µm): it was not fitted soundly, and "
+        f"({shown_number(c.train_rms_um)} against {shown_number(zero.train_rms_um)} µm): it was not fitted soundly, and "
         "being better than it means nothing"
         for c in candidates
         if not c.train_rms_um <= _SAME * zero.train_rms_um

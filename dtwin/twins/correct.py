@@ -17,6 +17,7 @@ from dtwin.train.results import CONDITIONS_FILE, Candidate, TrainingReport
 from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.of_kind import AnyTwins
 from dtwin.twins.seen import chosen
+from dtwin.units import shown_number
 
 LITTLE = 0.01
 """Share of the error that may be left."""
@@ -83,7 +84,7 @@ class ByOthers:
         unknown = f"; they do not tell {', '.join(self.unknown)}" if self.unknown else ""
         return (
             f"by the other campaigns alone ({', '.join(self.campaigns)}; unit: the campaign): {campaign} "
-            f"{self.before_um:z.3g} -> {self.after_um:z.3g} µm RMS{unknown}"
+            f"{shown_number(self.before_um)} -> {shown_number(self.after_um)} µm RMS{unknown}"
         )
 
 

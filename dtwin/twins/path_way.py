@@ -24,6 +24,7 @@ from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.correct import NOT_NEEDED, ByOthers, Case, Grading, Judged
 from dtwin.twins.of_kind import AnyTwins
 from dtwin.twins.seen import Seen, seen_on
+from dtwin.units import shown_number
 
 BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
@@ -156,7 +157,7 @@ def _left(diagnosis: Diagnosis, whole: Twin, way: TwinWay) -> str:
     if diagnosis.verdict not in _STRUCTURE or not share < way.little:
         return ""
     return (
-        f"{diagnosis.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
+        f"{diagnosis.verdict}, but what repeats agree on is {shown_number(100 * share, 2)} % of the error (up to "
         f"{100 * way.little:g} % may be left): {diagnosis.headline}"
     )
 

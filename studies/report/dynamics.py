@@ -12,6 +12,7 @@ from dtwin.report.html import Section, Table, page
 from dtwin.report.plots import COLOURS, draw_line, error_figure, polar_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 Curves = Mapping[str, tuple[Floats, Floats, Floats]]
 _HEAD = ("run", "feed", "way", "CD before", "CD after", "DC1", "DC2", "DC3", "to reference", "accelerometer, mg")
@@ -92,7 +93,7 @@ def _bias_row(result: Mapping[str, Any]) -> list[object]:
 def _tuned(tuning: Mapping[str, Any]) -> str:
     said = (
         f"tuned {tuning['tuned']} by {tuning['fitness']}: fitness "
-        f"{tuning['unfiltered']['fitness']:.3g} without, {tuning['judged']['fitness']:.3g} with; "
+        f"{shown_number(tuning['unfiltered']['fitness'])} without, {shown_number(tuning['judged']['fitness'])} with; "
         f"{tuning['evaluations']} filters tried"
     )
     if tuning["inert"]:

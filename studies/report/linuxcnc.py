@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 _WAYS = ("none", "live", "table")
 
@@ -25,7 +26,8 @@ def _named(found: Mapping[str, Any]) -> str:
     ]
     lines += [f"  {d['verdict']}: {d['headline']}" for d in found["diagnoses"]]
     rows = [
-        (e["effect"], e["name"], f"{e['value']:.4g} ± {e['uncertainty']:.2g}", e["unit"]) for e in found["estimates"]
+        (e["effect"], e["name"], f"{shown_number(e['value'], 4)} ± {shown_number(e['uncertainty'], 2)}", e["unit"])
+        for e in found["estimates"]
     ]
     if found["objections"]:
         lines.append("  on trial only: " + "; ".join(found["objections"]))

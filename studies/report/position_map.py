@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 
 def position_map_text(found: Mapping[str, Any]) -> str:
@@ -14,7 +15,7 @@ def position_map_text(found: Mapping[str, Any]) -> str:
     ``found``: what ``position_map`` returned.
     """
     influence = [
-        (name, f"{low:.3g} to {high:.3g}", f"{100 * found['influence'][name]:.2g} %")
+        (name, f"{shown_number(low)} to {shown_number(high)}", f"{shown_number(100 * found['influence'][name], 2)} %")
         for name, (low, high) in found["ranges"].items()
     ]
     points = ", ".join(f"{p['error_um']:z.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"])
@@ -58,13 +59,13 @@ def _robot_lines(found: Mapping[str, Any]) -> list[str]:
         table(
             ("form", "quiet", "ordinary", "critical"),
             [
-                (form, *(f"{v:z.4g}" for v in values))
+                (form, *(shown_number(v, 4) for v in values))
                 for form, *values in zip(found["at"], quiet, ordinary, critical, strict=True)
             ],
         ),
         f"the program's form on {found['windows']} windows of {found['runs']} circles of the virtual "
         f"cobot (unit: the window of 0.5 s): 21.8 times the mean square along Y alone gives it with R² "
         f"{found['decided_r2']:z.4f}; it says {said}, the ball bar {measured}; R² against the bar "
-        f"{found['held_against_bar_r2']:z.3g}",
+        f"{shown_number(found['held_against_bar_r2'])}",
         "equation 6-3 (error along Y) is not evaluated: what its F4 is, is not printed",
     ]

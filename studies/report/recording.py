@@ -12,6 +12,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.plots import error_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 from studies.recording import Study
 
 _RUNG_HEAD = ("added", "at", "linear parameters", "fit µm", "other pass µm", "grade")
@@ -134,7 +135,7 @@ def _rungs(rungs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
 
 def _shape(shape: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in shape.items())
+    return ", ".join(f"{name} {shown_number(value, 4)}" for name, value in shape.items())
 
 
 def _alone(one: Mapping[str, Any]) -> str:

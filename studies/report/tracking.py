@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dtwin.report.text import table
+from dtwin.units import shown_number
 
 
 def tracking_text(found: Mapping[str, Any]) -> str:
@@ -88,7 +89,7 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
             f"displacement: {path['change_um']:+z.1f} ± {path['change_half_width_um']:z.1f} µm "
             f"(95 %, {path['runs']:z.0f} runs), correlation {path['correlation']:z.2f}.",
             "4. The threshold. It minimises the figure that is reported, on the same runs; "
-            f"here the swarm chose {found['threshold_g2']:.2g} g^2 at "
+            f"here the swarm chose {shown_number(found['threshold_g2'], 2)} g^2 at "
             f"F{found['tuned_at_feed_mm_min']:g}.",
             "not reproduced: the encoder's 40 to 49 µm. The virtual controller's own position stays "
             f"within {largest:z.1f} µm of its command on average; where the thesis's offset comes "

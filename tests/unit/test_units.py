@@ -3,7 +3,7 @@ import math
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.units import is_number, require_units, shown_unit
+from dtwin.units import is_number, require_units, shown_number, shown_unit
 
 
 @pytest.mark.parametrize("value", [0, -2.5, 1e300])
@@ -22,6 +22,24 @@ def test_truth_values_text_and_what_no_float_holds_are_none(value: object) -> No
 )
 def test_units_are_shown_with_their_signs(unit: str, shown: str) -> None:
     assert shown_unit(unit) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [
+        (183.4, 2, "180"),
+        (98_765.4, 3, "98800"),
+        (0.00123, 2, "0.0012"),
+        (-0.0, 3, "0"),
+        (-12.34, 3, "-12.3"),
+        (2.5e-7, 2, "2.5e-07"),
+        (float("nan"), 3, "nan"),
+    ],
+)
+def test_numbers_for_people_are_rounded_and_have_no_exponent(value: float, digits: int, shown: str) -> None:
+    assert shown_number(value, digits) == shown
+    if value > 0.0:
+        assert shown_number(value, digits, sign="+") == f"+{shown}"
 
 
 @pytest.mark.parametrize("name", ["temperature_x\n[gcode_macro P]\n_c", "a\u2028b_um", "a\x1b[2J_um", "\u202ea_um"])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Finding, Floats, Run
 from dtwin.statistics import usual_size
+from dtwin.units import shown_number
 
 _BESIDE = 5
 """Readings before and after that one is held against."""
@@ -90,7 +91,7 @@ def _of_another_unit(runs: Sequence[Run]) -> Iterator[Finding]:
         unit = next((unit for unit in _UNITS if abs(ratio / unit - 1.0) < _NEAR), 0.0)
         if unit and float(np.mean(curves[large] * curves[small])) > _ALIKE * size[large] * size[small]:
             said = (
-                f"{members[large][0]} and {members[small][0]} have one shape, and the first is {ratio:z.3g} times as large: about {unit:g}, as between "
+                f"{members[large][0]} and {members[small][0]} have one shape, and the first is {shown_number(ratio)} times as large: about {unit:g}, as between "
                 "units (mm, µm, inch); one of both was written in another unit than it is read in"
             )
             yield Finding("circular.scale", "warning", said, {"ratio_1": ratio})
@@ -190,7 +191,7 @@ def _spoilt_finding(spoilt: Sequence[_Spoilt]) -> Finding | None:
         return None
     one = len(spoilt) == 1
     told = "; ".join(
-        f"{s.run} at {s.angle_deg:z.1f}° (sample {s.row + 1}): {s.off_um:+z.3g} µm off the readings before and after it, which scatter by {s.usual_um:z.2g} µm"
+        f"{s.run} at {s.angle_deg:z.1f}° (sample {s.row + 1}): {shown_number(s.off_um, sign='+')} µm off the readings before and after it, which scatter by {shown_number(s.usual_um, 2)} µm"
         for s in spoilt[:_SHOWN]
     )
     runs = " ".join(dict.fromkeys(s.run for s in spoilt))
@@ -225,7 +226,7 @@ def _differing_finding(runs: Sequence[Run]) -> Finding | None:
     if differ_um < max(_MANY_TIMES * scatter_um, _LEAST_DIFFERENCE_UM):
         return None
     said = (
-        f"repeats of a condition differ by {differ_um:z.2g} µm RMS after centre and radius, readings within a run scatter by {scatter_um:z.2g} µm: the set-up or the "
+        f"repeats of a condition differ by {shown_number(differ_um, 2)} µm RMS after centre and radius, readings within a run scatter by {shown_number(scatter_um, 2)} µm: the set-up or the "
         "machine moves between runs (a bar that is not seated, a cooler that switches, heat), and faults smaller than that are not seen. Seat the bar anew, warm the "
         "machine up, note what switches, and repeat one condition five times in a row until repeats agree"
     )

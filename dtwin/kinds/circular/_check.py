@@ -13,6 +13,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.kinds.circular._across_runs import across_findings
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
+from dtwin.units import shown_number
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
 _SAME_RADIUS = 0.01
@@ -120,13 +121,13 @@ def _reading(run: Run) -> Iterator[Finding]:
     shift, spread = float(np.mean(deviation)), float(np.ptp(deviation))
     if spread > 0.0 and abs(shift) > _MANY_TIMES * spread:
         said = (
-            f"all deviations are off by {shift:+z.1f} µm, alike to within {spread:z.3g} µm: a datum, such as an instrument whose length is not "
+            f"all deviations are off by {shift:+z.1f} µm, alike to within {shown_number(spread)} µm: a datum, such as an instrument whose length is not "
             "calibrated, or a radius other than the one stated; G does not count it, Fmax, Fmin and D do"
         )
         yield Finding("reading.datum", "warning", said, {"shift_um": shift, "spread_um": spread})
     angle = run.samples["angle_deg"]
     if spread > 0.0 and np.ptp(angle) > _STRAIGHT_DEG and np.corrcoef(angle, deviation)[0, 1] ** 2 > _STRAIGHT:
-        said = f"deviations rise or fall evenly with the angle, by {spread:z.4g} µm: a column of angles or times, and no error of a circle"
+        said = f"deviations rise or fall evenly with the angle, by {shown_number(spread, 4)} µm: a column of angles or times, and no error of a circle"
         yield Finding("reading.ramp", "error", said, {"spread_um": spread})
     rate = run.meta.sample_rate_hz
     limit = max(8, int(_STUCK_S * rate)) if np.isfinite(rate) else 20
@@ -256,7 +257,7 @@ def _accelerometer(group: str, name: str, values: Floats) -> Iterator[Finding]:
         yield Finding(
             "signal.clipped",
             "warning",
-            f"{clipped} values of {group} {name} sit at its extreme {top:.3g} g",
+            f"{clipped} values of {group} {name} sit at its extreme {shown_number(top)} g",
             {"values_1": float(clipped), "extreme_g": top},
         )
         return

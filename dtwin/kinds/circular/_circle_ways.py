@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dtwin.acquire.foreign_columns import DEVIATION, PROBES, Column, in_english
 from dtwin.errors import InputError
 from dtwin.schema import Direction, Finding, Floats
+from dtwin.units import shown_number
 
 _CLOCK = r"(clock[- ]?wise|uhrzeiger(sinn|richtung)?|uzs\b|(sens[- ])?horaire|h?orario)"
 _AGAINST = r"(sens[- ])?(counter|anti|against|contra|contre|contro|entgegen|gegen|inverse?|not|non|nicht)([- ]*(dem|den|des|du|al|the|to|sens))*[- ]*"
@@ -179,5 +180,5 @@ def coarse(coordinates_mm: Sequence[Floats]) -> list[Finding]:
     )
     if not step_um:
         return []
-    said = f"the coordinates are written in steps of {step_um:z.3g} µm: what is smaller in the figures is of these steps; export more decimals"
+    said = f"the coordinates are written in steps of {shown_number(step_um)} µm: what is smaller in the figures is of these steps; export more decimals"
     return [Finding("circle_table.coarse", "warning", said, {"step_um": step_um})]

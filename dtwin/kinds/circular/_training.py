@@ -40,6 +40,7 @@ from dtwin.train.results import FRESH_RUN, Candidate, Scores, Training, Training
 from dtwin.train.rows import Rows, gather, noise_floor_um, thinned
 from dtwin.train.side_by_side import side_by_side
 from dtwin.train.symbolic import SUBSAMPLE, Engine, FittedFormula, OperonEngine, refit
+from dtwin.units import shown_number
 
 # Comparison models look at fewer rows than the physics library, to be ready in seconds.
 _COMPARED_EVERY = 6
@@ -254,7 +255,7 @@ def _findings(fit: PhysicsFit, design: Floats) -> list[str]:
     """Say which terms do nothing."""
     share = np.std(design, axis=0) * np.abs(fit.weights) / max(float(np.std(fit.rows.target_um)), 1e-12)
     return [
-        f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: nearly constant or never firing"
+        f"{fit.library.names[i]} contributes {shown_number(100 * s, 2)} % of the error's spread: nearly constant or never firing"
         for i, s in zip(fit.chosen, share, strict=True)
         if s < DEAD_SHARE
     ]

@@ -15,6 +15,7 @@ from dtwin.kinds.drift._standing import probe_standing
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Run
 from dtwin.statistics import f_tail
+from dtwin.units import shown_number
 
 _FEWEST = 100
 _JUMP_UM = 200.0
@@ -113,7 +114,7 @@ def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
         if unit and stepped & {name, *others}:
             why += ", or one of the logs was measured in other steps than are stated"
         said = (
-            f"{name} moves {ratio:z.3g} times as far as models of the same machine predict from its temperatures "
+            f"{name} moves {shown_number(ratio)} times as far as models of the same machine predict from its temperatures "
             f"({which}): {why}; it is left out of fits with the others"
         )
         findings.append(Finding("drift.scale", "warning", said, {"ratio_1": ratio}))
@@ -232,7 +233,7 @@ def _late(term: Term, k2_s: float) -> str:
     if not term.tau_s or not half > 0.0:
         return term.label
     digits = decimals(half)
-    label = term.label.removesuffix(f"{term.tau_s / 60.0:.3g} min")
+    label = term.label.removesuffix(f"{shown_number(term.tau_s / 60.0)} min")
     return f"{label}{term.tau_s / 60.0:z.{digits}f} ± {half:z.{digits}f} min"
 
 

@@ -22,6 +22,7 @@ from dtwin.statistics import rms
 from dtwin.train.twin_terms import TermChoice, TwinBundle
 from dtwin.twins.correct import LITTLE, NAME, NOT_NEEDED, Case, Grading, Judged
 from dtwin.twins.of_kind import AnyTwins
+from dtwin.units import shown_number
 
 _HOW = "offset of {axis} by its temperature, zero where the log began"
 
@@ -105,7 +106,7 @@ def _left(said: DriftDiagnosis) -> str:
     share = beyond_um / said.figures["rms_before_um"]
     if said.verdict in ("nothing_missing", "need_repeats") or not share < LITTLE:
         return ""
-    return f"{said.verdict}, but it is {100 * share:.2g} % of what moved (up to {100 * LITTLE:g} % may be left): {said.headline}"
+    return f"{said.verdict}, but it is {shown_number(100 * share, 2)} % of what moved (up to {100 * LITTLE:g} % may be left): {said.headline}"
 
 
 def _objections(
@@ -114,7 +115,7 @@ def _objections(
     out = [] if said.verdict == "nothing_missing" or left else [f"{said.verdict}: {said.headline}"]
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     out += [
-        f"{one['condition']}, which was not fitted, gets worse: {one['rms_before_um']:z.3g} -> {one['rms_predicted_um']:z.3g} µm RMS"
+        f"{one['condition']}, which was not fitted, gets worse: {shown_number(one['rms_before_um'])} -> {shown_number(one['rms_predicted_um'])} µm RMS"
         for one in others
         if one["rms_predicted_um"] > one["rms_before_um"]
     ]

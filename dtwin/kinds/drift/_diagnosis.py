@@ -14,6 +14,7 @@ from dtwin.features.time_alone import ALPHA, MATERIAL, TIME_ALONE, share_taken
 from dtwin.kinds.drift._model import Series, Term, fitted, held_out, held_out_um, left_with_time
 from dtwin.kinds.drift._search import Addition, additions, best_lag, idle
 from dtwin.statistics import gain_tail, rms
+from dtwin.units import shown_number
 
 KIND = "drift"
 REPLICATION = "stretch of time"
@@ -146,7 +147,7 @@ def beside_noise(series: Series, left_um: float) -> tuple[Verdict, str]:
 
 
 def _words(one: Addition) -> str:
-    late = f", {one.added.tau_s / 60.0:.3g} min" if one.added.tau_s else ""
+    late = f", {shown_number(one.added.tau_s / 60.0)} min" if one.added.tau_s else ""
     return f"{one.said}{late} ({written(one.added)})"
 
 

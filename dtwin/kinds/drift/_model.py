@@ -17,6 +17,7 @@ from dtwin.features import time_alone
 from dtwin.features.time_alone import ALPHA, MATERIAL, share_taken
 from dtwin.schema import Floats, Run
 from dtwin.statistics import gain_tail, t_quantile, usual_size
+from dtwin.units import shown_number
 
 _BLOCKS = 24
 _DIGITS = 4
@@ -43,7 +44,7 @@ class Term:
         """As people read it."""
         late = {"lag": " late by ", "lag2": " late twice by "}.get(self.kind)
         if late is not None:
-            return f"{self.name}{late}{self.tau_s / 60.0:.3g} min"
+            return f"{self.name}{late}{shown_number(self.tau_s / 60.0)} min"
         return f"{self.name} squared" if self.kind == "curve" else self.name
 
     @property

@@ -10,6 +10,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.machine_twin import candidate_table, missing_section
 from dtwin.report.machine_twin import history_section as history_section
 from dtwin.report.text import decimals, micrometres, table, words_of
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -42,7 +43,7 @@ def _minutes(late_s: float | None, half_s: float | None) -> str:
     if not late_s:
         return ""
     if not half_s:
-        return f"{late_s / 60.0:.3g} min"
+        return f"{shown_number(late_s / 60.0)} min"
     digits = decimals(half_s / 60.0)
     return f"{late_s / 60.0:z.{digits}f} ± {half_s / 60.0:z.{digits}f} min"
 

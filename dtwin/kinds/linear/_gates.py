@@ -12,7 +12,7 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 _SEAM_UM = 0.25
 # What a correction may change while the axis moves by less than this.
@@ -167,7 +167,7 @@ def _outside(served: _PathAnswers, reach_mm: tuple[float, float]) -> Verdict:
     return Verdict(
         "ends held outside of the mapped travel",
         passed,
-        f"{off[worst]:z.1f} µm away from the end's value at {worst:.4g} mm; at most {_OUTSIDE_UM:g} µm",
+        f"{off[worst]:z.1f} µm away from the end's value at {shown_number(worst, 4)} mm; at most {_OUTSIDE_UM:g} µm",
     )
 
 

@@ -13,6 +13,7 @@ from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
 from dtwin.positioning.still import still
 from dtwin.schema import Floats, Run, RunMeta
+from dtwin.units import shown_number
 
 Way = Literal["forward", "reverse"]
 WAYS: tuple[Way, Way] = ("forward", "reverse")
@@ -165,7 +166,7 @@ def _grid(points: Floats) -> Grid:
     def wave(harmonic: int) -> str:
         if not harmonic:
             return "the same all along the axis"
-        return f"a wave of {len(points) * step_mm / harmonic:.4g} mm along the axis"
+        return f"a wave of {shown_number(len(points) * step_mm / harmonic, 4)} mm along the axis"
 
     return Grid(
         kind="linear",

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from dtwin.kinds.kind import Kind
+from dtwin.units import shown_number
 
 if TYPE_CHECKING:
     from dtwin.schema import Finding, Floats, Run
@@ -46,7 +47,7 @@ def _sizes(run: Run) -> list[Finding]:
         if most > _MOST_UM or (0.0 < most < _LEAST_UM and (not few or largest < _LEAST_UM))
     }
     if other:
-        told = " and ".join(f"{most:.3g} µm of {name}" for name, most in other.items())
+        told = " and ".join(f"{shown_number(most)} µm of {name}" for name, most in other.items())
         text = (
             f"the largest error is {told}: is it another unit? A robot places within {_LEAST_UM:g} to {_MOST_UM:g} µm"
         )
@@ -70,7 +71,7 @@ def _far(run: Run, errors: Mapping[str, Floats]) -> Iterator[Finding]:
         usual = float(np.median(off)) if off.size else 0.0
         far = kept[off > _TIMES_USUAL * usual] if usual > 0.0 else kept[:0]
         if far.size:
-            text = f"{name} of row {', '.join(str(n + 1) for n in far[:5])} lies up to {off.max():.4g} µm off the others, half of which lie within {usual:.3g}: a part that slipped, or a reading of another one"
+            text = f"{name} of row {', '.join(str(n + 1) for n in far[:5])} lies up to {shown_number(off.max(), 4)} µm off the others, half of which lie within {shown_number(usual)}: a part that slipped, or a reading of another one"
             yield Finding("placement.far", "warning", text, {"off_um": float(off.max())})
 
 

@@ -15,6 +15,7 @@ from dtwin.kinds.poses._orientation import QUATERNION
 from dtwin.kinds.poses._series import Series, series_of, series_of_targets
 from dtwin.schema import Finding, Floats, Run
 from dtwin.statistics import usual_size
+from dtwin.units import shown_number
 
 _FEWEST = 20
 _FAR_MM = 50.0
@@ -63,13 +64,13 @@ def judge_poses(run: Run) -> list[Finding]:
     commanded_mm = float(np.ptp(axes(run, "target"), axis=0).max()) if "target_x_mm" in run.samples else 0.0
     aside: list[Finding] = []
     if 0.0 < commanded_mm < _SMALL_MM:
-        said = f"the poses span {commanded_mm:z.3g} mm, less than a robot is judged by: metres under a name of millimetres?"
+        said = f"the poses span {shown_number(commanded_mm)} mm, less than a robot is judged by: metres under a name of millimetres?"
         if typical < _EXACT_MM:
-            said += f" Errors of {1e3 * typical:z.2g} µm are less than a robot's, too"
+            said += f" Errors of {shown_number(1e3 * typical, 2)} µm are less than a robot's, too"
             return [Finding("poses.units", "error", said, {"span_mm": commanded_mm})]
         aside.append(Finding("poses.units", "warning", said, {"span_mm": commanded_mm}))
     if typical > _MUCH_MM and not joints_of(run).size and "target_qx_1" not in run.samples:
-        said = f"{typical:z.3g} mm are left by the frame alone, much for a robot; {_NO_ORIENTATION}"
+        said = f"{shown_number(typical)} mm are left by the frame alone, much for a robot; {_NO_ORIENTATION}"
         aside.append(Finding("poses.reflector", "warning", said, {"median_mm": typical}))
     return [*_spoilt(run, series), *_commanded(run, series), *aside, *_repeats(series)]
 
@@ -82,7 +83,7 @@ def _why(run: Run) -> str:
     if not joints.size:
         target = axes(run, "target")
         if not _ALIKE < (ratio := float(np.ptp(target, axis=0).max() / np.ptp(measured, axis=0).max())) < 1.0 / _ALIKE:
-            return f"; targets span {ratio:.3g} times what the points do: are they in another unit?"
+            return f"; targets span {shown_number(ratio)} times what the points do: are they in another unit?"
         mirrored = series_of_targets(target, np.tile(np.eye(3), (len(target), 1, 1)), measured * _MIRROR).error_mm
         if np.median(np.linalg.norm(mirrored, axis=1)) < _FAR_MM:
             return f"; {_LEFT_HANDED}"
@@ -157,7 +158,7 @@ def _commanded(run: Run, series: Series) -> Iterator[Finding]:
         )
         # One pose spans nothing.
         if ratio > 0.0 and not _ALIKE < ratio < 1.0 / _ALIKE:
-            said = f"targets span {ratio:.3g} times what the points do: metres under a name of millimetres?"
+            said = f"targets span {shown_number(ratio)} times what the points do: metres under a name of millimetres?"
             yield Finding("poses.units", "warning", said, {"ratio_1": ratio})
 
 

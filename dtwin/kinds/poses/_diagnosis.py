@@ -18,6 +18,7 @@ from dtwin.kinds.poses._effects import EFFECTS, Term, carrying, family_label
 from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail, gain_tail, holm, rms, usual_size
+from dtwin.units import shown_number
 
 KIND = "poses"
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
@@ -323,7 +324,7 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
             what += f"; more is left than repeats scatter by: {wrist}, and may look like that of J{elbow}"
         return ("ambiguous" if group[0].confounded else "missing_effect"), what, p
     if p < _SURELY:
-        said = f"{left:z.0f} µm are left, {left / floor:z.2g} times the scatter of repeats: repeatable, and no effect here surely explains it"
+        said = f"{left:z.0f} µm are left, {shown_number(left / floor, 2)} times the scatter of repeats: repeatable, and no effect here surely explains it"
         said += f"; {wrist}" if wrist else ""
         return "unknown_effect", said, p
     return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p

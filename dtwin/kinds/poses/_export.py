@@ -22,6 +22,7 @@ from dtwin.lake.store import Lake
 from dtwin.lifecycle.export import Export
 from dtwin.schema import Floats
 from dtwin.serve.export import identifier
+from dtwin.units import shown_number
 
 _NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a robot's control."
 _CYCLIC = {"joint_cyclic_1": 1, "joint_cyclic_2": 2, "joint_cyclic_3": 3}
@@ -75,7 +76,7 @@ def _confirmed(home: Home, twin: PoseTwin) -> list[str]:
     """Return what poses that were held out say of a twin, by its newest diagnosis where that is of this version."""
     figures = twin.figures
     told = [
-        f"poses held out: mean error {figures['mean_before_mm']:z.3g} -> {figures['held_out_mean_mm']:z.3g} mm"
+        f"poses held out: mean error {shown_number(figures['mean_before_mm'])} -> {shown_number(figures['held_out_mean_mm'])} mm"
         " (unit of replication: the block of neighbouring poses)"
     ]
     kept = PoseTwins(home).kept_diagnosis(twin.name, twin.version)
@@ -87,7 +88,7 @@ def _confirmed(home: Home, twin: PoseTwin) -> list[str]:
     if said is None:
         return [*told, f"not confirmed: dtwin twin diagnose {twin.name} has not been asked of this version"]
     if nested := said.get("nested_mean_mm"):
-        told.append(f"poses held out of the choice of effects, too: {nested:z.3g} mm")
+        told.append(f"poses held out of the choice of effects, too: {shown_number(nested)} mm")
     doubts = [] if said["verdict"] == "nothing_missing" else [f"{said['verdict']}: {said['headline']}"]
     doubts += [f"pays nothing beside the others: {', '.join(said['idle'])}"] if said["idle"] else []
     return [*told, *(f"not confirmed: {doubt}" for doubt in doubts)]

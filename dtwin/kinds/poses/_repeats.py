@@ -16,7 +16,7 @@ from dtwin.acquire.foreign_columns import below_heads, columns_of
 from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.schema import Floats
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 _MOST_TITLES = 12
 COUNTS = re.compile(
@@ -63,7 +63,7 @@ def no_commanded(path: Path, places: Mapping[str, Floats]) -> InputError:
     for name, points in places.items():
         off = np.linalg.norm(points - points.mean(axis=0), axis=1)
         rp = float(off.mean() + 3.0 * off.std(ddof=1))
-        told.append((rp, f"RP {rp:z.3g} mm of {len(points)} readings" + f" of {name}" * bool(name)))
+        told.append((rp, f"RP {shown_number(rp)} mm of {len(points)} readings" + f" of {name}" * bool(name)))
     worst = [text for _, text in sorted(told, reverse=True)[:_SHOWN]]
     return InputError(
         "the table tells where poses were measured, not where they were commanded: how they repeat, and no accuracy",

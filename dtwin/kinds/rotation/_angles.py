@@ -10,6 +10,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.rotation._files import Channel
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import rms, usual_size
+from dtwin.units import shown_number
 
 _TURN = 360.0
 _FEWEST_PULSES = 2
@@ -39,7 +40,7 @@ def unwrapped(t_s: Floats, angle_deg: Floats, where: str) -> Floats:
             "the angle wraps, and not at a turn: it is in another unit than its head says",
             code="rotation.unit",
             where=where,
-            got=f"{angle_deg.min():.4g}° to {angle_deg.max():.4g}°",
+            got=f"{shown_number(angle_deg.min(), 4)}° to {shown_number(angle_deg.max(), 4)}°",
             allowed='a head that says its unit: "angle [deg]", "[rad]", "[rev]", "[gon]"; counts of an encoder are turned into one of these before',
         )
     turned = np.unwrap(angle_deg, period=_TURN)

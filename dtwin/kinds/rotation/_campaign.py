@@ -16,6 +16,7 @@ from dtwin.kinds.rotation._runout import run_outs, runout_sentences
 from dtwin.kinds.rotation._speeds import OverSpeed, Point, next_speed, over_speed, points_of
 from dtwin.report.text import decimals, table
 from dtwin.schema import Finding, Floats, Run
+from dtwin.units import shown_number
 
 _LARGE = 4.0
 _MATTERS = 0.05
@@ -49,7 +50,7 @@ def _judge(found: OverSpeed) -> Iterator[Finding]:
         d = found.delay
         way = "behind" if d.ms > 0 else "ahead of"
         said = (
-            f"{found.probe}: the form of the surface turns with the speed: the angle is {abs(d.ms):z.3g} ± {d.k2_ms:z.1g} ms {way} the probe "
+            f"{found.probe}: the form of the surface turns with the speed: the angle is {shown_number(abs(d.ms))} ± {shown_number(d.k2_ms, 1)} ms {way} the probe "
             f"(up to {d.largest_deg:z.1f}°), a delay of the recording; it is taken out before speeds are compared"
         )
         yield Finding("rotation.delay", "warning", said, {"delay_ms": d.ms, "k2_ms": d.k2_ms})
@@ -61,8 +62,8 @@ def _judge(found: OverSpeed) -> Iterator[Finding]:
         yield Finding("rotation.odd_wave", "info", said, {"per_turn_1": float(found.odd_wave)})
     if (w := found.wave) is not None:
         said = (
-            f"{found.probe}: what comes {w.times} times per turn is {w.least_um:z.3g} µm at {w.least_rpm:z.4g} rpm and {w.most_um:z.3g} µm at "
-            f"{w.most_rpm:z.4g} rpm: no form of the target changes so; forces of that order (poles of a motor, rolling elements, teeth) on a structure "
+            f"{found.probe}: what comes {w.times} times per turn is {shown_number(w.least_um)} µm at {shown_number(w.least_rpm, 4)} rpm and {shown_number(w.most_um)} µm at "
+            f"{shown_number(w.most_rpm, 4)} rpm: no form of the target changes so; forces of that order (poles of a motor, rolling elements, teeth) on a structure "
             "do, and a probe that is too slow"
         )
         numbers = {"per_turn_1": float(w.times), "least_um": w.least_um, "most_um": w.most_um}
@@ -102,7 +103,7 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
     unsure = 0.0 if found.delay is None else math.radians(found.delay.k2_ms * 6e-3 * float(_speeds(found).max()))
     if law is not None and law.change < max(_LINEAR, unsure) * size:
         law = replace(law, name=CONSTANT)
-    changed = f"what comes once per turn changes by {found.spread_um:z.3g} µm between speeds"
+    changed = f"what comes once per turn changes by {shown_number(found.spread_um)} µm between speeds"
     if law is None:
         return _few(found, changed, found.spread_um) if found.spread_um > _LARGE * found.noise_um else []
     # Without a form a delay is not known, and turns the vector, too.
@@ -122,11 +123,11 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             least = (
                 f"; it does not grow quite so: a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too"
             )
-        said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with the square of the speed: unbalance{where}{least}.{delay}"
+        said = f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm with the square of the speed: unbalance{where}{least}.{delay}"
         return [Finding("rotation.unbalance", "warning", said, {"change_um": law.change, "p_value": law.p_value})]
     if law.name == RESONANCE:
         said = (
-            f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm as that of an unbalanced rotor with a critical speed near {law.critical_rpm:z.3g} "
+            f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm as that of an unbalanced rotor with a critical speed near {shown_number(law.critical_rpm)} "
             f"rpm does: unbalance and a resonance.{delay}"
         )
         return [
@@ -137,10 +138,10 @@ def _judge_once(found: OverSpeed) -> list[Finding]:
             near = f"; a resonance looks so, measure {next_speed(_speeds(found)):z.6g} rpm too" if law.bent else ""
             said = f"{found.probe}: {changed}, more than turns of one run differ by, and in no way that predicts a speed held out: set-ups, few repeats{near}"
             return [Finding("rotation.once_unknown", "info", said, {"spread_um": found.spread_um})]
-        said = f"{found.probe}: what comes once per turn is the same at all speeds within {found.spread_um:z.2g} µm: {_mounting(found.sense)}, no unbalance"
+        said = f"{found.probe}: what comes once per turn is the same at all speeds within {shown_number(found.spread_um, 2)} µm: {_mounting(found.sense)}, no unbalance"
         return [Finding("rotation.once_constant", "info", said, {"spread_um": found.spread_um})]
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: what comes once per turn moves by {law.change:z.3g} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(found, law)} too'}.{delay}"
+    said = f"{found.probe}: what comes once per turn moves by {shown_number(law.change)} µm with {words}; {_open(law)}{'' if law.name else f' measure {_asked(found, law)} too'}.{delay}"
     return [
         Finding(
             "rotation.once_ambiguous" if not law.name else "rotation.once_moves",
@@ -182,9 +183,9 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
         if not spread > _matters(noise, size):
             return []
         if law is None:
-            return _few(found, f"the mean reading changes by {spread:z.3g} µm", spread)
+            return _few(found, f"the mean reading changes by {shown_number(spread)} µm", spread)
         said = (
-            f"{found.probe}: the mean reading changes by {spread:z.3g} µm between runs, by none of speed, its square and time alone: heat that lags behind "
+            f"{found.probe}: the mean reading changes by {shown_number(spread)} µm between runs, by none of speed, its square and time alone: heat that lags behind "
             "the speed looks so, and a probe that was moved; a log of temperatures (kind drift) tells"
         )
         return [Finding("rotation.mean_unknown", "info", said, {"spread_um": spread})]
@@ -200,7 +201,7 @@ def _judge_mean(found: OverSpeed) -> list[Finding]:
         ("rotation.mean_ambiguous", f"these cannot be told apart with these speeds; measure {_asked(found, law)} too"),
     )
     words = " or ".join(_WORDS[name] for name in law.rivals)
-    said = f"{found.probe}: the mean reading moves by {law.change:z.3g} µm with {words}: {cause}"
+    said = f"{found.probe}: the mean reading moves by {shown_number(law.change)} µm with {words}: {cause}"
     return [Finding(code, "warning", said, {"change_um": law.change, "p_value": law.p_value})]
 
 
@@ -223,18 +224,18 @@ def _judge_orders(found: OverSpeed) -> Iterator[Finding]:
             # The slowest run resolves it best.
             slow = by_hertz[0]
             hertz = min((o.order * slow.speed_rpm / 60.0 for o in slow.orders), key=lambda at: abs(at - hertz))
-            often = {f"{p.speed_rpm:z.4g}": (60.0 * hertz / p.speed_rpm, p.turns.n) for p in speeds}
+            often = {shown_number(p.speed_rpm, 4): (60.0 * hertz / p.speed_rpm, p.turns.n) for p in speeds}
             whole = [rpm for rpm, (times, n) in often.items() if times > 0.5 and abs(times - round(times)) * n < 1.0]
             counted = (
                 f"; at {', '.join(whole)} rpm it comes a whole number of times a turn, and counts as synchronous"
                 if whole
                 else ""
             )
-            said = f"{found.probe}: {hertz:z.4g} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
+            said = f"{found.probe}: {shown_number(hertz, 4)} Hz at {len(by_hertz) + 1} speeds: a frequency of its own, so that no bearing makes it: mains, a pump, a structure{counted}"
             yield Finding("rotation.frequency", "info", said, {"frequency_hz": hertz})
         elif by_order and len(by_order) > len(by_hertz):
             orders_told.append(line)
-            said = f"{found.probe}: order {line.order:z.3g} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
+            said = f"{found.probe}: order {shown_number(line.order)} at {len(by_order) + 1} speeds: it follows the axis at no whole number: rolling elements, a cage, a belt"
             yield Finding("rotation.order", "info", said, {"order_1": line.order, "amplitude_um": line.amplitude_um})
 
 
@@ -339,8 +340,8 @@ def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]])
             continue
         senses.add(f["sense"])
         at = "-" if f["once_deg"] is None else f"{f['once_deg']:z.0f}"
-        floor = "-" if f["floor_um"] is None else f"{f['floor_um']:z.3g}"
-        drift = f"{f['drift_um']:z.3g}"
+        floor = "-" if f["floor_um"] is None else shown_number(f["floor_um"])
+        drift = shown_number(f["drift_um"])
         rows.append(
             [run["run"], f"{f['speed_rpm']:z.5g}", str(f["turns"]), at, floor, _shown(f["asynchronous_rms_um"]), drift]
         )
@@ -362,7 +363,9 @@ def rotation_lines(result: Mapping[str, Any], runs: Sequence[Mapping[str, Any]])
         )
     for told in result["run_out"]:
         repeats = (
-            "nothing was repeated" if told["repeat_um"] is None else f"repeats scatter by {told['repeat_um']:z.2g} µm"
+            "nothing was repeated"
+            if told["repeat_um"] is None
+            else f"repeats scatter by {shown_number(told['repeat_um'], 2)} µm"
         )
         lines.append(f"{told['run']}: {len(told['speeds'])} speeds, {repeats}")
     return [*lines, *_noticed(runs)]
@@ -386,6 +389,6 @@ def _shown(value: Mapping[str, Any]) -> str:
     if value["value"] is None:
         return "-"
     if value["expanded"] is None:
-        return f"{value['value']:z.3g}"
+        return shown_number(value["value"])
     digits = decimals(value["expanded"])
     return f"{value['value']:z.{digits}f} ± {value['expanded']:z.{digits}f}"

@@ -15,6 +15,7 @@ from dtwin.kinds.rotation._runout import spoilt
 from dtwin.kinds.rotation._turns import Turns, one_way, turns_of
 from dtwin.schema import Finding, Floats, Run
 from dtwin.statistics import usual_size
+from dtwin.units import shown_number
 
 _FEW_TURNS = 5
 _STEADY = 0.05
@@ -75,8 +76,8 @@ def judge_rotation(run: Run) -> list[Finding]:
     elif run.meta.condition.get("angle") == "speed" and (order := order_of_a_turn(lines, turns)) != 1.0:
         rpm = order * 60.0 * turned / float(np.ptp(run.samples["t_s"][stretch]))
         said = (
-            f"nearly all that is read comes at order {order:z.3g} and its multiples, and next to nothing with the turn: the speed is "
-            f"{rpm:z.4g} rpm, most likely, not the stated one, and no figure but TIR is right; state the true speed, or log the angle"
+            f"nearly all that is read comes at order {shown_number(order)} and its multiples, and next to nothing with the turn: the speed is "
+            f"{shown_number(rpm, 4)} rpm, most likely, not the stated one, and no figure but TIR is right; state the true speed, or log the angle"
         )
         findings.append(Finding("rotation.other_speed", "error", said, {"order_1": order, "speed_rpm": rpm}))
     elif lines:
@@ -91,7 +92,7 @@ def _judge_table(run: Run) -> Iterator[Finding]:
     if float(runout.max()) > _LARGE_UM:
         yield _size(float(runout.max()), "the run-out is")
     for n in np.flatnonzero(spoilt(run)):
-        said = f"{runout[n]:z.3g} µm at {speed[n]:g} rpm stands far off the other run-outs of that speed: dirt, a chip or a mistake; it is left out"
+        said = f"{shown_number(runout[n])} µm at {speed[n]:g} rpm stands far off the other run-outs of that speed: dirt, a chip or a mistake; it is left out"
         yield Finding("rotation.spoilt", "warning", said, {"speed_rpm": float(speed[n]), "runout_um": float(runout[n])})
     if len(np.unique(speed)) == len(speed):
         said = (
@@ -105,7 +106,7 @@ def _judge_table(run: Run) -> Iterator[Finding]:
 
 def _size(um: float, what: str) -> Finding:
     unit = "a wrong unit" if um > _LARGE_UM else "millimetres under a head of micrometres, or a probe that sees nothing"
-    shown = f"{um / 1000.0:.3g} mm" if um > _LARGE_UM else f"{um:.2g} µm"
+    shown = f"{shown_number(um / 1000.0)} mm" if um > _LARGE_UM else f"{shown_number(um, 2)} µm"
     return Finding("rotation.size", "error", f"{what} {shown}: {unit}?", {"range_um": um})
 
 
@@ -156,7 +157,7 @@ def _spikes(turns: Turns) -> Iterator[Finding]:
         return
     k, j = np.unravel_index(int(np.argmax(np.abs(np.where(alone, off, 0.0)))), off.shape)
     said = (
-        f"readings stand out in one turn alone, by up to {abs(off[k, j]):z.3g} µm (turn {k + 1}, {turns.angle_deg[j]:z.0f}°): dirt, a chip, or a "
+        f"readings stand out in one turn alone, by up to {shown_number(abs(off[k, j]))} µm (turn {k + 1}, {turns.angle_deg[j]:z.0f}°): dirt, a chip, or a "
         "disturbed signal; asynchronous error motion counts them"
     )
     yield Finding(
@@ -179,7 +180,7 @@ def _features(turns: Turns) -> list[Finding]:
 def _feature(feature: Feature) -> Finding:
     what = "dip" if feature.height_um < 0 else "bump"
     said = (
-        f"a {what} of {abs(feature.height_um):z.3g} µm, {feature.width_deg:z.0f}° wide, at {feature.angle_deg:z.0f}° in every turn: a groove, a hole or a "
+        f"a {what} of {shown_number(abs(feature.height_um))} µm, {feature.width_deg:z.0f}° wide, at {feature.angle_deg:z.0f}° in every turn: a groove, a hole or a "
         "seam of the surface, no error motion; TIR has it, the other figures do not"
     )
     numbers = {"angle_deg": feature.angle_deg, "height_um": feature.height_um, "width_deg": feature.width_deg}

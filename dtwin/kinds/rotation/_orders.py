@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dtwin.kinds.rotation._turns import Turns
 from dtwin.schema import Floats
+from dtwin.units import shown_number
 
 _FEWEST_TURNS = 8
 _FALSE = 1e-3
@@ -141,6 +142,8 @@ def said_orders(lines: Sequence[Order]) -> str:
     ):
         own = [line for line in lines if (line.order < _SLOW) == slow]
         if own:
-            named = ", ".join(f"order {o.order:z.2f} ± {o.resolution / 2:z.2f} ({o.amplitude_um:z.3g} µm)" for o in own)
+            named = ", ".join(
+                f"order {o.order:z.2f} ± {o.resolution / 2:z.2f} ({shown_number(o.amplitude_um)} µm)" for o in own
+            )
             told.append(f"{named}: {cause}")
     return "; ".join(told)

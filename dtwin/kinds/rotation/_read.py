@@ -24,7 +24,7 @@ from dtwin.kinds.rotation._at_rest import is_at_rest
 from dtwin.kinds.rotation._files import SUFFIXES, Channel, Reading, read_file
 from dtwin.kinds.rotation._heads import ANGLE, AT_REST, OVER_SPEED, PULSE, SPEED, direction_of
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
-from dtwin.units import is_number
+from dtwin.units import is_number, shown_number
 
 _TOLD_OFF = 0.05
 _UM_PER_MM = 1e3
@@ -81,7 +81,7 @@ def _at_each_speed(reading: Reading, path: Path) -> dict[str, Reading]:
             "the speed changes from row to row, and there is no time",
             code="rotation.speed",
             where=str(path),
-            got=f"{rpm.min():z.4g} to {rpm.max():z.4g} rpm",
+            got=f"{shown_number(rpm.min(), 4)} to {shown_number(rpm.max(), 4)} rpm",
             allowed=f"one speed, or several of {_FEWEST_ROWS} rows each",
             hint="a column of time, such as t_s",
         )
@@ -208,12 +208,12 @@ def _turning(reading: Reading, told: object, path: Path) -> list[Run]:
         far = _far(a, x)
         if far.any():
             off = float(np.abs(x[far] - np.median(x)).max())
-            text = f"{int(far.sum())} reading{'s lie' if far.sum() > 1 else ' lies'} up to {off:z.3g} µm off the others, in few turns: a code for no reading, or a fault of the signal; they are left out"
+            text = f"{int(far.sum())} reading{'s lie' if far.sum() > 1 else ' lies'} up to {shown_number(off)} µm off the others, in few turns: a code for no reading, or a fault of the signal; they are left out"
             said.append(Finding("rotation.far", "warning", text, {"readings_1": float(far.sum()), "largest_um": off}))
             t, x, a = t[~far], x[~far], a[~far]
         rpm = abs(a[-1] - a[0]) / 6.0 / max(float(t[-1] - t[0]), 1e-12)
         if told is not None and abs(rpm - float(told)) > _TOLD_OFF * float(told):
-            text = f"{told:g} rpm are stated, the axis turned at {rpm:z.4g} rpm"
+            text = f"{told:g} rpm are stated, the axis turned at {shown_number(rpm, 4)} rpm"
             said.append(Finding("rotation.speed_told", "warning", text, {"told_rpm": float(told), "read_rpm": rpm}))
         condition: dict[str, Any] = {"probe": name, "sense": direction_of(name), "angle": origin}
         condition |= {SPEED: float(f"{rpm:.5g}")} if told is None else {}

@@ -13,6 +13,7 @@ from dtwin.kinds.rotation._heads import OVER_SPEED, figure_of
 from dtwin.kinds.rotation._laws import CONSTANT, FEWEST_SPEEDS, Law, groups_of, law_of
 from dtwin.schema import Floats, Run
 from dtwin.statistics import f_tail
+from dtwin.units import shown_number
 
 _CHANCE = 0.01
 _FAR = 12.0
@@ -198,19 +199,19 @@ def runout_sentences(told: _RunOut) -> list[tuple[str, str, str]]:
     out = []
     time = "the time (warming, or wear)" if told.clock else "the order of the rows (warming, or wear)"
     if told.time_um > 0.0:
-        said = f"{told.probe}: at one speed {figure} changes by {told.time_um:z.3g} µm with {time}"
+        said = f"{told.probe}: at one speed {figure} changes by {shown_number(told.time_um)} µm with {time}"
         out.append(("rotation.runout_time", "warning", said))
     if len(told.groups) < 2:
         return out
     if not told.dof and not changes and told.smooth_p < _CHANCE:
         looks = "; a resonance looks so: measure between its neighbours" if inside else ""
         said = (
-            f"{told.probe}: {figure} differs by {moved:z.3g} µm between speeds, and neighbouring speeds are alike, as chance hardly leaves them; it is "
-            f"largest at {largest.speed_rpm:g} rpm ({max(means):z.3g} µm){looks}; measure every speed again"
+            f"{told.probe}: {figure} differs by {shown_number(moved)} µm between speeds, and neighbouring speeds are alike, as chance hardly leaves them; it is "
+            f"largest at {largest.speed_rpm:g} rpm ({shown_number(max(means))} µm){looks}; measure every speed again"
         )
         return [("rotation.runout_peak" if inside else "rotation.runout_differs", "warning", said)]
     if not told.dof and not changes:
-        said = f"{told.probe}: {figure} differs by {moved:z.3g} µm between speeds; without repeats nobody knows whether it changes with them"
+        said = f"{told.probe}: {figure} differs by {shown_number(moved)} µm between speeds; without repeats nobody knows whether it changes with them"
         return [("rotation.runout_unknown", "info", said)]
     if not changes and not told.differs_p < _CHANCE:
         if out:
@@ -219,7 +220,7 @@ def runout_sentences(told: _RunOut) -> list[tuple[str, str, str]]:
             (
                 "rotation.runout_constant",
                 "info",
-                f"{told.probe}: from {span} {figure} changes by no more than its repeats do ({moved:z.3g} µm between means)",
+                f"{told.probe}: from {span} {figure} changes by no more than its repeats do ({shown_number(moved)} µm between means)",
             )
         ]
     if changes and told.law is not None:
@@ -231,13 +232,13 @@ def runout_sentences(told: _RunOut) -> list[tuple[str, str, str]]:
             (
                 code,
                 "warning",
-                f"{told.probe}: {figure} changes by {told.law.change:z.3g} µm with {named}{more}; {no_phase}",
+                f"{told.probe}: {figure} changes by {shown_number(told.law.change)} µm with {named}{more}; {no_phase}",
             )
         )
     if told.unexplained_p < _CHANCE and inside:
         text = (
             f"{told.probe}: {figure} differs between speeds by more than repeats and a steady law explain, and is largest at {largest.speed_rpm:g} rpm "
-            f"({max(means):z.3g} µm): a resonance looks so; measure between its neighbours"
+            f"({shown_number(max(means))} µm): a resonance looks so; measure between its neighbours"
         )
         out.append(("rotation.runout_peak", "warning", text))
     if not changes and all(code != "rotation.runout_peak" for code, _, _ in out):

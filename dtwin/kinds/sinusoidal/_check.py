@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, lag_deg, tone_errors
 from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import G_MM_S2, UM_PER_MM, is_number
+from dtwin.units import G_MM_S2, UM_PER_MM, is_number, shown_number
 
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05
@@ -211,7 +211,7 @@ def _tone(run: Run, told: Commanded) -> Iterator[Finding]:
     # The error of a tool is no tone where noise is most of it.
     ratio = tool.amplitude / encoder.amplitude if encoder.share > _SAME_TONE else 1.0
     if ratio > 0.0 and not _LEAST_MOVED < ratio < _MOST_MOVED:
-        said = f"the tool moves {ratio:z.3g} times as far as the encoder: another unit, or the tool's error in place of its position"
+        said = f"the tool moves {shown_number(ratio)} times as far as the encoder: another unit, or the tool's error in place of its position"
         yield Finding("sinusoidal.tool_scale", "error", said, {"ratio_1": ratio})
 
 
@@ -227,8 +227,8 @@ def _exchanged(run: Run, told: Commanded, command: Tone) -> list[Finding]:
     if not (surely_deg < ahead_deg < _AGAINST_DEG and off_um[1] < off_um[0]):
         return []
     said = (
-        f"act_z_mm runs {ahead_deg:z.2g}° ahead of cmd_z_mm, and its {encoder.amplitude:z.4g} µm are nearer to the stated {told.amplitude_um:g} µm than "
-        f"{command.amplitude:z.4g} µm: command and encoder are exchanged"
+        f"act_z_mm runs {shown_number(ahead_deg, 2)}° ahead of cmd_z_mm, and its {shown_number(encoder.amplitude, 4)} µm are nearer to the stated {told.amplitude_um:g} µm than "
+        f"{shown_number(command.amplitude, 4)} µm: command and encoder are exchanged"
     )
     return [Finding("sinusoidal.exchanged", "error", said, {"phase_deg": ahead_deg})]
 
@@ -284,7 +284,7 @@ def _scale(run: Run, told: Commanded, felt: Tone) -> list[Finding]:
     ratio = felt.amplitude / (moved_mm * (2.0 * np.pi * told.frequency_hz) ** 2 / G_MM_S2)
     if 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
         return []
-    said = f"the accelerometer reads {ratio:z.3g} times the acceleration of {name}: is it in g (1 g is 9.81 m/s²), and is its axis Z?"
+    said = f"the accelerometer reads {shown_number(ratio)} times the acceleration of {name}: is it in g (1 g is 9.81 m/s²), and is its axis Z?"
     return [Finding("sensor.scale", "warning", said, {"ratio_1": ratio})]
 
 

@@ -40,7 +40,7 @@ from dtwin.twins.correct import LITTLE, NAME, Judged
 from dtwin.twins.measured import pure_rms_um
 from dtwin.twins.path_way import BY_SHAPE, MEAN_IS_TOLD, TwinWay
 from dtwin.twins.seen import Seen
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 _FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
 
@@ -207,7 +207,7 @@ class _Tone:
         """Return what an effect does in step with the sine, and with the cosine, in um."""
         if (share := _beside_the_sine(term, self.twin, self.obs)) > _NOT_A_SINE:
             raise NotTraceable(
-                f"{100 * share:.2g} % of its power is not in the tone itself: a sine cannot carry its corners"
+                f"{shown_number(100 * share, 2)} % of its power is not in the tone itself: a sine cannot carry its corners"
             )
         weights = self.twin.values(term)
         in_step = [

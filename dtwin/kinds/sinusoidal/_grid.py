@@ -12,7 +12,7 @@ from dtwin.errors import InputError
 from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Run, RunMeta
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 # Harmonics 0 to 7 of the tone: as many points as numbers, so that none is made up.
 _HARMONICS = 7
@@ -116,8 +116,8 @@ def tone_row(run: Run, time_h: float) -> Row:
             "a tone is shorter than its period",
             code="twin.short",
             where=f"run {run.meta.run_id}",
-            got=f"{np.ptp(t_s):.3g} s of {condition.frequency_hz:g} Hz",
-            allowed=f"at least {1.0 / condition.frequency_hz:.3g} s",
+            got=f"{shown_number(np.ptp(t_s))} s of {condition.frequency_hz:g} Hz",
+            allowed=f"at least {shown_number(1.0 / condition.frequency_hz)} s",
         )
     turn = 2.0 * np.pi * condition.frequency_hz * t_s
     sine, cosine = np.linalg.lstsq(

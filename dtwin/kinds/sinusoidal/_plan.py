@@ -14,7 +14,7 @@ from dtwin.kinds.kind import Planned
 from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import filled, obeying, plan_settings
 from dtwin.schema import Campaign, Finding, Run, RunMeta
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 # Share of the control bandwidth up to which a slide may be driven.
 SAFE_SHARE = 0.8
@@ -165,7 +165,7 @@ def _sampling_advice(plan: TonePlan) -> Iterator[Finding]:
         yield Finding(
             "plan.weak",
             "info",
-            f"the weakest tone accelerates by {weakest:.1g} g: an accelerometer may hear only its "
+            f"the weakest tone accelerates by {shown_number(weakest, 1)} g: an accelerometer may hear only its "
             "own noise, and such groups are left out of the training",
             {"weakest_g": weakest},
         )

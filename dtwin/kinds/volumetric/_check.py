@@ -13,7 +13,7 @@ from dtwin.kinds.volumetric._plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.kinds.volumetric._spoilt import spoilt_findings, spoilt_in, stroke_mm
 from dtwin.kinds.volumetric.session import PLAUSIBLE_C, balls_of, hours_of, hours_told
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.units import UM_PER_MM
+from dtwin.units import UM_PER_MM, shown_number
 
 _FIXED_POSE = 0
 _MAX_ERROR_UM = 2_000.0
@@ -42,7 +42,7 @@ def with_strokes(run: Run, campaign: Campaign) -> Run:
         if max(low - at.min(), at.max() - high) > _BEYOND * abs(high - low):
             metres = low <= UM_PER_MM * at.max() <= high and low <= UM_PER_MM * at.min()
             why = "metres under a name of millimetres" if metres else "another axis, or another zero"
-            text = f"balls lie at {axis} = {at.min():z.4g} to {at.max():z.4g} mm, the stroke is {low:g} to {high:g} mm: {why}?"
+            text = f"balls lie at {axis} = {shown_number(at.min(), 4)} to {shown_number(at.max(), 4)} mm, the stroke is {low:g} to {high:g} mm: {why}?"
             return replace(run, findings=(*run.findings, Finding("balls.outside_stroke", "error", text)))
     return run
 
@@ -116,7 +116,7 @@ def _places(run: Run) -> list[Finding]:
 def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
     if 0.0 < largest < _LEAST_UM:
-        text = f"no ball is farther than {largest:z.2g} µm from its place: millimetres under heads of micrometres?"
+        text = f"no ball is farther than {shown_number(largest, 2)} µm from its place: millimetres under heads of micrometres?"
         return [Finding("balls.small", "error", text, {"largest_um": largest})]
     if largest <= _MAX_ERROR_UM:
         return []
@@ -163,7 +163,7 @@ def _temperatures(group: SignalGroup) -> list[Finding]:
             continue
         gaps = float(np.mean(~np.isfinite(values)))
         if gaps > 0.0:
-            text = f"{name} has no reading in {100.0 * gaps:z.2g} % of the cycle"
+            text = f"{name} has no reading in {shown_number(100.0 * gaps, 2)} % of the cycle"
             findings.append(Finding("sensor.gap", "warning", text, {"share_1": gaps}))
             continue
         if values.min() < PLAUSIBLE_C[0] or values.max() > PLAUSIBLE_C[1]:

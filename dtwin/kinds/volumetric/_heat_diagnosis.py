@@ -28,6 +28,7 @@ from dtwin.kinds.volumetric._movers import (
 from dtwin.kinds.volumetric.heat_twin import KIND, HeatFit, heat_figures
 from dtwin.kinds.volumetric.motions import HeatTerm, family_of, motion_words
 from dtwin.statistics import holm
+from dtwin.units import shown_number
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
 
@@ -199,10 +200,12 @@ def _headline(
     together = ""
     if p_value is not None and p_value < ALPHA:
         left = figures["systematic_rms_um"]
-        together = f"all motions together leave {left:.2g} µm more than noise at the balls (p {p_value:.1g})"
+        together = (
+            f"all motions together leave {shown_number(left, 2)} µm more than noise at the balls (p {p_value:.1g})"
+        )
     if verdict == "nothing_missing":
         least = MATERIAL * figures["noise_floor_um"]
-        none = f"no error motion moves by more than {least:.2g} µm at the balls beyond the twin"
+        none = f"no error motion moves by more than {shown_number(least, 2)} µm at the balls beyond the twin"
         return f"{none}; {together}" if together else none
     if together:
         return f"{together}, each by itself none; with the others at rest {_headline(verdict, group, movers, figures, None)}"

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric._identify import Balls, keys_of
 from dtwin.schema import Finding, Floats
 from dtwin.statistics import usual_size
-from dtwin.units import is_number
+from dtwin.units import is_number, shown_number
 
 _FEWEST = 5
 _BESIDE = 3
@@ -161,7 +161,7 @@ def spoilt_findings(names: Sequence[str], cycles: Sequence[Balls], found: _Spoil
     ]
     if single:
         single.sort(reverse=True)
-        shown = ", ".join(f"{name} ({um:z.3g} µm)" for um, name in single[:_SHOWN])
+        shown = ", ".join(f"{name} ({shown_number(um)} µm)" for um, name in single[:_SHOWN])
         said = (
             f"readings stand far off what was read before and after, or lie at the place of another ball, and twins and training leave them out ({len(single)}): "
             f"{shown}: a missed touch, dirt, or exchanged balls"
