@@ -19,7 +19,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.state import State, circular_state
 from dtwin.physics.twin import Twin
-from dtwin.report.text import decimals
+from dtwin.report.text import decimals, listed
 from dtwin.schema import Direction, Floats, Plane, RunMeta
 from dtwin.units import shown_number, shown_unit
 
@@ -57,7 +57,7 @@ class _Fault:
         """A sentence where the runs cannot tell it from others."""
         if not self.instead:
             return ()
-        return (f"These runs do not tell it from: {', '.join(self.instead)}. The size is that of it alone.",)
+        return (f"These runs do not tell it from: {listed(self.instead)}. The size is that of it alone.",)
 
 
 def faults(
@@ -75,7 +75,7 @@ def faults(
         others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
         fault = _fault(term.instance.effect, term.instance.axis, told_of(twin, term))
         if alike := _alike(twin, term):
-            beside = ", ".join(titles.get(label, label) for label, _ in alike)
+            beside = listed([titles.get(label, label) for label, _ in alike])
             # What cannot be told is not mended: another test comes first.
             fault = replace(fault, size=f"these runs do not tell it from {beside}", remedy=alike[0][1])
         faults.append(replace(fault, instead=others))
@@ -115,8 +115,7 @@ def undecided_lines(diagnosis: Mapping[str, Any] | None, library: Mapping[str, E
     if library is not None:
         groups = [[title_of(label, library) for label in group] for group in groups]
     return [
-        f"these runs do not tell {own} from {', '.join(others)}: its size is that of it alone"
-        for own, *others in groups
+        f"these runs do not tell {own} from {listed(others)}: its size is that of it alone" for own, *others in groups
     ]
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from dtwin.units import shown_number
 
 _NANOMETRES = 0.1
+_LISTED = 3
+WIDE = 60
+"""Letters of a cell of names or sizes, of which there may be many."""
 VERDICTS = {
     "missing_effect": "An effect is missing",
     "ambiguous": "Several effects would explain it",
@@ -19,9 +23,12 @@ VERDICTS = {
 """What each verdict of a diagnosis says, for people."""
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return an aligned table; numbers to the right, floats with up to four significant places."""
-    cells = [[_cell(value) for value in row] for row in rows]
+def table(head: Sequence[str], rows: Sequence[Sequence[object]], widest: int = 0) -> str:
+    """Return an aligned table; numbers to the right, floats with up to four significant places.
+
+    ``widest``: letters of a cell, from which on it goes on in the next line after a semicolon; 0 for no limit.
+    """
+    cells = [list(line) for row in rows for line in zip_longest(*(_lines(_cell(v), widest) for v in row), fillvalue="")]
     widths = [max(len(title), *(len(row[i]) for row in cells)) if cells else len(title) for i, title in enumerate(head)]
     right = [all(isinstance(row[i], int | float) or row[i] is None for row in rows) for i in range(len(head))]
 
@@ -30,6 +37,25 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
         return "  ".join(padded).rstrip()
 
     return "\n".join([line(head), line(["-" * w for w in widths]), *map(line, cells)])
+
+
+def _lines(cell: str, widest: int) -> list[str]:
+    """Return a cell as lines that end after a semicolon before they get wider than so many letters; one of a cell without."""
+    lines = [""]
+    for part in cell.split("; ") if widest else [cell]:
+        if lines[-1] and len(lines[-1]) + len(part) > widest:
+            lines[-1] += ";"
+            lines.append(part)
+        else:
+            lines[-1] += "; " * bool(lines[-1]) + part
+    return lines
+
+
+def listed(names: Sequence[str], between: str = ", ") -> str:
+    """Return names for people: three at most, and how many more there are."""
+    more = len(names) - _LISTED
+    last = between.replace(", ", " and ").replace("; ", "; and ")
+    return between.join(names[:_LISTED]) + f"{last}{more} more" * (more > 0)
 
 
 def _cell(value: object) -> str:

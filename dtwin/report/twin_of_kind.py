@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from dtwin.kinds.registry import kind_named
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import WIDE, listed, micrometres, table
 from dtwin.report.twins import history_text
 from dtwin.schema import DEFAULT_KIND
 
@@ -70,14 +70,14 @@ def _found_lines(groups: Sequence[Sequence[str]], effects: Sequence[Mapping[str,
     """Return the groups that were found; of tests of a path with the size of the first of each, k = 2."""
     sized = {f"{effect['effect']} {effect['axis']}".rstrip(): effect for effect in effects}
     if not all(group[0] in sized for group in groups):
-        return ["found", *(f"  {' or '.join(group)}" for group in groups)]
+        return ["found", *(f"  {listed(group, ' or ')}" for group in groups)]
     head = ("found", "size (k = 2)", "makes, µm RMS")
     rows = [
-        (" or ".join(group), f"{own['size']}{' if alone' * (len(group) > 1)}", micrometres(own.get("makes_um")))
+        (listed(group, " or "), f"{own['size']}{' if alone' * (len(group) > 1)}", micrometres(own.get("makes_um")))
         for group in groups
         for own in [sized[group[0]]]
     ]
-    return [table(head, rows)]
+    return [table(head, rows, WIDE)]
 
 
 def with_nan(diagnosis: Mapping[str, Any]) -> dict[str, Any]:

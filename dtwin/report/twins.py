@@ -17,7 +17,7 @@ from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text, tells
 from dtwin.report.faults import faults, not_told, told_of, undecided_lines, with_k2
 from dtwin.report.html import Section, Table
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import WIDE, listed, micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 _OVERLAYS = 4
 _COORDINATES = ("angle_deg", "position_mm", "phase_deg")
-# Names in a cell of a table that has a line for each version.
-_IN_A_CELL = 3
 _SEVERITY = {
     "nothing_missing": "info",
     "missing_effect": "warning",
@@ -170,7 +168,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(table(head, rows))
     shown = found_table(result)
     if shown.rows:
-        lines.append(table(shown.head, shown.rows))
+        lines.append(table(shown.head, shown.rows, WIDE))
     lines += _unresolved_lines(result)
     lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
     lines += [
@@ -211,7 +209,7 @@ def found_table(result: Mapping[str, Any]) -> Table:
     """Return every effect that was found, with what cannot be told from it and what was tested."""
     rows = [
         (
-            " or ".join(f"{c['effect']} {c['axis']}".strip() for c in group),
+            listed([f"{c['effect']} {c['axis']}".strip() for c in group], " or "),
             micrometres(group[0]["size_um"]),
             _sizes_of_first(group),
             f"{100 * group[0]['cv_gain']:z.1f} %",
@@ -253,12 +251,11 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
         )
         for r in rungs
     ]
-    return table(head, rows)
+    return table(head, rows, WIDE)
 
 
 def _first_of(groups: Sequence[Sequence[str]]) -> str:
-    more = f"; and {len(groups) - _IN_A_CELL} more" if len(groups) > _IN_A_CELL else ""
-    return "; ".join(" or ".join(group) for group in groups[:_IN_A_CELL]) + more
+    return listed([listed(group, " or ") for group in groups], "; ")
 
 
 def effect_text(effect: Effect) -> str:

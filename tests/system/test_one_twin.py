@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machines.mill_parameters import MillParameters
+from dtwin.report.text import listed
 from dtwin.twins.several import require_together
 from dtwin.twins.verbs import Twins
 from dtwin.workbench._access import Access
@@ -196,7 +197,7 @@ def test_the_budget_of_a_program_is_on_the_page_of_a_twin(home: Home) -> None:
     assert "left without it" in page
     assert "Preload or renew" in page
     assert "these runs do not tell" in page
-    assert f"these runs do not tell {own} from {', '.join(others)}" in printed("twin", "budget", "parts")
+    assert f"these runs do not tell {own} from {listed(others)}" in printed("twin", "budget", "parts")
     part = home.root / "part.nc"
     program = "G21 G90 G17\nG0 X80 Y60\nG1 X160 F2000\nG1 Y100\nG1 X80\nG1 Y60\nM30\n"
     told = {"program": program, "file": "part.nc", "x_mm": 120.0, "y_mm": 80.0, "z_mm": 0.0}

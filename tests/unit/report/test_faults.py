@@ -12,8 +12,9 @@ from defusedxml.ElementTree import fromstring
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library
-from dtwin.report.faults import grouped, signature_svg, size_of, sizes_of
+from dtwin.report.faults import grouped, signature_svg, size_of, sizes_of, undecided_lines
 from dtwin.report.plots import polar_rings
+from dtwin.report.text import WIDE, listed, table
 from dtwin.report.twins import found_table
 
 LIBRARY = Library()
@@ -45,6 +46,24 @@ def estimate(name: str, value: float, uncertainty: float, unit: str = "um", *, t
 )
 def test_a_size_is_rounded_to_its_uncertainty(estimates: list[Estimate], said: str) -> None:
     assert size_of(estimates) == said
+
+
+def test_many_names_and_sizes_do_not_make_a_page_wide() -> None:
+    names = [f"effect_{n} X" for n in range(14)]
+    assert listed(names) == "effect_0 X, effect_1 X, effect_2 X and 11 more"
+    assert listed(names[:4], " or ") == "effect_0 X or effect_1 X or effect_2 X or 1 more"
+    assert listed(names[:3], "; ") == "effect_0 X; effect_1 X; effect_2 X"
+    (line,) = undecided_lines({"undecided": [["friction X", *names]]})
+    assert line == f"these runs do not tell friction X from {listed(names)}: its size is that of it alone"
+    sizes = [f"second axis order {n} at 100 mm -2.24 ± 0.55 µm" for n in (3, 4, 5)]
+    told = table(("found", "size"), [("guideway_shape X", "; ".join(sizes)), ("a; b", 1.0)], WIDE).splitlines()
+    assert max(map(len, told)) < 80
+    assert told[2:] == [
+        f"guideway_shape X  {sizes[0]};",
+        f"                  {sizes[1]};",
+        f"                  {sizes[2]}",
+        "a; b              1",
+    ]
 
 
 def test_the_uncertainty_of_an_amplitude_covers_it() -> None:
