@@ -35,8 +35,8 @@ _MANY, _MUCH_LARGER = 3, 3.0
 _MOVES = 0.005
 # More of a curve than this in a fifth of the travel is one place and no screw.
 _LOCAL, _STRETCH = 0.6, 5
-# Of all that was measured: what alone makes more is taken away by others. Of what an effect explains beside the others, likewise.
-_MORE_THAN_ALL, _TAKEN_AWAY = 1.5, 1.4
+# What alone makes so many times what it explains beside the others is taken away by them.
+_TAKEN_AWAY = 1.4
 _SAME_LENGTH = 0.01
 
 # Tests of the laws of every effect found and of its rivals, by label.
@@ -137,46 +137,30 @@ def standing_alone(kept: list[Found], found: Search, bare: Problem, candidates: 
     return kept
 
 
-def cancelled(found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
-    """Return the effects of the place that others take away again: together they draw something that none of them is.
-
-    Either such an effect alone makes clearly more than all that was measured, or it is a wave of which another axis has one of the
-    same length: on a circle the two are lobes.
+def halves_of_lobes(found: Search, bare: Problem, candidates: Candidates) -> list[Found]:
+    """Return waves along two axes that have one length: on circles of one radius they draw lobes of something else.
 
     ``bare``: the campaign without weights, with what is known.
     """
-    kept, out = list(found.found), list[Found]()
-    all_um = bare.obs.rms(localise.in_angle(bare))
-    while True:
-        made_um = dict(zip((f.label for f in kept), _makes_um(kept, bare, candidates), strict=True))
-        too_large = [
-            f for f in kept if f.top.term.instance.effect.law.feed == 0.0 and made_um[f.label] > _MORE_THAN_ALL * all_um
-        ]
-        if not too_large:
-            break
-        out.append(max(too_large, key=lambda f: made_um[f.label]))
-        kept.remove(out[-1])
-    if not bare.obs.grid.in_plane or len({c.radius_mm for c in bare.obs.conditions}) > 1:
-        return out
-    return out + [f for f in kept if _is_half_of_lobes(f, kept, made_um[f.label])]
-
-
-def _makes_um(effects: Sequence[Found], bare: Problem, candidates: Candidates) -> list[float]:
-    """Return what each effect makes, RMS, as all are fitted together; centre and radius taken out."""
-    if not effects:
+    obs = bare.obs
+    waves = [f for f in found.found if _length_mm(f)]
+    if len(waves) < 2 or not obs.grid.in_plane or len({c.radius_mm for c in obs.conditions}) > 1:
         return []
-    columns = [candidates.whitened(bare, f.top.term) for f in effects]
+    columns = [candidates.whitened(bare, f.top.term) for f in found.found]
     columns = [c - bare.basis @ (bare.basis.T @ c) for c in columns]
     sizes = np.linalg.lstsq(np.concatenate(columns, axis=1), bare.residual.ravel(), rcond=None)[0]
     parts = np.split(sizes, np.cumsum([c.shape[1] for c in columns])[:-1])
-    measured = float(bare.obs.mask.sum())
-    return [float(np.sqrt(((c @ a) ** 2).sum() / measured)) for c, a in zip(columns, parts, strict=True)]
+    made_um = {
+        f.label: float(np.sqrt(((c @ a) ** 2).sum() / obs.mask.sum()))
+        for f, c, a in zip(found.found, columns, parts, strict=True)
+    }
+    return [f for f in waves if _is_half_of_lobes(f, waves, made_um[f.label])]
 
 
 def _is_half_of_lobes(wave: Found, others: Sequence[Found], made_um: float) -> bool:
-    """Tell whether an effect is a wave along one axis, and another one of the same length is there along another.
+    """Tell whether there is a wave of the same length along another axis.
 
-    Screws are alike on many machines: theirs must take each other away as well.
+    Screws are alike on many machines: their waves must take each other away as well. ``made_um``: what the wave makes alone.
     """
     length_mm = _length_mm(wave)
     crossing = [o for o in others if o.top.term.instance.axis != wave.top.term.instance.axis]

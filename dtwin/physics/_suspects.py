@@ -83,8 +83,8 @@ def members(
         out.append(
             replace(
                 own_case,
-                # Beside all others that were found, for every effect that was tried.
-                p_value=min(1.0, candidate.score.p_value * len(found.first.candidates)),
+                # Alone, or beside all others that were found and for every effect that was tried.
+                p_value=min(own_case.p_value, candidate.score.p_value * len(found.first.candidates)),
                 in_group=True,
                 grade=grade_of(candidate, own, len(left) == 1),
                 confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),

@@ -20,9 +20,9 @@ from dtwin.physics._doubts import (
     LACK_OF_FIT,
     SPOKEN_OF,
     Tests,
-    cancelled,
     doubted,
     follows_unknown,
+    halves_of_lobes,
     hidden_by,
     is_dwarfed,
     standing_alone,
@@ -234,7 +234,7 @@ def _concluded(
     late = any(not _is_foreign(c.name, library) for c in moving)
     much = _much_left(found, blank.noise_floor_um)
     doubts = doubted(found, late, tests)
-    doubts += [f for f in cancelled(found, bare, candidates) if f not in doubts]
+    doubts += [f for f in halves_of_lobes(found, bare, candidates) if f not in doubts]
     doubts += hidden_by(doubts, found, tests)
     least_um = _BESIDE_LAWS * blank.noise_floor_um if unknown else 0.0
     kept = [
