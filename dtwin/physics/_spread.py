@@ -1,4 +1,4 @@
-"""Whether the spread of repeats depends on the condition."""
+"""What repeats differ by, and whether it depends on the condition."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import Indices
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
-from dtwin.physics.whitening import within_condition
+from dtwin.physics.whitening import harmonic_numbers, to_harmonics, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import holm, t_tail
+from dtwin.units import shown_number
 
 _ALPHA = 0.01
 _MATERIAL_EXPONENT = 0.25
+# So many times what neighbouring places differ by, repeats differ by something else; and the share of it that is told as most.
+_UNSTEADY, _MOST = 3.0, 0.5
 
 
 def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effect]) -> Spread | None:
@@ -50,6 +53,30 @@ def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effe
     adjusted = dict(zip(found, holm(list(found.values())).tolist(), strict=True))
     named = sorted((n for n, p in adjusted.items() if p < _ALPHA), key=found.__getitem__)
     return Spread(tuple(named), adjusted[named[0]]) if named else None
+
+
+def unsteady(obs: Observations, residual_um: Floats) -> str:
+    """Return in words by how much more repeats differ than neighbouring places of a run do, and in what; empty where they do not.
+
+    Neighbouring places differ by what is in the upper half of the harmonics.
+
+    ``residual_um``, (rows, n): residual of the twin.
+    """
+    deviation, count = within_condition(to_harmonics(residual_um), obs.condition_of)
+    if not obs.mask.all() or not (count > 1).any():
+        return ""
+    power = (deviation[count > 1] ** 2).mean(axis=0)
+    harmonic = harmonic_numbers(obs.n_bins)
+    differ_um, scatter_um = (math.sqrt(part.mean()) for part in (power, power[harmonic > harmonic[-1] / 2]))
+    if differ_um <= _UNSTEADY * scatter_um:
+        return ""
+    share = np.bincount(harmonic, power) / power.sum()
+    names = {0: "the radius", 1: "the centre"} if obs.grid.in_plane else {0: "the zero"}
+    most = [name for number, name in names.items() if share[number] > _MOST]
+    return (
+        f"repeats differ by {shown_number(differ_um, 2)} µm, neighbouring places of a run by {shown_number(scatter_um, 2)} µm: "
+        f"{f'most of it is {most[0]}, which moves' if most else 'the error itself changes'} between runs"
+    )
 
 
 def _local(obs: Observations, deviation: Floats, rows: Indices, instance: Instance) -> float:

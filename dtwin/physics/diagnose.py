@@ -36,7 +36,7 @@ from dtwin.physics._nameless import nameless
 from dtwin.physics._outliers import odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
-from dtwin.physics._spread import spread_of
+from dtwin.physics._spread import spread_of, unsteady
 from dtwin.physics._suspects import members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
 from dtwin.physics.candidates import Candidates, applicable
@@ -296,16 +296,17 @@ def _nothing_found(
     words: str,
 ) -> Diagnosis:
     fit_p, left_um = found.lack_of_fit[0], found.systematic_um[0]
-    shown = suspects(found, candidates, known, ())
+    shown, obs = suspects(found, candidates, known, ()), found.plain.obs
+    moves = "".join(f"; {said}" for said in [unsteady(obs, localise.in_angle(found.plain))] if said)
     if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
         said = f"what repeats agree on ({shown_number(left_um, 2)} µm) is small beside the noise floor"
-        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
+        return replace(blank, verdict=_quiet(blank), headline=said + moves, suspects=shown)
     laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
     if fit_p > LACK_OF_FIT and not laws and not channels:
         said = "residual is at the noise floor"
         if blank.spread:
             said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
-        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
+        return replace(blank, verdict=_quiet(blank), headline=said + moves, suspects=shown)
     return replace(
         blank,
         verdict="unknown_effect",

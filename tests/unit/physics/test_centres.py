@@ -7,10 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from dtwin.physics._spread import unsteady
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
+from dtwin.physics.localise import residual_um
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
@@ -63,7 +65,10 @@ def test_a_centre_that_wanders_costs_nothing_that_is_told() -> None:
 
 
 def test_a_centre_that_moves_evenly_is_a_drift_and_stays() -> None:
-    assert measured(lambda hour: np.array([20.0 * hour, -8.0 * hour])).wander_um == 0.0
+    still, moving = measured(lambda hour: NOTHING), measured(lambda hour: np.array([20.0 * hour, -8.0 * hour]))
+    assert moving.wander_um == 0.0
+    assert unsteady(moving, residual_um(moving, [])).endswith("most of it is the centre, which moves between runs")
+    assert unsteady(still, residual_um(still, [])) == ""
 
 
 def test_lobes_are_not_waves_of_two_axes_that_take_each_other_away() -> None:

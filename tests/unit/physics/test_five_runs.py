@@ -197,6 +197,13 @@ def test_what_stays_is_told_beside_heat_that_three_runs_do_not_tell() -> None:
     assert found.untestable["thermal_growth X"] == "tested, but 3 runs do not tell what moves between them"
 
 
+def test_repeats_that_differ_by_more_than_their_readings_are_said_to_and_in_what() -> None:
+    rng = np.random.default_rng(1)
+    found = diagnose(campaign(3.0 * rng.standard_normal((RUNS, 1, 1)) + 0.0 * SHARE, rng), [], LIBRARY)
+    assert found.verdict == "nothing_missing"
+    assert "repeats differ by 3.3 µm, neighbouring places of a run by 0.25 µm: most of it is the zero" in found.headline
+
+
 def test_what_three_runs_do_not_tell_is_one_thing_all_over_the_answer() -> None:
     grown = 5.0 * np.arange(RUNS)[:, None, None] * SHARE
     celsius = np.array([20.0, 21.0, 20.5, 20.0, 20.0])
