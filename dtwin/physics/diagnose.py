@@ -63,6 +63,8 @@ _LITTLE = 0.2
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
 _BESIDE_LAWS = 0.5
+# Of what the best effect explains, RMS.
+_NEARLY = 0.9
 
 
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
@@ -269,7 +271,7 @@ def _concluded(
             blank,
             verdict="unknown_effect",
             headline=_unexplained(words, channels, found),
-            closest=_closest(found) if found.untold else found.found[0].label,
+            closest=_closest(found, candidates) if found.untold else found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
     verdict: Verdict = "missing_effect" if len(groups[0]) == 1 else "ambiguous"
@@ -314,7 +316,7 @@ def _nothing_found(
         laws=laws,
         unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
         headline=_unexplained(words, channels, found),
-        closest=_closest(found),
+        closest=_closest(found, candidates),
     )
 
 
@@ -385,10 +387,11 @@ def _is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
     return name != "time_h" and all(name not in effect.needs for effect in library.values())
 
 
-def _closest(found: Search) -> str | None:
-    """Return the effect that explains most, among those that few runs do not tell where there are any."""
-    tested = [c for c in found.first.candidates if not found.untold or c.term.label in found.untold]
-    if not tested:
-        return None
-    best = max(tested, key=lambda c: c.score.gain)
-    return best.term.label if best.score.gain > 0.0 else None
+def _closest(found: Search, candidates: Candidates) -> str | None:
+    """Return the simplest effect that explains nearly as much as any, among those that few runs do not tell where there are any."""
+    terms = [c.term for c in found.first.candidates if not found.untold or c.term.label in found.untold]
+    explains_um = {term.label: candidates.size_um(found.plain, term) for term in terms}
+    most_um = max(explains_um.values(), default=0.0)
+    near = [term for term in terms if most_um > 0.0 and explains_um[term.label] > _NEARLY * most_um]
+    best = min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label]), default=None)
+    return best.label if best else None

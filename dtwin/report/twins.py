@@ -45,6 +45,14 @@ def number(value: float | None, digits: int = 3) -> str:
     return shown_number(value, digits)
 
 
+def _closest_words(result: Mapping[str, Any]) -> str:
+    """Return how much of a residual the closest effect would take, and why it is not named; empty where it was not tested."""
+    told = (c for c in result["candidates"] if f"{c['effect']} {c['axis']}".rstrip() == result["closest"])
+    return next(
+        (f", which alone would leave {number(c['rms_after_um'])} µm (p = {number(c['p_value'], 2)})" for c in told), ""
+    )
+
+
 def condition_words(condition: Mapping[str, Any]) -> str:
     """Return a condition, as its ``as_dict`` gives it, as people write it."""
     if "plane" in condition:
@@ -177,7 +185,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         for c in result["channels"]
     ]
     if result["verdict"] == "unknown_effect" and result["closest"]:
-        lines.append(f"closest of what is known: {result['closest']}")
+        lines.append(f"closest of what is known: {result['closest']}{_closest_words(result)}")
     if result["outlier_runs"]:
         lines.append(f"left out, not like their repeats: {', '.join(result['outlier_runs'])}")
     lines += [f"warning: {line}" for line in result.get("told", [])]
