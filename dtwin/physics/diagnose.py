@@ -270,7 +270,7 @@ def _concluded(
         return replace(
             blank,
             verdict="unknown_effect",
-            headline=_unexplained(words, channels, found),
+            headline=_unexplained(words, channels, found, known),
             closest=_closest(found, candidates) if found.untold else found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
@@ -315,7 +315,7 @@ def _nothing_found(
         suspects=shown,
         laws=laws,
         unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
-        headline=_unexplained(words, channels, found),
+        headline=_unexplained(words, channels, found, known),
         closest=_closest(found, candidates),
     )
 
@@ -337,8 +337,12 @@ def _unresolved(found: Search, left: Floats, p_value: float) -> Unresolved:
     )
 
 
-def _unexplained(words: str, channels: Sequence[Channel], found: Search) -> str:
+def _unexplained(words: str, channels: Sequence[Channel], found: Search, known: Sequence[Term]) -> str:
     because = "no known effect explains it"
+    if known:
+        whole_um = localise.systematic_rms_um(found.plain.obs, localise.residual_um(found.plain.obs, []))
+        of_um = f"{shown_number(found.systematic_um[0], 2)} of {shown_number(whole_um, 2)} µm"
+        because = f"no known effect explains what is left, {of_um}"
     if found.untold:
         because = f"{' or '.join(found.untold)} may be it, which {_many(found.plain.obs)} do not tell"
     moving = ", ".join(c.name for c in channels)
@@ -393,5 +397,4 @@ def _closest(found: Search, candidates: Candidates) -> str | None:
     explains_um = {term.label: candidates.size_um(found.plain, term) for term in terms}
     most_um = max(explains_um.values(), default=0.0)
     near = [term for term in terms if most_um > 0.0 and explains_um[term.label] > _NEARLY * most_um]
-    best = min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label]), default=None)
-    return best.label if best else None
+    return min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label])).label if near else None
