@@ -11,10 +11,11 @@ from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
-# Of 360 values and one or two columns each: at most about 50 MB.
-_MOST = 8192
+# Enough for the shapes of a campaign in three planes; with each what is told beside the columns.
+_MOST_BYTES, _BESIDE_BYTES = 100_000_000, 1000
 _lock = threading.Lock()
 _kept: OrderedDict[Hashable, Floats] = OrderedDict()
+_held_bytes = 0
 
 
 def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Callable[[], Floats]) -> Floats:
@@ -34,10 +35,13 @@ def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Ca
             return found
     made = make()
     made.setflags(write=False)
+    global _held_bytes
     with _lock:
+        if key not in _kept:
+            _held_bytes += made.nbytes + _BESIDE_BYTES
         _kept[key] = made
-        while len(_kept) > _MOST:
-            _kept.popitem(last=False)
+        while _held_bytes > _MOST_BYTES:
+            _held_bytes -= _kept.popitem(last=False)[1].nbytes + _BESIDE_BYTES
     return made
 
 

@@ -27,6 +27,7 @@ from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.physics.undecided import like_repeats, undecided
+from dtwin.processes import give_back_memory
 from dtwin.schema import require_name
 from dtwin.twins._kept_diagnosis import (
     ALONE,
@@ -170,6 +171,7 @@ class Twins(TwinShelf):
         found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
         document = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign, **about}
         self.store_diagnosis(document | found.as_dict())
+        give_back_memory()
         return found
 
     def add(

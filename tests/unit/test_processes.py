@@ -1,6 +1,16 @@
 from __future__ import annotations
 
-from dtwin.processes import is_gone, process
+import os
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.physics import _kept_columns
+from dtwin.physics.effect import Instance
+from dtwin.physics.library import Library
+from dtwin.processes import give_back_memory, is_gone, process
 
 
 def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
@@ -11,3 +21,28 @@ def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
     assert is_gone(f"{host} 4194305 17")
     assert not is_gone(f"elsewhere {number} 1")
     assert not is_gone("")
+
+
+def _resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def test_what_a_computation_has_left_free_goes_back_to_the_system() -> None:
+    pieces = [bytearray(b"x") * 50_000 for _ in range(4000)]
+    held_mb, last = _resident_mb(), pieces[-1]
+    pieces.clear()
+    give_back_memory()
+    assert _resident_mb() < held_mb - 150.0
+    assert len(last) == 50_000
+
+
+def test_columns_are_kept_up_to_so_many_bytes_and_the_newest_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_kept", OrderedDict()), ("_held_bytes", 0), ("_MOST_BYTES", 100_000)):
+        monkeypatch.setattr(_kept_columns, name, value)
+    instance = Instance(Library()["backlash"], "X")
+    for times in range(2):
+        for condition in range(20):
+            kept = _kept_columns.kept_columns(instance, {}, condition, lambda: np.zeros((360, 10)))
+            assert kept is _kept_columns.kept_columns(instance, {}, condition, lambda: np.ones((360, 10)))
+        # Three of 28.8 kB and what is told beside them.
+        assert [key[-1] for key in _kept_columns._kept] == [17, 18, 19], times
