@@ -17,6 +17,9 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.search import Search
 
+# Of what the best effect explains, RMS.
+_NEARLY = 0.9
+
 
 def sized(
     obs: Observations, known: Sequence[Term], kept: Sequence[Found], groups: Sequence[tuple[Suspect, ...]]
@@ -139,3 +142,16 @@ def suspect(candidate: Candidate, bare: Problem, found: Search, candidates: Cand
         remedy=effect.remedy,
         shape=candidate.term.shape,
     )
+
+
+def closest(found: Search, candidates: Candidates) -> str | None:
+    """Return the simplest effect that explains nearly as much as any; of those that few runs do not tell, the one that explains most."""
+    untold = [c for c in found.first.candidates if c.term.label in found.untold]
+    if untold:
+        # They act between repeats: nothing of what repeats agree on is theirs.
+        return max(untold, key=lambda c: c.score.gain).term.label
+    terms = [c.term for c in found.first.candidates]
+    explains_um = {term.label: candidates.size_um(found.plain, term) for term in terms}
+    most_um = max(explains_um.values(), default=0.0)
+    near = [term for term in terms if most_um > 0.0 and explains_um[term.label] > _NEARLY * most_um]
+    return min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label])).label if near else None

@@ -37,7 +37,7 @@ from dtwin.physics._outliers import odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of, unsteady
-from dtwin.physics._suspects import members, sized, suspect, suspects
+from dtwin.physics._suspects import closest, members, sized, suspect, suspects
 from dtwin.physics._trust import sum_um, trusted
 from dtwin.physics.candidates import Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
@@ -63,8 +63,6 @@ _LITTLE = 0.2
 _UNKNOWN = 0.3
 # What is seen only beside laws without a name, and is less than this of the noise floor, may be what they leave.
 _BESIDE_LAWS = 0.5
-# Of what the best effect explains, RMS.
-_NEARLY = 0.9
 
 
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
@@ -271,7 +269,7 @@ def _concluded(
             blank,
             verdict="unknown_effect",
             headline=_unexplained(words, channels, found, known),
-            closest=_closest(found, candidates) if found.untold else found.found[0].label,
+            closest=closest(found, candidates) if found.untold else found.found[0].label,
         )
     single = all(len(group) == 1 for group in groups)
     verdict: Verdict = "missing_effect" if len(groups[0]) == 1 else "ambiguous"
@@ -316,7 +314,7 @@ def _nothing_found(
         laws=laws,
         unresolved=_unresolved(found, localise.in_angle(found.plain), found.lack_of_fit[1]),
         headline=_unexplained(words, channels, found, known),
-        closest=_closest(found, candidates),
+        closest=closest(found, candidates),
     )
 
 
@@ -389,12 +387,3 @@ def _with_foreign(problem: Problem, channels: Sequence[Channel], library: Mappin
 
 def _is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
     return name != "time_h" and all(name not in effect.needs for effect in library.values())
-
-
-def _closest(found: Search, candidates: Candidates) -> str | None:
-    """Return the simplest effect that explains nearly as much as any, among those that few runs do not tell where there are any."""
-    terms = [c.term for c in found.first.candidates if not found.untold or c.term.label in found.untold]
-    explains_um = {term.label: candidates.size_um(found.plain, term) for term in terms}
-    most_um = max(explains_um.values(), default=0.0)
-    near = [term for term in terms if most_um > 0.0 and explains_um[term.label] > _NEARLY * most_um]
-    return min(near, key=lambda t: (candidates.numbers(t), -explains_um[t.label])).label if near else None
