@@ -35,7 +35,7 @@ def test_one_radius_and_feed_do_not_tell_a_scale_from_a_lag_and_say_so() -> None
         for one in faults(twin_of(fitted, obs, name="mill", version=1, action="fit", data={}), said, library)
     )
     assert "do not tell it from" in scale
-    assert "Servo lag" in scale
+    assert "Inertial compliance" in scale
     assert "do not tell" not in backlash
 
 
