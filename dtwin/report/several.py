@@ -98,7 +98,8 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
     """Return what campaigns do not agree on: by how much, since when, what was recorded then, and what that may be."""
     out = []
     for one in document.get("contradictions", ()):
-        size = with_k2(one["difference"], one["k2"], one["unit"])
+        size = with_k2(abs(one["difference"]), one["k2"], one["unit"])
+        side = "above" if one["difference"] > 0.0 else "below"
         since = f" since {one['since'][:10]}" if one["since"] else ""
         where = f"{one['effect']} {one['axis']}".rstrip()
         rivals = (
@@ -106,7 +107,7 @@ def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
         )
         out.append(
             f"contradiction{since}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
-            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
+            f"{size} {side} that of {', '.join(one['others'])} (p = {one['p_value']:.1g}){rivals}: "
             + contradiction_words(one["what"], one.get("between", ()), one.get("events", ()))
         )
     return out

@@ -68,6 +68,7 @@ def test_an_event_counts_when_it_lies_between(
     with_event(home, "mill-8", "repair", "2026-05-05", "another machine")
     line = told(home, mine, others, what)
     assert said in line
+    assert "is 3.00 ± 0.50 µm above that of" in line
     assert "repair" not in line
 
 
