@@ -8,7 +8,7 @@ from typing import Any
 from dtwin.machine_record import Event, events_between
 from dtwin.physics.effect import Effect
 from dtwin.report.faults import title_of, with_k2
-from dtwin.report.recorded import contradiction_words
+from dtwin.report.recorded import contradiction_words, events_words
 from dtwin.report.text import words_of
 
 _Told = Mapping[str, Any]
@@ -24,7 +24,10 @@ def joint_lines(found: Mapping[str, Any], library: Mapping[str, Effect], events:
     agreed = [s for s in found["shared"] if not s["apart"]]
     return [
         *(_contradiction(s, events) for s in apart),
-        *(_settled(s, library) for s in found["settled"]),
+        *(
+            _settled(s, library, {test["campaign"]: test["started"] for test in found.get("tests", ())}, events)
+            for s in found["settled"]
+        ),
         *(_agreement(s) for s in agreed),
     ]
 
@@ -55,7 +58,7 @@ def _contradiction(shared: _Told, events: Sequence[Event]) -> str:
     )
 
 
-def _settled(settled: _Told, library: Mapping[str, Effect]) -> str:
+def _settled(settled: _Told, library: Mapping[str, Effect], started: Mapping[str, str], events: Sequence[Event]) -> str:
     names = [_within(label, library) for label in settled["group"]]
     left = [_within(label, library) for label in settled["left"]]
     reasons = [
@@ -65,9 +68,13 @@ def _settled(settled: _Told, library: Mapping[str, Effect]) -> str:
         for unit in [_unit(j["label"], library)]
     ]
     end = "it is " + left[0] if len(left) == 1 else " or ".join(left) + " remain" if left else "all are ruled out"
-    return (
-        f"{settled['campaign']} could not tell {names[0]} from {' or '.join(names[1:])}: {end} ({'; '.join(reasons)})."
+    differ = [j["there"]["started"] for j in settled["judged"] if j["said"] != "agrees"]
+    days = sorted([started.get(settled["campaign"], ""), *differ])
+    meanwhile = (
+        events_words([e.as_dict() for e in events_between(events, days[0], days[-1])]) if differ and days[0] else ""
     )
+    changed = f" Or the machine changed: {meanwhile} lies between these tests." if meanwhile else ""
+    return f"{settled['campaign']} could not tell {names[0]} from {' or '.join(names[1:])}: {end} ({'; '.join(reasons)}).{changed}"
 
 
 _WORDS = {"agrees": "agrees", "is a part": "is a part of it", "refuted": "is ruled out"}

@@ -10,6 +10,7 @@ import pytest
 from dtwin.config import Home
 from dtwin.machine_record import Event, with_event
 from dtwin.physics.contradictions import Contradiction, What
+from dtwin.physics.library import Library
 from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin, ValidityBox
 from dtwin.report.joint import joint_lines
@@ -104,3 +105,14 @@ def test_tests_that_are_compared_one_by_one_are_told_the_same(on: date, said: st
     (line,) = joint_lines({"shared": [{**shared, "apart": apart}], "settled": []}, {}, [Event(on, "moved")])
     assert said in line
     assert "Between a and b lie 3.00 ± 0.28 µm" in line
+
+
+@pytest.mark.parametrize("on", [date(2026, 5, 3), date(2026, 5, 8)])
+def test_a_name_that_another_day_settles_may_be_a_change(on: date) -> None:
+    size = {"campaign": "a", "started": DAYS["a"], "label": "backlash X", "value": 3.0, "uncertainty": 0.1}
+    judged = [{"label": "backlash X", "said": "is a part", "here": {**size, "value": 6.0}, "there": size}]
+    settled = {"campaign": "b", "group": ["backlash X", "friction X"], "judged": judged, "left": ["friction X"]}
+    tests = [{"campaign": name, "started": day} for name, day in DAYS.items()]
+    found = {"shared": [], "settled": [settled], "tests": tests}
+    (line,) = joint_lines(found, Library(), [Event(on, "crash")])
+    assert ("Or the machine changed: crash of 2026-05-03 lies between these tests." in line) == (on.day == 3)
