@@ -162,7 +162,9 @@ def test_a_real_machine_waits_and_is_compared_when_its_campaign_comes(home: Home
     ingest(second, Lake(home.lake))
     (answered,) = kept_plans(home, "mill-7")
     assert answered["answer"] == "t01"
-    assert "t01 beside t00" in page.get("/machines/mill-7").text
+    shown = page.get("/machines/mill-7").text
+    assert "t01 beside t00" in shown
+    assert "This cannot be told yet" in shown
     same = said("machine", "changes", "mill-7")
     assert (same["campaign"], same["earlier"]) == ("t01", "t00")
     assert "changed" not in same["counts"]
