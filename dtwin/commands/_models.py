@@ -246,7 +246,7 @@ def report(
 ) -> None:
     """Write one self-contained HTML page about a recording."""
     from dtwin.atomic import write_text
-    from dtwin.report.campaign import recording_section
+    from dtwin.report.campaign import recording_section, sheet_section
     from dtwin.report.checking import check_source
     from dtwin.report.html import page
 
@@ -259,9 +259,9 @@ def report(
             hint="dtwin certificate CAMPAIGN makes a page of a campaign, dtwin twin compare NAME --html FILE of a twin",
         )
     result = check_source(source)
-    section = recording_section(source, result)
+    sections = [sheet_section(result["sheet"]), recording_section(source, result)]
     target = out or home().reports / f"{source.stem}.html"
-    content = page(source.name, f"machine {result['machine']}", [section])
+    content = page(source.name, f"machine {result['machine']}", sections)
     write_text(target, content, "the report")
     emit({"report": str(target)}, lambda: str(target), as_json=as_json)
 

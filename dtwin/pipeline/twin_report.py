@@ -10,10 +10,14 @@ from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.documents import read_document
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import by_campaign
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.certificate import facts_of
+from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
+from dtwin.report.campaign import sheet_section
 from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import VERDICTS
@@ -39,6 +43,7 @@ def twin_report(
     report = report_of(twin.as_dict())
     sections = [
         _head(home, library, twin, version, diagnosis),
+        *_sheets(home, twin),
         report.twin_section(twin),
         *report_of(compared).comparison_sections(comparison, compared),
         *([report_of(diagnosis).diagnosis_section(twin.name, diagnosis)] if diagnosis else []),
@@ -86,6 +91,18 @@ def _head(
         [],
         [Table(("test", *twin.campaigns), [(name, *(one[name] or "-" for one in facts)) for name in named])],
     )
+
+
+def _sheets(home: Home, twin: AnyTwin) -> list[Section]:
+    """Return the test sheet of each campaign whose kind has one."""
+    every = Lake(home.lake).runs(left_out=True, machine=twin.machine)
+    variation = variation_of(home, twin.machine, every)
+    made = []
+    for name, rows in by_campaign(every).items():
+        if name in twin.campaigns and kind_named(rows[0]["kind"]).offers("sheet"):
+            sheet = sheet_of_campaign(home, name, twin.machine, stamp_of(rows), variation)
+            made.append(sheet_section(sheet, name if len(twin.campaigns) > 1 else ""))
+    return made
 
 
 def _one_of(group: Sequence[object]) -> str:

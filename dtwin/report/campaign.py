@@ -14,6 +14,7 @@ from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
+from dtwin.report.sheet import overview
 from dtwin.report.text import circle_figure
 from dtwin.schema import Floats, Run
 from dtwin.train.results import Candidate, TrainingReport, condition_name, r2_text, without_correction
@@ -69,6 +70,12 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
             polar_figure(aligned_curves, radius, title="Aligned by the stops", magnification=scale),
         ],
     )
+
+
+def sheet_section(sheet: Mapping[str, Any], of: str = "") -> Section:
+    """Return a test sheet, as its ``as_dict`` gives it: a line for each condition. ``of``: the campaign, where there are several."""
+    title = f"{sheet['standard']}: {sheet['verdict'] or 'no tolerance is stated'}"
+    return Section(f"{of}: {title}" if of else title, [sheet["basis"], *sheet["notes"]], [], [Table(*overview(sheet))])
 
 
 def training_section(report: TrainingReport) -> Section:

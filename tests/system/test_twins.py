@@ -404,7 +404,7 @@ def test_the_command_line_says_the_same(
     page = tmp_path / "twin.html"
     printed("twin", "show", "cli", "--html", page)
     content = page.read_text(encoding="utf-8")
-    for heading in ("The twin", "Measured against predicted", "What is missing"):
+    for heading in ("ISO 230-4", "G(b)", "The twin", "Measured against predicted", "What is missing"):
         assert heading in content
     assert 'src="http' not in content, "the page needs the network"
     code, _, err = command_here("twin", "add", "cli", "warp_drive")
