@@ -118,6 +118,9 @@ def _ingested(bench: Workbench, archive: bytes) -> None:
 def _heights(page: Page) -> list[float]:
     expect(page.locator("#waterfall .bars path").first).to_be_attached()
     found = page.evaluate("document.querySelector('#waterfall .canvas').data[0].y")
+    # The height of the newest bar, at the floor, stands on the right above it.
+    floor = page.evaluate("document.querySelector('#waterfall .canvas').layout.annotations[0]")
+    assert (floor["xanchor"], floor["yanchor"]) == ("left", "top")
     return [float(height) for height in found]
 
 
