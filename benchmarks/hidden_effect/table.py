@@ -40,7 +40,7 @@ def table_text(records: Sequence[Record]) -> str:
     return "\n".join(parts) + "\n"
 
 
-UNTOLD = {3: 0.98, 5: 0.98, 8: 0.97, 12: 0.92}
+UNTOLD = {3: 0.98, 4: 0.98, 5: 0.98, 8: 0.97, 12: 0.92}
 MOST_FALSE = 0.10
 
 
