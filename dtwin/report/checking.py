@@ -19,7 +19,7 @@ from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
 from dtwin.report.sheet import judged, sheet_lines
-from dtwin.report.text import circle_figure, counted, table
+from dtwin.report.text import circle_figure, counted, micrometres, table
 from dtwin.report.uncertainty import Circumstances, Variation
 from dtwin.schema import Campaign, Finding, Run, of_one_way
 from dtwin.tolerances import Limits, limits_from
@@ -321,7 +321,7 @@ def _render_table(runs: Sequence[dict[str, Any]], together: Sequence[Mapping[str
     rows = [
         [
             run["run"],
-            *(run.get("by_file_indices", {}).get(name) for name in known),
+            *(micrometres(run.get("by_file_indices", {}).get(name)) for name in known),
             ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info") or "-",
         ]
         for run in runs

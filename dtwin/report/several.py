@@ -11,7 +11,7 @@ from dtwin.report import twins
 from dtwin.report.faults import with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.recorded import contradiction_words
-from dtwin.report.text import micrometres, table
+from dtwin.report.text import VERDICTS, micrometres, table
 from dtwin.report.twins import history_section as history_section
 from dtwin.report.twins import number
 
@@ -85,7 +85,7 @@ def _said_table(result: Mapping[str, Any]) -> Table:
             one["campaign"],
             one["kind"],
             one["started"][:10] or "-",
-            one["verdict"],
+            VERDICTS.get(one["verdict"], one["verdict"]),
             "; ".join(" or ".join(group) for group in one["found"]) or "-",
             number(one["noise_floor_um"]),
         )

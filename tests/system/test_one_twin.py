@@ -66,7 +66,9 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home, monkeypatch:
     with monkeypatch.context() as kept:
         kept.setattr("dtwin.twins.verbs.diagnose_several", None)
         assert said("twin", "diagnose", "all") == told
-        assert "settled: bar could not tell" in printed("twin", "diagnose", "all")
+        text = printed("twin", "diagnose", "all")
+    assert "settled: bar could not tell" in text
+    assert "Several effects would explain it" in text
     monkeypatch.setattr("dtwin.twins.verbs.kept_several", lambda *_: None)
     monkeypatch.setattr("dtwin.physics.several_diagnosis.diagnose", None)
     assert said("twin", "diagnose", "all") == told
