@@ -73,7 +73,11 @@ def faults(
     for term in twin.terms:
         own = (label for label in _labels(twin, term) if label in instead)
         others = tuple(title_of(label, library or {}) for label in instead.get(next(own, ""), ()))
-        fault = _fault(term.instance.effect, term.instance.axis, told_of(twin, term))
+        told = told_of(twin, term)
+        fault = _fault(term.instance.effect, term.instance.axis, told)
+        sizes = sizes_of(told)
+        if sizes and all(abs(value) <= spread for _, value, spread, _ in sizes):
+            fault = replace(fault, remedy="These runs do not tell it from zero.")
         if alike := _alike(twin, term):
             beside = listed([titles.get(label, label) for label, _ in alike])
             # What cannot be told is not mended: another test comes first.

@@ -49,6 +49,12 @@ def test_effects_of_a_twin_that_its_runs_show_alike_have_no_size_and_no_remedy()
     assert library["backlash"].remedy not in told["backlash"].sentence
     assert twin.aliases[0]["separate_by"] in told["friction"].sentence
     assert "±" in told["squareness"].size
+    none, some = (
+        [f.sentence for f in faults(replace(twin, estimates=[replace(e, value=size) for e in twin.estimates]))][-1]
+        for size in (0.0, 1e3)
+    )
+    assert none.endswith("These runs do not tell it from zero.")
+    assert some.endswith(library["squareness"].remedy)
     sizes = {row[:2]: row[2] for row in parameter_table(twin, in_words=False).rows}
     assert sizes["backlash X", "backlash"] == "not told"
     assert "±" in sizes["squareness XY", "squareness"]
