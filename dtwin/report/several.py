@@ -121,11 +121,18 @@ def _explanation_lines(result: Mapping[str, Any]) -> list[str]:
 def _settled_lines(result: Mapping[str, Any]) -> list[str]:
     """Return which groups one campaign leaves open and another settles."""
     words = {"agrees": "agrees with", "is a part": "is a part of it by", "refuted": "is ruled out by"}
+    started = {one["campaign"]: one["started"][:10] for one in result["campaigns"]}
     out = []
     for one in result["settled"]:
+        # What another day tells of a size that differs holds for a machine that did not change.
+        others = {j["there"]["started"][:10] for j in one["judged"] if j["said"] != "agrees"}
+        days = sorted({started.get(one["campaign"], ""), *others})
+        unless = f", unless the machine changed between {days[0]} and {days[-1]}" if len(days) > 1 and days[0] else ""
         judged = "; ".join(f"{j['label']} {words[j['said']]} {j['there']['campaign']}" for j in one["judged"])
         left = " or ".join(one["left"]) or "none of them"
-        out.append(f"settled: {one['campaign']} could not tell {', '.join(one['group'])}; it is {left} ({judged})")
+        out.append(
+            f"settled: {one['campaign']} could not tell {', '.join(one['group'])}; it is {left} ({judged}){unless}"
+        )
     # Of a diagnosis that was kept by a version before.
     if other := result.get("ruled_out"):
         out.append(f"ruled out, for tests at other conditions would need other sizes: {', '.join(other)}")

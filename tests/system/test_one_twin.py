@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
 from dtwin.machines.mill_parameters import MillParameters
+from dtwin.report.several import diagnosis_text
 from dtwin.report.text import listed
 from dtwin.twins.several import require_together
 from dtwin.twins.verbs import Twins
@@ -69,6 +70,10 @@ def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home, monkeypatch:
         text = printed("twin", "diagnose", "all")
     assert "settled: bar could not tell" in text
     assert "Several effects would explain it" in text
+    assert "unless the machine changed" not in text
+    told["settled"][0]["judged"][0]["said"] = "is a part"
+    assert "unless the machine changed between 2025-01-" in diagnosis_text("all", told)
+    told["settled"][0]["judged"][0]["said"] = "agrees"
     monkeypatch.setattr("dtwin.twins.verbs.kept_several", lambda *_: None)
     monkeypatch.setattr("dtwin.physics.several_diagnosis.diagnose", None)
     assert said("twin", "diagnose", "all") == told
