@@ -66,7 +66,6 @@ def polar_figure(
         )
     )
     for colour, (name, (angle, deviation)) in zip(_PALETTE * 4, traces.items(), strict=False):
-        figure.add_trace(_start(angle, radius_mm + deviation * factor / 1000.0, colour))
         figure.add_trace(
             go.Scatterpolar(
                 theta=_short(angle),
@@ -78,6 +77,8 @@ def polar_figure(
                 hovertemplate="%{theta:z.1f}°<br>%{customdata:z.1f} µm<extra>" + name + "</extra>",
             )
         )
+        # Above its own line, which hides it where the run is noisy.
+        figure.add_trace(_start(angle, radius_mm + deviation * factor / 1000.0, colour))
     division, rings = polar_rings(radius_mm, factor)
     figure.update_layout(title=f"{title}, {division:g} µm per division", polar=polar_axes(radius_mm, rings, plane))
     # Above the plot the legend would hide what stands at 90 degrees.
@@ -112,7 +113,9 @@ def _start(angle_deg: Floats, drawn: Floats, colour: str) -> go.Scatterpolar:
     backwards = angle_deg[ahead] < angle_deg[0]
     marker = {
         "color": colour,
-        "size": [8, 12 if ahead else 0],
+        "size": [10, 15 if ahead else 0],
+        "opacity": 1.0,
+        "line": {"color": "white", "width": 1.5},
         "symbol": ["circle", "triangle-up"],
         "angle": [0.0, float((180.0 if backwards else 0.0) - angle_deg[ahead])],
     }

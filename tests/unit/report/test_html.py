@@ -38,6 +38,8 @@ def test_magnification_is_round_and_drawn() -> None:
     assert np.allclose(rings * 1000.0 / 500.0, [float(text) for text in figure.layout.polar.radialaxis.ticktext])
     drawn = np.array(next(trace for trace in figure.data if trace.name == "a").r)
     assert drawn.max() == pytest.approx(100 + 40 * 500 / 1000, rel=1e-3)
+    # Start and arrow are drawn over the run, not under it.
+    assert [trace.mode for trace in figure.data][-2:] == ["lines", "markers"]
 
 
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
