@@ -24,6 +24,8 @@ from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
 SETUP_COLUMNS = "setup_"
+# Of the sum of squares of a column.
+_ROUNDING = 1e-20
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,11 @@ class Observations:
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
         out = np.where(self.mask[:, :, None], out, 0.0)
-        return from_harmonics(self._told(to_harmonics(out))) if self.wander_um else out
+        if not self.wander_um:
+            return out
+        told = from_harmonics(self._told(to_harmonics(out)))
+        # What moves the centre and nothing else would leave rounding, and that be fitted.
+        return np.where((told**2).sum(axis=(0, 1)) > _ROUNDING * (out**2).sum(axis=(0, 1)), told, 0.0)
 
     def harmonics(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
@@ -217,7 +223,7 @@ class Observations:
         """
         masks = self.condition_masks
         if masks is None or not self.is_alike_in_repeats(instance):
-            return self._told(to_harmonics(self.regressors(instance, shape))), np.arange(self.n_rows)
+            return to_harmonics(self.regressors(instance, shape)), np.arange(self.n_rows)
         made = [partial(_averaged, self.grid, instance, shape, state) for state in self._condition_states]
         columns = [
             kept_columns(instance, shape, key, make) if keep else make()

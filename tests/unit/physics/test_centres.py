@@ -64,6 +64,14 @@ def test_a_centre_that_wanders_costs_nothing_that_is_told() -> None:
         assert told.uncertainty < 0.05 * truth
 
 
+def test_what_moves_a_centre_that_wanders_anyway_is_not_told() -> None:
+    rng, drift = np.random.default_rng(5), LIBRARY["thermal_drift"]
+    wandering = measured(lambda hour: 3.0 * rng.standard_normal(2))
+    told = fit(wandering, [Term(Instance(drift), drift.start_shape)], refine=False).estimates
+    assert [(e.value, e.identifiable) for e in told if e.name.startswith("shift")] == [(0.0, False)] * 3
+    assert abs(told[-1].value) < 0.1
+
+
 def test_a_centre_that_moves_evenly_is_a_drift_and_stays() -> None:
     still, moving = measured(lambda hour: NOTHING), measured(lambda hour: np.array([20.0 * hour, -8.0 * hour]))
     assert moving.wander_um == 0.0
