@@ -84,8 +84,8 @@ def _beside_its_sweep(values: Floats) -> Floats:
 def _contradicted(test: LinearTest, ways: Mapping[str, Floats]) -> list[_SpoiltReading]:
     """Return the readings far from the others of their target, which agree, and far beyond the furthest of all other targets.
 
-    Of campaigns that only scatter at most 0.6 % have one (1500 draws each of 2, 3 or 5 cycles, 11 to 31 targets in two directions): noise normal,
-    of Laplace, of Student's t with 5 degrees of freedom, or normal and half as large again or a third less from target to target.
+    The limits were chosen on campaigns that only scatter, of 2, 3 and 5 cycles and 11 to 31 targets: noise normal, of Laplace, of Student's t with
+    5 degrees of freedom, or normal and of other size from target to target.
     """
     others = {way: _others(ways, way) for way in ways}
     off = {way: values - np.median(others[way], axis=2) for way, values in ways.items()}

@@ -75,8 +75,8 @@ def application(bench: Bench) -> Guarded:
     app.add_exception_handler(ModuleNotFoundError, _absent)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _unknown)
-    for broken in (OSError, Exception):
-        app.add_exception_handler(broken, _broken)
+    app.add_exception_handler(OSError, _of_disk)
+    app.add_exception_handler(Exception, _broken)
     return Guarded(app, bench.access)
 
 
@@ -154,9 +154,15 @@ def _absent(request: Request, error: Exception) -> Response:
     return refused(request, said)
 
 
+def _of_disk(request: Request, error: Exception) -> Response:
+    if (fault := fault_of(error)) is None:
+        # A mistake of ours, of which the server keeps a traceback.
+        raise error
+    return refused(request, fault)
+
+
 def _broken(request: Request, error: Exception) -> Response:
-    fault = fault_of(error)
-    if fault is not None:
+    if (fault := fault_of(error)) is not None:
         return refused(request, fault)
     return Response("Internal Server Error", 500, media_type="text/plain")
 

@@ -298,7 +298,9 @@ def test_what_a_disk_or_the_registry_does_to_a_page_is_said(tmp_path: Path, monk
         base_url="http://127.0.0.1:8765",
         raise_server_exceptions=False,
     )
+    mistake = OSError(9, "Bad file descriptor")
     for error, status, told in (
+        (mistake, 500, "Internal Server Error"),
         (OSError(28, "No space left on device", "x.json"), 400, "No space left on device"),
         (sqlite3.OperationalError("database or disk is full"), 400, "the model registry was lost, or refused"),
         (ValueError("a mistake of ours"), 500, "Internal Server Error"),
@@ -310,6 +312,10 @@ def test_what_a_disk_or_the_registry_does_to_a_page_is_said(tmp_path: Path, monk
         monkeypatch.setattr(Bench, "campaigns", failing)
         answer = client.get("/campaigns")
         assert (answer.status_code, told in answer.text) == (status, True)
+    monkeypatch.setattr(Bench, "campaigns", lambda *_: (_ for _ in ()).throw(mistake))
+    # The server is to keep a traceback of it.
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        TestClient(client.app, base_url="http://127.0.0.1:8765").get("/campaigns")
 
 
 def test_figures_of_a_loop_that_is_held_up_or_was_killed_are_not_told_as_those_of_now(
