@@ -141,7 +141,7 @@ def discovered(
     yield groups, terms, found
     while large and len(groups) < RUNGS:
         found = diagnose(obs, terms, LIBRARY, seed=number)
-        large = found.to_add([term.label for term in terms], several_speeds=obs.several_speeds)
+        large = found.to_add([term.label for term in terms], [obs])
         groups = [*groups, *([s.label for s in group] for group in large)]
         terms = _with_added(obs, terms, large) if large else terms
         yield groups, terms, found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ from dtwin.physics._laws import LawTest
 from dtwin.physics._rivals import AFTER_A_REVERSAL
 from dtwin.physics._screen import Channel
 from dtwin.physics.fit import Estimate
+from dtwin.physics.observations import Observations
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"]
 Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]
@@ -106,7 +107,9 @@ class Spread:
         return {"depends_on": list(self.depends_on), "p_value": self.p_value}
 
 
-_INEXACT = ("friction", "reversal_spike", "reversal_ringing")
+# What has a law of its own after a reversal; and what also looks like what those leave.
+_INEXACT = AFTER_A_REVERSAL | {"friction"}
+_LIKE_IT = _INEXACT | {"backlash"}
 
 LEAST_GAIN = 0.25
 """What a second diagnosis finds may be how far the laws of what the first one found are off.
@@ -168,14 +171,14 @@ class Diagnosis:
         """Members of the reported group, best first."""
         return tuple(suspect for suspect in self.suspects if suspect.in_group)
 
-    def to_add(self, labels: Collection[str], *, several_speeds: bool) -> tuple[tuple[Suspect, ...], ...]:
+    def to_add(self, labels: Collection[str], campaigns: Sequence[Observations]) -> tuple[tuple[Suspect, ...], ...]:
         """Return the groups that a later diagnosis may add by itself to a twin with effects of these labels.
 
         What may be how far the laws of those are off stays in its last word. A group must foretell ``LEAST_GAIN`` of what
-        is left where it was not fitted. At one speed, what follows the reversals of an axis is also what the law of
-        friction or of a spike of that axis leaves there.
+        is left where it was not fitted. What follows the reversals of an axis is also what the law of friction, of a spike
+        or of a mode of that axis leaves there, unless radius and feed were changed apart from each other.
         """
-        follows = set() if several_speeds else AFTER_A_REVERSAL
+        follows = set() if any(one.crossed for one in campaigns) else _LIKE_IT
         inexact = {label.partition(" ")[2] for label in labels if label.partition(" ")[0] in _INEXACT}
         return tuple(
             group

@@ -85,6 +85,12 @@ class Observations:
         return len({c.feed_mm_min for c in self.conditions}) > 1
 
     @property
+    def crossed(self) -> bool:
+        """Whether radius and feed were changed apart from each other, so that what grows with either is told."""
+        pairs = {(c.radius_mm, c.feed_mm_min) for c in self.conditions}
+        return len(pairs) > max(len(set(values)) for values in zip(*pairs, strict=True))
+
+    @property
     def n_rows(self) -> int:
         """Number of rows."""
         return len(self.runs)

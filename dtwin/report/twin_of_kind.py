@@ -59,7 +59,7 @@ def discovery_text(payload: Mapping[str, Any], least_gain: float) -> str:
     small = (
         f"foretells less than {100.0 * least_gain:z.0f} % of what is left on conditions left out, as laws may be off"
     )
-    beside = "at one speed, friction or a spike of that axis may leave the same, as laws may be off"
+    beside = "friction, a spike or a mode of that axis may leave the same, unless radius and feed are changed apart"
     for one, *_ in last.get("found", ()):
         why = small if (one["cv_gain"] or 0.0) < least_gain else beside
         lines.append(f"not added: {one['effect']} {one['axis']}".rstrip() + f": {why}")

@@ -104,9 +104,8 @@ class PathMember(Member):
 
     def told(self, twin: SeveralTwin, seed: int) -> Told:
         said = diagnose_several(twin, self.observations, self.library, seed=seed)
-        several_speeds = any(obs.several_speeds for obs in self.observations)
         found, surely = (
             tuple(tuple(f"{s.effect}:{s.axis}".rstrip(":") for s in group) for group in groups)
-            for groups in (said.found, said.to_add(twin.labels, several_speeds=several_speeds))
+            for groups in (said.found, said.to_add(twin.labels, self.observations))
         )
         return Told(said.as_dict(), found, surely)

@@ -250,7 +250,7 @@ class Twins(TwinShelf):
                 made.append(twin)
                 groups.append(tuple(suspect.label for suspect in group))
             _, said = self.diagnose(name, seed=seed)
-            large = said.to_add(twin.labels, several_speeds=any(one.obs.several_speeds for one in loaded))
+            large = said.to_add(twin.labels, [one.obs for one in loaded])
         return made, groups, said
 
     def members(self, campaigns: Sequence[str]) -> Sequence[PathMember]:

@@ -8,9 +8,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import pytest
+
 from dtwin.config import Home
 from dtwin.physics.diagnosis import Diagnosis, Suspect
 from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin
 from dtwin.report.twin_of_kind import discovery_text
 from dtwin.twins.measured import Loaded
@@ -40,10 +43,10 @@ def _found(effect: str, axis: str, gain: float) -> tuple[Suspect, ...]:
 class _Told(Twins):
     """Twins whose diagnoses are told."""
 
-    def __init__(self, home: Home, *rounds: tuple[tuple[Suspect, ...], ...], several_speeds: bool = True) -> None:
+    def __init__(self, home: Home, *rounds: tuple[tuple[Suspect, ...], ...], crossed: bool = True) -> None:
         super().__init__(home, Library())
         self._rounds = list(rounds)
-        self._several_speeds = several_speeds
+        self._crossed = crossed
         self.added: list[str] = []
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
@@ -61,7 +64,7 @@ class _Told(Twins):
         return self._twin(), said
 
     def _load(self, campaigns: Sequence[str]) -> list[Loaded]:
-        return [cast("Loaded", SimpleNamespace(obs=SimpleNamespace(several_speeds=self._several_speeds)))]
+        return [cast("Loaded", SimpleNamespace(obs=SimpleNamespace(crossed=self._crossed)))]
 
     def _added(self, twin: Twin, loaded: object, effect: str, axis: str, *_: object, **__: object) -> Twin:
         self.added.append(f"{effect} {axis}".rstrip())
@@ -85,19 +88,35 @@ def test_what_a_later_round_finds_must_foretell_conditions_left_out(tmp_path: Pa
     assert [group[0].label for group in said.found] == ["lateral_play_taper X", "reversal_ringing X"]
 
 
-def test_at_one_speed_what_follows_a_reversal_may_be_how_far_the_law_of_friction_is_off(tmp_path: Path) -> None:
+def test_what_follows_a_reversal_may_be_how_far_the_law_of_friction_is_off(tmp_path: Path) -> None:
     rounds = (
         (_found("friction", "X", 0.9), _found("backlash", "Y", 0.9)),
         (_found("reversal_ringing", "X", 0.4), _found("structural_resonance", "Y", 0.4)),
         (_found("reversal_ringing", "X", 0.4),),
     )
-    twins = _Told(Home(tmp_path), *rounds, several_speeds=False)
+    twins = _Told(Home(tmp_path), *rounds, crossed=False)
     _, _, said = twins.discover("t")
     assert twins.added == ["friction X", "backlash Y", "structural_resonance Y"]
     assert [group[0].label for group in said.found] == ["reversal_ringing X"]
     told = _Told(Home(tmp_path), *rounds, ())
     told.discover("t")
     assert told.added[2:] == ["reversal_ringing X", "structural_resonance Y", "reversal_ringing X"]
+
+
+@pytest.mark.parametrize(
+    ("pairs", "crossed"),
+    [
+        ([(100, 1000), (100, 3000)], False),
+        ([(50, 1000), (150, 1000)], False),
+        ([(50, 1000), (150, 3000)], False),
+        ([(50, 1000), (150, 1000), (150, 3000)], True),
+    ],
+)
+def test_radius_and_feed_are_crossed_where_each_was_changed_apart_from_the_other(
+    pairs: list[tuple[float, float]], crossed: bool
+) -> None:
+    conditions = [SimpleNamespace(radius_mm=radius, feed_mm_min=feed) for radius, feed in pairs]
+    assert Observations.crossed.fget(SimpleNamespace(conditions=conditions)) is crossed
 
 
 def test_every_group_what_is_left_and_what_was_not_added_is_told() -> None:
