@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics._condensed import Condensed, condensed
+from dtwin.physics._reference_lines import with_reference_lines
 from dtwin.physics._shapes import refined
 from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
@@ -132,7 +133,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     Raises:
         InputError: When an effect has nothing to act on in this campaign.
     """
-    terms = _refined(obs, terms) if refine else list(terms)
+    terms = with_reference_lines(_refined(obs, terms) if refine else terms, [obs])
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics._pooled import Part, normal_inverse, own_columns, solve_pooled, spread
+from dtwin.physics._reference_lines import with_reference_lines
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import Alias, Estimate, Fit, estimates, find_aliases, fit, residual_um, run_weights, setups
 from dtwin.physics.machine_terms import is_shared, is_wave, seen_by
@@ -102,6 +103,7 @@ def fit_several(
     ``refine``: search the shapes of effects from where they are; otherwise they stay.
     Raises ``InputError`` when no campaign sees an effect.
     """
+    terms = with_reference_lines(terms, campaigns)
     pool = _pooled(campaigns, terms, library)
     if refine and any(t.instance.effect.refined_shapes(True) for t in terms):
         pool = _pooled(campaigns, _refined(pool, library).terms, library)

@@ -83,10 +83,11 @@ def parameter_table(twin: Twin, *, in_words: bool = True) -> Table:
             (
                 f"{titles.get(term.instance.effect.name, term.instance.effect.name)} {term.instance.axis}".strip(),
                 shape.name.removesuffix(f"_{shape.unit}").replace("_", " "),
-                f"about {number(term.shape[shape.name], 2)}",
+                f"{'about ' * shape.refined}{number(term.shape[shape.name], 2)}",
                 shown_unit(shape.unit),
             )
             for shape in term.instance.effect.shapes
+            if term.shape[shape.name] or shape.start
         ]
     return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)
 

@@ -56,6 +56,18 @@ def test_a_hump_of_a_guideway_is_named_and_hides_nothing_else() -> None:
     assert found.unresolved is None or found.unresolved.systematic_rms_um < 0.15 * obs.rms(obs.y_um)
 
 
+def test_squareness_is_of_the_lines_of_the_axes_and_not_of_the_slope_in_the_middle() -> None:
+    obs = measured(MillParameters(squareness_um_m={"XY": 30.0}), bump)
+    effects = ["squareness", "straightness:X", "guideway_shape:X"]
+    found = fit(obs, chosen_terms(effects, LIBRARY, obs))
+    x_mm = np.linspace(-1.0, 1.0, 2001) * obs.radius_mm.max()
+    line_um_m = 1e3 * np.polyfit(x_mm, 9.0 * np.exp(-(((x_mm - 25.0) / 60.0) ** 2)), 1)[0]
+    (squareness,) = [e for e in found.estimates if e.effect == "squareness"]
+    assert squareness.value == pytest.approx(30.0 - line_um_m, abs=2.0)
+    # Without squareness beside it, the curve holds the line.
+    assert fit(obs, [t for t in found.terms if t.label != "squareness XY"]).terms[-1].shape["line_over_mm"] == 0.0
+
+
 def edge(moment: Moment) -> Floats:
     """A step of X in Y's way, 10 mm long, as of a cover that catches at one place."""
     x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
