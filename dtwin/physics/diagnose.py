@@ -33,7 +33,7 @@ from dtwin.physics._law_search import search_laws
 from dtwin.physics._material import IMMATERIAL
 from dtwin.physics._measured_once import as_if_repeated
 from dtwin.physics._nameless import nameless
-from dtwin.physics._outliers import odd_runs
+from dtwin.physics._outliers import odd_of_two, odd_runs
 from dtwin.physics._parity import Curve, curves_left, joined
 from dtwin.physics._screen import Channel, screen_channels
 from dtwin.physics._spread import spread_of, unsteady
@@ -75,7 +75,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     tried, untestable = applicable(library, obs, known)
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
     problem = set_up(obs, known, within)
-    dropped = odd_runs(problem)
+    dropped = odd_runs(problem) or odd_of_two(problem, tried, lambda others: set_up(others, known, within))
     outliers = tuple(obs.runs[i].run_id for i in dropped)
     if dropped:
         obs = obs.without(dropped)

@@ -188,7 +188,8 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     if result["verdict"] == "unknown_effect" and result["closest"]:
         lines.append(f"closest of what is known: {result['closest']}{_closest_words(result)}")
     if result["outlier_runs"]:
-        lines.append(f"left out, not like their repeats: {', '.join(result['outlier_runs'])}")
+        odd = ", ".join(result["outlier_runs"])
+        lines.append(f"left out, not like their repeats: {odd} (a fit has them until `dtwin leave-out` takes them out)")
     lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")

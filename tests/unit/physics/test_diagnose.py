@@ -22,7 +22,7 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term, set_up
 from dtwin.physics.score import noise_level
 from dtwin.physics.twin import chosen_terms
-from dtwin.schema import Floats, Run
+from dtwin.schema import Direction, Floats, Run
 
 LIBRARY = Library()
 KNOWN = ["scale_mismatch", "squareness"]
@@ -83,6 +83,17 @@ def test_a_bad_run_is_left_out_and_named() -> None:
     found = verdict(runs)
     assert found.outlier_runs == (runs[7].meta.run_id,)
     assert found.verdict == "nothing_missing", found.headline
+
+
+@pytest.mark.parametrize("spoilt", [2, 5])
+def test_of_two_repeats_the_one_is_left_out_without_which_effects_leave_less(spoilt: int) -> None:
+    ways: tuple[Direction, ...] = ("CCW", "CW")
+    tests = [CircularTest("XY", way, radius, 1000.0, n) for n in (1, 2) for radius in (100.0, 150.0) for way in ways]
+    runs = VirtualMill(SOUND, seed=3).measure(tests)
+    samples = dict(runs[spoilt].samples)
+    samples["deviation_um"] = samples["deviation_um"] + 12.0 * np.cos(2 * np.radians(samples["angle_deg"]))
+    runs[spoilt] = replace(runs[spoilt], samples=samples)
+    assert diagnose(observed(runs), [], LIBRARY).outlier_runs == (runs[spoilt].meta.run_id,)
 
 
 def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
