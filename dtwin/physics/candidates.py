@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from dtwin.physics._reference_lines import over
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import CIRCLE, Indices, bin_angle_rad
 from dtwin.physics.library import campaign_instances
@@ -159,6 +160,7 @@ class Candidates:
                 )
             )
         ]
+        grid = [{**shape, **over(effect, [self.obs])} for shape in grid]
         if effect.also_tried_on and self.obs.grid.kind not in effect.also_tried_on:
             return grid
         return [*grid, *(s for s in effect.also_tried if several or effect.is_told_at_one_speed(s))]
@@ -187,6 +189,8 @@ def applicable(
         silent = [name for name in effect.stated if name not in geometry]
         if silent:
             untestable[instance.label] = f"{', '.join(silent)} is not stated in the machine's geometry"
+        elif effect.by_radius and obs.grid.in_plane and len({c.radius_mm for c in obs.conditions}) == 1:
+            untestable[instance.label] = "the radius was not changed"
         elif absent:
             untestable[instance.label] = f"{', '.join(absent)} was not logged"
         elif effect.within_condition and _never_changed(obs, effect):

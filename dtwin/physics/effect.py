@@ -18,6 +18,7 @@ from dtwin.units import UM_PER_MM
 _LARGEST = 200.0
 _BEYOND_GRID = 10.0
 _AT_ONCE_UM = 1e-3
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 Per = Literal["machine", "axis", "machine_and_axis", "plane", "plane_or_axis", "joint"]
 Shape = Mapping[str, float]
@@ -111,6 +112,7 @@ class Effect:
         also_tried_on: Kinds of campaign for which it does; empty for all.
         needs: Logged columns without which it cannot be judged.
         stated: What the geometry of the machine must state, without which it cannot be judged.
+        by_radius: Only circles of several radii tell it from other curves: it is not tried on those of one.
         setup: Belongs to the mounting of the instrument: always fitted, never a missing effect.
         within_condition: Differs between repeats of a condition, as heat and time do.
         on_spread: Shows in the spread of repeats and not in their mean.
@@ -150,6 +152,7 @@ class Effect:
     cause: str = ""
     correctable: str = ""
     group: str = ""
+    by_radius: bool = False
     setup: bool = False
     within_condition: bool = False
     on_spread: bool = False
@@ -255,6 +258,9 @@ def other_axis(state: State, axis: str) -> str:
     return second if axis == first else first
 
 
+# Half the travel over which a curve of a guideway has no line and no bow: that of the largest circle, once there is a campaign.
+OVER = ShapeParameter("over_mm", "mm", 0.0, (0.0,), (0.0, 1e4), refined=False)
+
 # What slows down as heat spreads, ISO 230-3; at its largest it goes on as it began.
 SETTLING = ShapeParameter("settling_h", "h", 1e4, (0.15, 0.5, 1e4), (0.05, 1e4), smooth=True)
 
@@ -281,6 +287,25 @@ def aside(state: State, axis: str, *profiles_um: Floats) -> Floats:
     pushed = [profile * state.sensitivity[towards] for profile in profiles_um]
     is_first = towards == min(set("XYZ") - {axis})
     return stacked(*pushed, *nothing) if is_first else stacked(*nothing, *pushed)
+
+
+def guideway(state: State, axis: str, over_mm: float, *profiles_um: Callable[[Floats], Floats]) -> Floats:
+    """Return what curves of a guideway push aside, as :func:`aside` does; nothing where the axis stands.
+
+    Each is taken without its least-squares line and bow over so much to both sides of the centre, unless that is 0: these
+    are squareness and straightness.
+
+    ``profiles_um``: k functions of the place in mm.
+    """
+    if not moves(state, axis):
+        return np.zeros((state.n, 2 * len(profiles_um)))
+    made = [profile(state.position_mm[axis]) for profile in profiles_um]
+    for power in (1, 2) if over_mm else ():
+        plain = np.polynomial.Legendre.basis(power)
+        parts = plain(_NODES) * _WEIGHTS * (power + 0.5)
+        taken = plain(state.position_mm[axis] / over_mm)
+        made = [m - (parts @ profile(over_mm * _NODES)) * taken for m, profile in zip(made, profiles_um, strict=True)]
+    return aside(state, axis, *made)
 
 
 def taken_up(state: State, axis: str, standstill_um: float) -> Floats:

@@ -133,7 +133,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     Raises:
         InputError: When an effect has nothing to act on in this campaign.
     """
-    terms = with_reference_lines(_refined(obs, terms) if refine else terms, [obs])
+    terms = with_reference_lines(terms, [obs])
+    terms = _refined(obs, terms) if refine else terms
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.

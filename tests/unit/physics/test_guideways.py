@@ -11,6 +11,7 @@ from mill_and_laser import circular_tests
 from dtwin.acquire.virtual_mill import _standard_tests
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
 from dtwin.machines.mill_parameters import MillParameters, NoiseParameters
+from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.experiment import detectable
 from dtwin.physics.fit import Fit, fit
@@ -64,8 +65,29 @@ def test_squareness_is_of_the_lines_of_the_axes_and_not_of_the_slope_in_the_midd
     line_um_m = 1e3 * np.polyfit(x_mm, 9.0 * np.exp(-(((x_mm - 25.0) / 60.0) ** 2)), 1)[0]
     (squareness,) = [e for e in found.estimates if e.effect == "squareness"]
     assert squareness.value == pytest.approx(30.0 - line_um_m, abs=2.0)
-    # Without squareness beside it, the curve holds the line.
-    assert fit(obs, [t for t in found.terms if t.label != "squareness XY"]).terms[-1].shape["line_over_mm"] == 0.0
+
+
+def rails(moment: Moment) -> Floats:
+    """Screws every 130 mm draw the rail of X to its bed by 3 µm."""
+    x_mm = moment.test.radius_mm * np.cos(moment.angle_rad)
+    return np.asarray(3.0 * np.cos(2.0 * np.pi * (x_mm - 40.0) / 130.0) * np.sin(moment.angle_rad))
+
+
+def test_a_wave_of_a_guideway_is_named_with_its_length_and_hides_nothing_else() -> None:
+    obs = measured(MillParameters(squareness_um_m={"XY": 30.0}).with_axis("Y", play_um=4.0), rails)
+    found = [group[0] for group in diagnose(obs, [], LIBRARY).found]
+    assert {f.label for f in found} == {"guideway_wave X", "squareness XY", "backlash Y"}
+    wave = fit(obs, chosen_terms(["squareness", "backlash:Y", "guideway_wave:X"], LIBRARY, obs))
+    assert wave.terms[-1].shape["wave_mm"] == pytest.approx(130.0, rel=0.01)
+    size = {e.name: e.value for e in wave.estimates}
+    assert np.hypot(size["cosine"], size["sine"]) == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_wave_of_a_guideway_is_not_tried_on_circles_of_one_radius() -> None:
+    obs = measured(MillParameters(), rails)
+    alone = obs.take(np.flatnonzero(obs.radius_mm == obs.radius_mm[0]))
+    assert applicable(LIBRARY, alone, [])[1]["guideway_wave X"] == "the radius was not changed"
+    assert "guideway_wave X" not in applicable(LIBRARY, obs, [])[1]
 
 
 def edge(moment: Moment) -> Floats:
