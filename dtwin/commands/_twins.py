@@ -95,9 +95,9 @@ def compare_twin(
     result = comparison.as_dict(cutoff)
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
+    emit(result, lambda: report_of(result).comparison_text(result), as_json=as_json)
     if html is not None:
         _write_page(html, comparison.twin.name, report_of(result).comparison_sections(comparison, result))
-    emit(result, lambda: report_of(result).comparison_text(result), as_json=as_json)
 
 
 @app.command("diagnose")
@@ -110,8 +110,6 @@ def diagnose_twin(
 
     twins = twins_named(name, effects_path)
     twin, diagnosis = twins.diagnose(name, seed=seed)
-    if not twins.can_keep(name):
-        print("note: nothing is kept of this diagnosis, for the home can only be read", file=sys.stderr)
     moving = [said for campaign in twin.campaigns for said in moving_findings(home(), campaign)]
     result = {
         "twin": name,
@@ -120,9 +118,10 @@ def diagnose_twin(
         **diagnosis.as_dict(),
         "runs_say": moving,
     }
+    emit(result, lambda: report_of(result).diagnosis_text(name, result) + said_by_runs(moving), as_json=as_json)
     if html is not None:
         _write_page(html, name, [report_of(result).diagnosis_section(name, result)])
-    emit(result, lambda: report_of(result).diagnosis_text(name, result) + said_by_runs(moving), as_json=as_json)
+    _require_kept(twins)
 
 
 @app.command("add")
@@ -170,11 +169,18 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
     from dtwin.physics.twin import Twin
     from dtwin.pipeline.kept import moving_findings
     from dtwin.report.faults import sized_effects
-    from dtwin.report.twin_of_kind import discovery_text, said_by_runs
+    from dtwin.report.twin_of_kind import discovery_text, report_of, said_by_runs
     from dtwin.twins.verbs import Twins
 
     twins = twins_named(name, effects_path)
-    made, groups, said = twins.discover(name, seed=seed)
+    try:
+        made, groups, said = twins.discover(name, seed=seed)
+    except StoreError:
+        # What to add was found out, and cannot be added.
+        if twins.unkept:
+            result = dict(twins.unkept)
+            emit(result, lambda: report_of(result).diagnosis_text(name, result), as_json=as_json)
+        raise
     twin = twins.newest(name)
     effects: list[dict[str, Any]] = []
     if isinstance(twins, Twins) and isinstance(twin, Twin):
@@ -190,6 +196,7 @@ def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_
         "runs_say": moving,
     }
     emit(payload, lambda: discovery_text(payload, LEAST_GAIN) + said_by_runs(moving), as_json=as_json)
+    _require_kept(twins)
 
 
 @app.command("learn")
@@ -320,6 +327,7 @@ def show_twin(
     if isinstance(twin, Twin):
         document["effects"] = sized_effects(twin)
     emit(document, lambda: "\n".join([report_of(twin.as_dict()).twin_text(twin), *lines]), as_json=as_json)
+    _require_kept(twins)
 
 
 def _show_rung(before: Any, twin: Any, *, as_json: bool, **more: Any) -> None:
@@ -346,6 +354,13 @@ def _tell_failed(name: str) -> None:
     waiting_items = waiting(home(), name)
     if any(item.failed for item in waiting_items):
         print(waiting_text(waiting_items), file=sys.stderr)
+
+
+def _require_kept(twins: AnyTwins) -> None:
+    """Say, after a diagnosis was printed, that it could not be kept; refuse it where it should have been."""
+    if twins.unkept:
+        twins.require_kept()
+        print("note: nothing is kept of this diagnosis, for the home can only be read", file=sys.stderr)
 
 
 def twins_named(name: str, paths: list[Path] | None) -> AnyTwins:

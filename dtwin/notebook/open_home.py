@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from dtwin.acquire.ingest import ingest as ingest_path
 from dtwin.config import Home, home, home_in, quiet_environment
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
 from dtwin.lake.store import Lake
@@ -243,7 +244,10 @@ class OpenHome:
     def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Name the effect that a twin lacks, or say why it cannot be named."""
         require_seed(seed)
-        return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
+        twins = self._twins(name)
+        result = of_diagnosis(*twins.diagnose(name, seed=seed))
+        _warn_unkept(twins)
+        return result
 
     @_in_one_thread
     def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
@@ -267,6 +271,7 @@ class OpenHome:
         require_seed(seed)
         twins = self._twins(name)
         _, _, said = twins.discover(name, seed=seed)
+        _warn_unkept(twins)
         return of_diagnosis(twins.newest(name), said)
 
     def history(self, name: str) -> pd.DataFrame:
@@ -350,3 +355,11 @@ def open_home(folder: str | Path | None = None, effects: str | Path | Iterable[s
 
 def _silent(done: int, total: int, what: str) -> None:
     """Take progress that nobody watches."""
+
+
+def _warn_unkept(twins: AnyTwins) -> None:
+    """Say that a diagnosis is not kept, which is returned all the same."""
+    try:
+        twins.require_kept()
+    except StoreError as error:
+        warnings.warn(error.render(), stacklevel=4)

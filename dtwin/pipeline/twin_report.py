@@ -112,6 +112,8 @@ def _one_of(group: Sequence[object]) -> str:
 
 def diagnosed(shelf: AnyTwins, twin: AnyTwin) -> tuple[int, dict[str, Any] | None]:
     """Return the newest version with these effects that was diagnosed, and its diagnosis: a roll back loses none."""
+    if (shelf.unkept.get("twin"), shelf.unkept.get("version")) == (twin.name, twin.version):
+        return twin.version, dict(shelf.unkept)
     for version in range(twin.version, 0, -1):
         file = diagnosis_path(shelf.newest_document(twin.name, version)[1])
         if file.exists() and shelf.newest(twin.name, version).labels == twin.labels:

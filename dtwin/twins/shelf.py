@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from dtwin.config import Home
 from dtwin.documents import read_document, write_document
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.shared_documents import follow_shared
@@ -69,12 +69,15 @@ class TwinShelf:
 
     ``kind``: twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
     ``logs``: whether what is stored is logged in MLflow by a process that follows.
+    ``unkept``: the last diagnosis, as it would be stored, when it could not be; empty otherwise.
     """
 
     logs = True
 
     def __init__(self, home: Home, kind: str) -> None:
         self.home, self.kind = home, kind
+        self.unkept: Mapping[str, Any] = {}
+        self._why_unkept: StoreError | None = None
 
     @property
     def root(self) -> Path:
@@ -154,16 +157,26 @@ class TwinShelf:
             write_document(self._file(document), unique, "the twin")
         self._tell(name, at_once=at_once, ahead=ahead)
 
-    def can_keep(self, name: str) -> bool:
-        """Whether what is found out of a twin can be written here."""
-        return os.access(self.folder(name), os.W_OK)
-
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:
-        """Write a diagnosis beside its version, and have its verdict noted in MLflow; nothing in a home that can only be read."""
-        if self.can_keep(document["twin"]):
-            at_once = self.home.mlflow_at_once
-            write_document(diagnosis_path(self._file(document)), document, "the twin")
+        """Write a diagnosis beside its version, and have its verdict noted in MLflow.
+
+        One that cannot be kept is ``unkept``, for it may have taken minutes; in a home that can only be read none is.
+        """
+        self.unkept, self._why_unkept = {}, None
+        if not os.access(self.folder(document["twin"]), os.W_OK):
+            self.unkept = document
+            return
+        at_once = self.home.mlflow_at_once
+        try:
+            write_document(diagnosis_path(self._file(document)), document, "the diagnosis")
             self._tell(document["twin"], at_once=at_once)
+        except StoreError as error:
+            self.unkept, self._why_unkept = document, error
+
+    def require_kept(self) -> None:
+        """Raise the ``StoreError`` of a diagnosis that was lost to a full disk, a lost registry or store."""
+        if self._why_unkept is not None:
+            raise self._why_unkept
 
     def kept_diagnosis(self, name: str, version: int) -> dict[str, Any] | None:
         """Return the diagnosis that is kept beside a version; None without."""

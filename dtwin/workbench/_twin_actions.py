@@ -132,7 +132,12 @@ def diagnose(bench: Here, name: str) -> JSONResponse:
     twins = bench.twins_with(name)
     twins.newest(name)
     said = "test every effect of the library, and what repeats say"
-    return begun(bench, f"Diagnose {name}", f"/twins/{name}/diagnose", lambda: twins.diagnose(name), said)
+
+    def work() -> None:
+        twins.diagnose(name)
+        twins.require_kept()
+
+    return begun(bench, f"Diagnose {name}", f"/twins/{name}/diagnose", work, said)
 
 
 @router.post("/api/campaigns/{campaign}/find")
@@ -200,6 +205,7 @@ def correct(bench: Here, name: str, wanted: _CorrectionRequest) -> JSONResponse:
 def _discover(twins: AnyTwins, name: str, tell: Tell) -> None:
     tell("search for the effects, add each, and diagnose what is left")
     made = twins.discover(name)[0]
+    twins.require_kept()
     tell(f"{len(made)} effects were added")
 
 

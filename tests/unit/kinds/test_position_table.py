@@ -24,7 +24,7 @@ from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.kinds.linear._grid import stroke_rows
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
@@ -852,6 +852,16 @@ def test_what_the_runs_say_of_slip_stands_beside_what_a_twin_calls_it(
         assert "the runs themselves say: cycles differ: the zero moves by -12.5" in told("twin", verb, "router")
     (found,) = json.loads(told("twin", "diagnose", "router", "--json"))["runs_say"]
     assert found["code"] == "linear.slip"
+    # What cannot be kept, as on a full disk, is told all the same, and then that it is not kept.
+    kept = max((tmp_path / "home" / "twins" / "router").glob("v*.diagnosis.json"))
+    kept.unlink()
+    kept.mkdir()
+    lost = CliRunner().invoke(app, ["twin", "diagnose", "router"])
+    assert (type(lost.exception), "cycles differ" in lost.output) == (StoreError, True)
+    kept.rmdir()
+    monkeypatch.setattr("dtwin.twins.shelf.os.access", lambda *_: False)
+    told("twin", "show", "router", "--html", str(tmp_path / "twin.html"))
+    assert "Not diagnosed" not in (tmp_path / "twin.html").read_text()
 
 
 def report_of_passes(cycles: int = 2, backward: bool = True) -> str:
