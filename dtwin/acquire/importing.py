@@ -246,6 +246,8 @@ def understand(
             plain = _as_csv(converted(columns, looked.body))
             write_text(lone, plain, "a table")
         kind = str(told.get("kind") or "") or _kind(lone, plain.partition("\n")[0].split(","), columns, path, told)
+        if not known:
+            told |= kind_named(kind).titled(looked.titles, told, path)
         missing = tuple(name for name in kind_named(kind).stated or () if name not in told)
         runs: tuple[tuple[str, int], ...] = ()
         if not missing:

@@ -193,6 +193,13 @@ class Kind:
         """Return whether a file that lies alone is of this kind, though it has not its columns."""
         return self._done("takes_alone")(path) if "takes_alone" in self.places else False
 
+    def titled(self, titles: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
+        """Return what the titles above a table tell of its run; refuse another condition than one that is stated.
+
+        ``titles``: cells of each line.
+        """
+        return self._done("titled")(titles, stated, path) if "titled" in self.places else {}
+
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         """Return the plan that a plan file states; ``where`` is its name, for error messages."""
         return self._done("plan")(document, where)

@@ -51,6 +51,7 @@ from dtwin.kinds.circular._circle_ways import (
     way_of,
     way_of_title,
 )
+from dtwin.kinds.circular._titles import require_as_titled
 from dtwin.schema import Campaign, Direction, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -58,13 +59,6 @@ SUFFIXES = (".csv", ".txt", ".tsv", ".dat", *SPREADSHEETS)
 _MAX_BYTES = 64 * 1024**2
 _FEWEST = 36
 """Rows of a circle."""
-_TOLD_ABOVE = (
-    ("radius_mm", re.compile(r"(?:\bradius\b\W*(?=\S+\s*mm)|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I)),
-    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*(m?m)\s*/\s*min", re.I)),
-)
-"""Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
-_PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
-_SAME = 0.01
 _LEAST_DEG = 90.0
 """Shortest arc that is a run."""
 _LONGEST_TURN_S = 3600.0
@@ -130,7 +124,7 @@ def read_circle_runs(
     columns, body = _table(lines, path)
     above = lines[: len(lines) - len(body)]
     form = _form_of(columns, above)
-    _require_as_titled(above, stated, path)
+    require_as_titled(above, stated, path)
     require_usual_sign(above, path)
     _require_one_meaning(columns, path)
     require_ways(columns, body, path)
@@ -259,27 +253,6 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
         alike = [column.head for column in columns if pattern.match(bare(column))]
         if len(alike) > 1:
             raise _wrong("more than one column may be meant", path, ", ".join(alike), "one angle, one time, one radius")
-
-
-def _require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:
-    """Refuse a radius, a feed or a plane that is not the one which the titles of the table tell."""
-    titles = [" ".join(row) for row in above]
-
-    def found(form: re.Pattern[str]) -> re.Match[str] | None:
-        return next((match for title in titles if (match := form.search(title)) is not None), None)
-
-    for name, form in _TOLD_ABOVE:
-        read, told = found(form), stated.get(name)
-        scale = 1000.0 if read is not None and read[form.groups].lower() == "m" else 1.0
-        if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
-            raise _titled(read[0], f"{name} {told:g}", path)
-    plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
-    if plane is not None and told and {plane[1].upper(), plane[2].upper()} != set(told):
-        raise _titled(plane[0], f"plane {told}", path)
-
-
-def _titled(got: str, told: str, path: Path) -> InputError:
-    return _wrong("the titles of the table tell another condition", path, got, f"{told}, as it is told")
 
 
 def _numbers(body: Sequence[Sequence[str]], i: int, column: Column, *, as_it_is: bool = False) -> Floats:

@@ -106,7 +106,7 @@ def way_of_title(row: Sequence[str]) -> Direction | None:
     said = re.split(r"\s*[:=]\s*", ":".join(cell.rstrip(" :=") for cell in told))
     if len(said) == 2 and DIRECTION.match(said[0]):
         return way_of(said[1])
-    words = re.sub(r"\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if len(told) == 1 else ""
+    words = re.sub(r"(?<!lauf )\b(left|right|links|rechts)\b|\bcw\d\d", "", told[0]) if len(told) == 1 else ""
     return way_of(re.sub(r"[^\w-]+", " ", words))
 
 

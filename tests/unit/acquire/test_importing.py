@@ -60,6 +60,21 @@ def test_a_german_table_of_a_circle(tmp_path: Path, encoding: str, below: bool) 
     assert (again.told["plane"], again.told["feed_mm_min"], again.runs) == ("XY", 2000.0, (("later", 300),))
 
 
+@pytest.mark.parametrize(
+    ("title", "way"), [("Lauf rechts", "CW"), ("Direction: CW", "CW"), ("im Gegenuhrzeigersinn", "CCW")]
+)
+def test_titles_tell_the_direction_of_columns_that_are_told(tmp_path: Path, title: str, way: str) -> None:
+    path, home = tmp_path / "k.csv", Home(tmp_path / "home")
+    path.write_text(circle().replace("Kreisformtest Müller", title), encoding="utf-8")
+    found = understand(path, home, CIRCLE, {"Abweichung": "deviation_um", "Luft": ""})
+    assert found.told["direction"] == way
+    other = {"direction": "CCW" if way == "CW" else "CW"}
+    for stated in (other, {"radius_mm": 150.0}):
+        path.write_text(circle().replace("Kreisformtest Müller", f"Radius 100 mm\n{title}"), encoding="utf-8")
+        with pytest.raises(InputError, match="titles of the table tell another condition"):
+            understand(path, home, CIRCLE | stated, {"Abweichung": "deviation_um"})
+
+
 def test_a_circle_without_time_takes_it_from_the_feed(tmp_path: Path) -> None:
     path, home = tmp_path / "c.csv", Home(tmp_path / "home")
     rows = [f"{359.5 - n};{math.sin(n):.3f}".replace(".", ",") for n in range(360)]

@@ -1,0 +1,58 @@
+"""What the titles above a table of a circle tell of its run: direction, plane, radius and feed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dtwin.errors import InputError
+from dtwin.kinds.circular._circle_ways import way_of_title
+
+_TOLD_ABOVE = (
+    ("radius_mm", re.compile(r"(?:\bradius\b\W*(?=\S+\s*mm)|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I)),
+    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*(m?m)\s*/\s*min", re.I)),
+)
+"""Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
+_PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
+_SAME = 0.01
+
+
+def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> None:
+    """Refuse a radius, a feed or a plane that is not the one which the titles of the table tell."""
+    titles = [" ".join(row) for row in above]
+
+    def found(form: re.Pattern[str]) -> re.Match[str] | None:
+        return next((match for title in titles if (match := form.search(title)) is not None), None)
+
+    for name, form in _TOLD_ABOVE:
+        read, told = found(form), stated.get(name)
+        scale = 1000.0 if read is not None and read[form.groups].lower() == "m" else 1.0
+        if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
+            raise _titled(read[0], f"{name} {told:g}", path)
+    plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
+    if plane is not None and told and {plane[1].upper(), plane[2].upper()} != set(told):
+        raise _titled(plane[0], f"plane {told}", path)
+
+
+def told_by_titles(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
+    """Return the direction that the titles above a table tell, where none is stated; refuse another condition than the stated one."""
+    require_as_titled(above, stated, path)
+    for row in above[::-1]:
+        if way := way_of_title(row):
+            if stated.get("direction", way) != way:
+                raise _titled(" ".join(row), f"direction {stated['direction']}", path)
+            return {"direction": way}
+    return {}
+
+
+def _titled(got: str, told: str, path: Path) -> InputError:
+    return InputError(
+        "the titles of the table tell another condition",
+        code="circle_table.form",
+        where=str(path),
+        got=got[:120],
+        allowed=f"{told}, as it is told",
+        hint="docs/how-to/ingest-your-own.md, tables of circles",
+    )
