@@ -57,7 +57,7 @@ LENGTHS_MM = (
     | dict.fromkeys(("millimeter", "millimeters"), 1.0)
     | dict.fromkeys(("in", "inch", "inches"), 25.4)
     | dict.fromkeys(("mil", "mils", "thou"), 0.0254)
-    | dict.fromkeys(("uin", "µin", "μin", "microinch"), 25.4e-6)
+    | dict.fromkeys(("uin", "µin", "μin", "uinch", "µinch", "μinch", "microinch", "microinches"), 25.4e-6)
     | {f"{share}mm": 10.0**-n for n, share in enumerate(_SHARES, 1)}
     | {f"{share}in": 25.4 * 10.0**-n for n, share in enumerate(_SHARES, 1)}
 )

@@ -69,6 +69,8 @@ _NOT_READ = frozenset(
     )
 )
 """Units of columns that are left out."""
+_TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)")
+"""Of a head such as ``-deviation`` or ``|error|``."""
 _TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
 """Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
 _GRAD = "grad"
@@ -331,6 +333,8 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
         return _scaled(head, unit, answer, here or wanted, wanted, factor)
     if not here:
         return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
+    if _TURNED.match(base):
+        return Column(head, unit, "", why_not="its sign is turned round, or lost")
     for pattern, stem, wanted in _HEADS:
         # T in °C is a temperature.
         if pattern.match(base.replace("_", " ").strip()) and (stem, here) != ("t", "c"):

@@ -172,7 +172,7 @@ def read_circle_runs(
         )
         for told, part in blocks(columns, above, body):
             block = {name: column[good & part] for name, column in rows.items()}
-            runs += _runs(block, way if form.pair else way or told, stated, str(path))
+            runs += _runs(block, way if form.pair else way or told, stated, str(path), timed=len(form.ways) == 1)
     if not runs:
         raise _wrong(
             "the rows do not go round", path, f"{len(body)} rows", f"an arc of {_LEAST_DEG:g} degrees, {_FEWEST} rows"
@@ -316,8 +316,13 @@ def _unwrapped(angle_rad: Floats) -> Floats:
     return out
 
 
-def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str, Any], source: str) -> list[Run]:
-    """Return the stretches in which an angle runs one way; of a column whose direction its head tells, the whole, that way round."""
+def _runs(
+    rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str, Any], source: str, *, timed: bool
+) -> list[Run]:
+    """Return the stretches in which an angle runs one way; of a column whose direction its head tells, the whole, that way round.
+
+    ``timed``: a column of time is of these readings, not of those of the other direction.
+    """
     angle = rows["angle_deg"]
     out = []
     for part in [slice(0, angle.size)] if way is not None else stretches(angle):
@@ -327,9 +332,10 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
         if theta.size < _FEWEST or float(np.ptp(theta)) < _LEAST_DEG:
             continue
         runs: Direction = "CCW" if theta[-1] > theta[0] else "CW"
-        if way is not None and way != runs:
-            # Both directions stand over one column of angles, which runs as one of them.
-            samples = {name: column[::-1] for name, column in samples.items() if name != "t_s"}
+        rising = timed and "t_s" in samples and bool(samples["t_s"][-1] > samples["t_s"][0])
+        if way is not None and way != runs and not rising:
+            # Both directions stand over one column of angles, which runs as one of them; a clock tells how it ran.
+            samples = {name: column[::-1] for name, column in samples.items() if timed or name != "t_s"}
         if "t_s" not in samples:
             per_deg_s = float(np.radians(1.0) * stated["radius_mm"] / (stated["feed_mm_min"] / 60.0))
             if 360.0 * per_deg_s > _LONGEST_TURN_S:
@@ -339,7 +345,11 @@ def _runs(rows: Mapping[str, Floats], way: Direction | None, stated: Mapping[str
                     f"{stated['feed_mm_min']:g} mm/min",
                     "mm/min, such as 1000; or a column of time",
                 )
-            samples["t_s"] = np.abs(samples["angle_deg"] - samples["angle_deg"][0]) * per_deg_s
+            travel_deg = np.abs(samples["angle_deg"] - samples["angle_deg"][0])
+            if np.any(np.diff(travel_deg) <= 0.0):
+                # An encoder that shakes is read at a fixed rate.
+                travel_deg = np.linspace(0.0, float(travel_deg.max()), travel_deg.size)
+            samples["t_s"] = travel_deg * per_deg_s
             text = "the table has no clock; its time follows from the programmed feed"
             findings.append(Finding("clock.assumed", "info", text))
         gap_s = float(np.median(np.diff(samples["t_s"])))

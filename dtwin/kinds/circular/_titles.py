@@ -11,11 +11,21 @@ from dtwin.errors import InputError
 from dtwin.kinds.circular._circle_ways import way_of_title
 
 _TOLD_ABOVE = (
-    ("radius_mm", re.compile(r"(?:\bradius\b\W*(?=\S+\s*mm)|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I)),
-    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)\s*(m?m)\s*/\s*min", re.I)),
+    (
+        "radius_mm",
+        re.compile(
+            r"(?:\bradius\b\W*(?:\[?mm\]?\W*|(?=\S+\s*mm))|\br\s*=\s*)(\d+(?:[.,]\d+)?)(?![\d.,]|\s*mm\s*/)", re.I
+        ),
+    ),
+    ("feed_mm_min", re.compile(r"\b(?:feed ?rate|feed|vorschub)\b\W*(\d+(?:[.,]\d+)?)[\s;]*(m?m)\s*/\s*min", re.I)),
 )
 """Conditions as titles above the heads tell them, a feed in mm/min or m/min."""
-_PLANE_ABOVE = re.compile(r"\b(?:plane|ebene|plan|piano|plano)\b\W*([xyz])\W?([xyz])\b", re.I)
+_PLANE = "plane|ebene|plan|piano|plano"
+_PLANE_ABOVE = re.compile(
+    rf"\b(?:{_PLANE})\b\W*(?:is\s+)?([xyz])\W?([xyz])\b|(?<!\w)([xyz])\W?([xyz])[\s-]*(?:{_PLANE})\b|\b(g1[789])\b",
+    re.I,
+)
+_OF_CODE = {"G17": "XY", "G18": "ZX", "G19": "YZ"}
 _SAME = 0.01
 
 
@@ -32,8 +42,10 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
         if read is not None and told and abs(scale * float(read[1].replace(",", ".")) - told) > _SAME * told:
             raise _titled(read[0], f"{name} {told:g}", path)
     plane, told = found(_PLANE_ABOVE), str(stated.get("plane", ""))
-    if plane is not None and told and {plane[1].upper(), plane[2].upper()} != set(told):
-        raise _titled(plane[0], f"plane {told}", path)
+    if plane is not None and told:
+        named = "".join(filter(None, plane.groups())).upper()
+        if set(_OF_CODE.get(named, named)) != set(told):
+            raise _titled(plane[0], f"plane {told}", path)
 
 
 def told_by_titles(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:

@@ -339,6 +339,21 @@ def test_blocks_below_their_direction_and_rows_that_tell_it_are_runs_that_way_ro
     assert cw.samples["deviation_um"] == pytest.approx(error_um(ANGLE, -1.0)[::-1], abs=1e-5)
 
 
+def test_a_clock_and_a_title_that_tell_two_ways_are_an_error(tmp_path: Path) -> None:
+    text = "Direction: CW\n" + table("t [s],angle [deg],deviation [µm]", ANGLE / 10.0, ANGLE, error_um(ANGLE, -1.0))
+    (run,) = read(tmp_path / "a.csv", text)
+    assert "angle.direction" in [finding.code for finding in judge_run(run)]
+    shaken = ANGLE + np.where(np.arange(720) % 2, 0.6, -0.6)
+    (run,) = read(tmp_path / "b.csv", table("angle [deg],ccw [µm]", shaken, error_um(shaken, 1.0)))
+    assert not judge_run(run)
+    assert np.all(np.diff(run.samples["t_s"]) > 0.0)
+    for head in ("-deviation [µm]", "|deviation| [µm]"):
+        (tmp_path / "c.csv").write_text(table(f"t [s],angle [deg],{head}", ANGLE, ANGLE, ANGLE), encoding="utf-8")
+        with pytest.raises(InputError, match="no kind of test") as refused:
+            understand(tmp_path / "c.csv", Home(tmp_path / "home"), TOLD, {})
+        assert "sign is turned round" in str(refused.value.got)
+
+
 def test_a_column_of_directions_that_names_none_is_refused(tmp_path: Path) -> None:
     rows = [f"{a},{d},{way}" for way in "+-" for a, d in zip(ANGLE, error_um(ANGLE, 1.0), strict=True)]
     with pytest.raises(InputError, match="which way round") as refused:
@@ -396,7 +411,17 @@ def test_what_a_control_commanded_beside_its_coordinates_is_not_used(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "title", ["Radius: 50,000 mm", "Kreisformtest, radius 50 mm", "Vorschub;2000 mm/min", "Feed: 2 m/min"]
+    "title",
+    [
+        *(
+            "Radius: 50,000 mm",
+            "Kreisformtest, radius 50 mm",
+            "Radius [mm];50",
+            "Vorschub;2000 mm/min",
+            "Feed: 2 m/min",
+        ),
+        *("Feed;2000;mm/min", "Plane: YZ", "ZX-Ebene", "G18 plane"),
+    ],
 )
 def test_a_condition_that_the_titles_tell_otherwise_is_refused(tmp_path: Path, title: str) -> None:
     text = table("angle [deg],ccw [µm]", ANGLE, error_um(ANGLE, 1.0)).replace(",", ";")
