@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import REVERSED, unit_of_titles
 from dtwin.acquire.repeated_heads import counts_repeats
+from dtwin.acquire.xmlsafe import number_or_none
 from dtwin.errors import InputError
 from dtwin.positioning._plain_table import table_of
 from dtwin.positioning.position_runs import PositionTable
@@ -18,6 +19,8 @@ from dtwin.positioning.table_heads import (
     MOST_TITLES,
     NAMED,
     OTHER_TEST,
+    SURELY_READ,
+    Long,
     Wide,
     is_deviation,
     is_opposite,
@@ -30,6 +33,14 @@ from dtwin.positioning.ways import FROM_SIGN, Scale
 
 # Of the travel: no linear axis errs by so much.
 LITTLE = 0.02
+_TURNED = re.compile(r"\s*[-\u2212\u2013]\s*(error|dev|err\b|abw|fehler)(?!\w*[\s_.]*\d)", re.I)
+"""Head of deviations whose sign was turned round; ``-error 1`` may be one of the way back."""
+_TURNED_TITLE = re.compile(
+    r"\W*(error\s+)?(correction|compensation|korrektur|kompensations?)\s*-?\s*(table|values?|tabelle|werte?)\b", re.I
+)
+"""Title of a table of corrections."""
+_ALIKE, _TIMES = 0.1, (1000.0, 1e-3, 25.4, 1.0 / 25.4, 10.0, 0.1, 100.0, 0.01)
+"""Of deviations, by which they may differ from positions minus targets; and of how many times these they may be, in another unit."""
 _DIAMETER = re.compile(r"[Ø\u2300\u2205]|\bdia\b|diam|di[aá]metro|durchm|直径|直徑", re.I)
 
 
@@ -38,7 +49,8 @@ def require_positioning(rows: Sequence[Sequence[str]], path: Path) -> None:
     titles = [row[0] for row in rows[:MOST_TITLES] if row and not any(cell.strip() for cell in row[1:])]
     heads = [*(table_of(rows) or [()])[0]]
     other = next((text.strip() for text in (*titles, *heads) if OTHER_TEST.search(text)), None)
-    require_sign([text for text in titles if REVERSED.search(text)], path)
+    if opposite := next((t for t in titles if REVERSED.search(t) or _TURNED_TITLE.match(t)), ""):
+        raise _of_other_sign(opposite, path)
     diameter = next((head.strip() for head in heads if names_target(head) and _DIAMETER.search(head)), None)
     if diameter is not None:
         raise InputError(
@@ -174,17 +186,54 @@ def require_unit_of(scale: Scale, rows: Sequence[Sequence[str]], path: Path) -> 
         raise of_other_unit(scale, path, angles[0][:40])
 
 
+def require_deviations(
+    heads: Sequence[str], units: Sequence[str], body: Sequence[Sequence[str]], long: Long, path: Path, scale: Scale
+) -> None:
+    """Refuse deviations of another sign or unit than positions that stand beside them say.
+
+    ``units``: of the columns, as the row below the heads tells them.
+    """
+    head = heads[long.value]
+    if _TURNED.match(head):
+        raise _of_other_sign(head, path)
+    if not is_deviation(head):
+        return
+    for n in (n for n, other in enumerate(heads) if SURELY_READ.match(other.strip()) and not is_deviation(other)):
+        used = (long.target, long.value, n)
+        factor = [scale.factor(plain_unit(told_unit(heads[i], units[i] if i < len(units) else ""))) for i in used]
+        cells = [[number_or_none(row[i]) if i < len(row) else None for i in used] for row in body]
+        table = np.array([row for row in cells if None not in row], dtype=float).reshape(-1, 3) * factor
+        told, read = table[:, 1], table[:, 2] - table[:, 0]
+        size = float(np.sqrt(np.mean(told**2))) if len(told) > 1 else 0.0
+        for times in (-1.0, *_TIMES) if size > 0.0 else ():
+            if float(np.sqrt(np.mean((told - times * read) ** 2))) < _ALIKE * size:
+                if times < 0.0:
+                    raise _of_other_sign(head, path)
+                raise InputError(
+                    "deviations are in another unit than the positions beside them say",
+                    code="position_table.unit",
+                    where=str(path),
+                    got=f"{head.strip()}: {times:g} times {heads[n].strip()} minus {heads[long.target].strip()}",
+                    allowed="deviations that are the positions minus the targets",
+                    hint="correct the unit in the heads, or take one of both columns out",
+                )
+
+
 def require_sign(titles: Sequence[str], path: Path) -> None:
     """Refuse a table with a title or head which says that errors are nominal minus actual, or with corrections."""
-    if opposite := next((text.strip() for text in titles if is_opposite(text)), ""):
-        raise InputError(
-            "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
-            code="position_table.sign",
-            where=str(path),
-            got=opposite[:60],
-            allowed="actual minus target",
-            hint="change the sign and call the column a deviation",
-        )
+    if opposite := next((text for text in titles if is_opposite(text) or _TURNED.match(text)), ""):
+        raise _of_other_sign(opposite, path)
+
+
+def _of_other_sign(got: str, path: Path) -> InputError:
+    return InputError(
+        "a column holds corrections or nominal minus actual: its sign is not that of a deviation",
+        code="position_table.sign",
+        where=str(path),
+        got=got.strip()[:60],
+        allowed="actual minus target",
+        hint="change the sign and call the column a deviation",
+    )
 
 
 def of_other_unit(scale: Scale, path: Path, got: str) -> InputError:

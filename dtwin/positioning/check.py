@@ -25,6 +25,8 @@ _EQUAL = 0.1
 _GOLDEN = (0.382, 0.618)
 _STUCK_READINGS = 12
 _FEWEST_FOR_DRIFT = 8
+_FEWEST_EQUAL = 3
+"""Cycles that do not differ by chance."""
 _FEWEST_TURNED, _TURNED = 5, 4.0
 """Targets, and how many times as well the other order must fit, that readings stand upside down."""
 _CLIPPED, _CLIPPED_TIMES = 10, 5
@@ -108,15 +110,15 @@ def judge_positioning_campaign(runs: Sequence[Run], scale: Scale = LENGTHS) -> l
     single = [Finding("campaign.no_repeat", "warning", said, {"conditions_1": 1.0})] if len(runs) == 1 else []
     tests = tests_by_axis(runs, scale) if runs else []
     told = [finding for test in tests for finding in _across_cycles(test)]
-    datum, zeroed, clipped = (
+    datum, zeroed, clipped, equal = (
         [finding for test in tests if (finding := judge(test)) is not None]
-        for judge in (shifted_zero, zero_of_each_cycle, _clipped)
+        for judge in (shifted_zero, zero_of_each_cycle, _clipped, _equal_cycles)
     )
     of_axes = [alike for _, alike in by_axis(runs)]
     unknown = [test for test, alike in zip(tests, of_axes, strict=True) if not _read_backwards(alike, scale)]
     turned = [finding for test in unknown if (finding := _turned(test)) is not None]
     drift = [finding for alike in of_axes for finding in _drift(alike, scale)]
-    return [*single, *clipped, *turned, *(told or drift), *datum, *zeroed]
+    return [*single, *clipped, *equal, *turned, *(told or drift), *datum, *zeroed]
 
 
 def tests_by_axis(runs: Sequence[Run], scale: Scale) -> list[LinearTest]:
@@ -158,6 +160,18 @@ def _clipped(test: LinearTest) -> Finding | None:
             )
             return Finding(f"{test.scale.kind}.clipped", "error", said, {"readings_1": float(counts[end])})
     return None
+
+
+def _equal_cycles(test: LinearTest) -> Finding | None:
+    """Return that no reading differs from cycle to cycle: nothing tells how well the axis repeats."""
+    read = np.vstack([test.forward_um, test.reverse_um])
+    if read.shape[1] < _FEWEST_EQUAL or np.any(np.ptp(read, axis=1) != 0.0):
+        return None
+    said = (
+        f"axis {test.axis}: all {read.shape[1]} cycles read the same at every target, to the last digit: copies of one cycle, or a display too coarse "
+        "to show scatter; repeatability is not known"
+    )
+    return Finding(f"{test.scale.kind}.equal_cycles", "warning", said, {"cycles_1": float(read.shape[1])})
 
 
 def _read_backwards(runs: Sequence[Run], scale: Scale) -> bool:

@@ -41,6 +41,7 @@ from dtwin.positioning._refusals import (
     of_other_unit,
     require_counted,
     require_cycles,
+    require_deviations,
     require_near,
     require_not_exchanged,
     require_one_axis,
@@ -215,17 +216,15 @@ def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
     target_um = np.array([reading[0] for reading in readings]) * scale.per
     told_um = np.array([reading[3] for reading in readings])
     size = float(np.abs(target_um - target_um.mean()).max()) if len(readings) else 0.0
+    within, positions = _within_turn(told_um, scale), np.array([reading[4] for reading in readings], dtype=bool)
     # Told as deviations: they grow as the targets do. Told as positions: what is left is the target itself.
-    for by_position, sign in ((False, 1.0), (True, -1.0)):
-        alike = all(reading[4] is by_position for reading in readings)
-        off = _within_turn(told_um - sign * target_um, scale)
-        if alike and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
-            return [
-                (target, way, cycle, float(um), not by_position)
-                for (target, way, cycle, _, _), um in zip(readings, off, strict=True)
-            ]
-    within = _within_turn(told_um, scale)
-    return [(*reading[:3], float(um), reading[4]) for reading, um in zip(readings, within, strict=True)]
+    for alike, sign in ((~positions, 1.0), (positions, -1.0)):
+        off = _within_turn(told_um - sign * target_um, scale)[alike]
+        if off.size and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
+            within[alike], positions[alike] = off, sign > 0.0
+    return [
+        (*reading[:3], float(um), bool(told)) for reading, um, told in zip(readings, within, positions, strict=True)
+    ]
 
 
 def _within_turn(off: Floats, scale: Scale) -> Floats:
@@ -307,6 +306,7 @@ def _from_long(rows: Sequence[Sequence[str]], long: Long, path: Path, scale: Sca
     targets = [_cell(row, long.target, where) * factors[0] for where, row in numbered]
     said, read = ([row[i].strip() for row in body if i < len(row)] for i in (long.target, long.value))
     require_not_exchanged(said, read, (heads[long.target], heads[long.value]), path)
+    require_deviations(heads, units or (), body, long, path, scale)
     one = joined_targets(targets)
     if long.way is None and len(set(one.values())) == 1 < len(targets):
         value_um = [number_or_none(row[long.value]) for _, row in numbered if long.value < len(row)]

@@ -1341,6 +1341,41 @@ def test_readings_at_the_end_of_the_range_are_told(tmp_path: Path, digits: int, 
     assert told == any(f["code"] == "linear.clipped" for f in found)
 
 
+@pytest.mark.parametrize(
+    ("heads", "factors", "code"),
+    [
+        ("Nominal [mm];Actual [mm];Error [µm]", (1.0, -1.0), "position_table.sign"),
+        ("Nominal [mm];Actual [mm];Error [mm]", (1.0, 1.0), "position_table.unit"),
+        ("Nominal [mm];Cycle time [s];-Error [µm]", (1.0, -1.0), "position_table.sign"),
+        ("Nominal [mm];Actual [mm];Error [µm]", (1.0, 1.0), ""),
+    ],
+)
+def test_deviations_have_the_sign_and_unit_of_positions_beside_them(
+    tmp_path: Path, heads: str, factors: tuple[float, float], code: str
+) -> None:
+    target = np.tile(np.arange(0.0, 401.0, 50.0), 3)
+    error = 5.0 * np.sin(target)
+    rows = [f"{t:g};{t + factors[0] * e / 1e3:.5f};{factors[1] * e:.2f};+" for t, e in zip(target, error, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"{heads};direction", *rows]), encoding="utf-8")
+    if code:
+        assert refusal(path).code == code
+        return
+    found = check_source(path, told={"axis": "X"})["findings"]
+    assert "linear.equal_cycles" in {f["code"] for f in found}
+
+
+def test_one_column_of_deviations_among_those_of_positions_is_read_as_such(tmp_path: Path) -> None:
+    heads = ";".join(f"fwd {n} [{'in' if n == 2 else 'µm'}];rev {n} [mm]" for n in (1, 2, 3))
+    rows = [f"{t};1;{1e-3};{1 / 25400:.9f};{1e-3};1;{1e-3}" for t in (0, 100, 200)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"target [mm];{heads}", *rows]), encoding="utf-8")
+    table = read_position_table(path)
+    assert np.allclose([table.forward_um, table.reverse_um], 1.0, atol=1e-3)
+    path.write_text("Kompensationswerte\n" + path.read_text("utf-8"), encoding="utf-8")
+    assert refusal(path).code == "position_table.sign"
+
+
 def test_heads_that_are_cut_short_name_target_and_reading(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{t},{t + 0.001},{way}" for _ in (1, 2) for way, ts in (("+", (0, 50)), ("-", (50, 0))) for t in ts]
