@@ -36,6 +36,7 @@ Of a metre of travel, 1 K of air is 1 µm, and 0.1 K of steel, too; a count of a
 _BETWEEN = "cycle to cycle"
 _HELD = 3
 """Readings that a jump lasts at least; what is over sooner is a spoilt reading."""
+_MOST_JUMPS = 20
 _MOST_TIMES = 400
 # A zero is off by so many times what readings differ by.
 _MANY_TIMES = 2.0
@@ -226,7 +227,7 @@ _SAID = {
 
 
 def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[list[float]]:
-    """Yield the times of one jump, of two, up to one a cycle, that leave the least: found one by one, each looked for again.
+    """Yield the times of one jump, of two, up to one a cycle or ``_MOST_JUMPS``, that leave the least: found one by one, each looked for again.
 
     ``within``, ``moved``, ``told`` (ways, targets, cycles): time in cycles, readings about their mean over the cycles, and whether
     there is one.
@@ -253,7 +254,7 @@ def _jumps(within: Floats, moved: Floats, told: NDArray[np.bool_]) -> Iterator[l
         gain = np.where(possible, (columns.T @ rest) ** 2 / np.where(possible, free, 1.0), 0.0)
         return int(np.argmax(gain))
 
-    while len(chosen) < within.shape[2]:
+    while len(chosen) < min(within.shape[2], _MOST_JUMPS):
         chosen.append(best(chosen))
         for i in range(len(chosen)) if len(chosen) > 1 else ():
             chosen[i] = best(chosen[:i] + chosen[i + 1 :])

@@ -11,7 +11,7 @@ import pytest
 
 from dtwin.positioning._spoilt import spoilt_readings
 from dtwin.positioning.check import judge_positioning_campaign
-from dtwin.positioning.cycles import moving_zero, zero_of_each_cycle
+from dtwin.positioning.cycles import _MOST_JUMPS, _jumps, moving_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
 from dtwin.positioning.position_table import read_position_runs
 from dtwin.positioning.still import still
@@ -149,6 +149,14 @@ def test_few_readings_that_only_scatter_are_not_described(shape: tuple[int, int]
         assert moving(LinearTest(x, up, down, 0, None, first="")) is None
     still = np.zeros(shape)
     assert moving(LinearTest(x, still, still, 0, None)) is None
+
+
+def test_a_test_of_many_cycles_ends() -> None:
+    """It took hours: each of 150 cycles was tried as a jump, beside each of the others."""
+    rng = np.random.default_rng(0)
+    shape = (2, 3, _MOST_JUMPS + 20)
+    within, told = np.arange(np.prod(shape)).reshape(shape[::-1]).T / 6.0, np.ones(shape, dtype=bool)
+    assert len(list(_jumps(within, rng.normal(size=shape), told))) == _MOST_JUMPS
 
 
 def test_two_readings_that_are_off_are_no_jump_there_and_back() -> None:
