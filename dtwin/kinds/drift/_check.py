@@ -18,6 +18,8 @@ from dtwin.statistics import f_tail
 from dtwin.units import shown_number
 
 _FEWEST = 100
+_MOST_SENSORS = 48
+"""Beyond them the search takes hours."""
 _JUMP_UM = 200.0
 _JUMPS = 50.0
 _OF_SPAN = 0.25
@@ -47,6 +49,12 @@ def judge_drift(run: Run) -> list[Finding]:
         said = "the displacement never changes: is the probe stuck, or out of its range?"
         return [Finding("drift.stuck", "error", said)]
     findings = []
+    if len(series.temperatures_c) > _MOST_SENSORS:
+        said = (
+            f"{len(series.temperatures_c)} temperatures: what the displacement follows is looked for among up to {_MOST_SENSORS}; leave out those that are far from "
+            'the structure, or read the same ("HEAD" = "" in [campaign.instrument.columns])'
+        )
+        findings.append(Finding("drift.many", "error", said, {"sensors_1": float(len(series.temperatures_c))}))
     steps = np.abs(np.diff(series.moved_um))
     usual = max(float(np.median(steps)), 1.0)
     span = float(np.subtract(*np.percentile(series.moved_um, [98.0, 2.0])))

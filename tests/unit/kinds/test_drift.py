@@ -557,6 +557,8 @@ def test_a_machine_that_stands_still_is_no_probing_that_does_not_repeat() -> Non
     run, rng = _touched(0.0), np.random.default_rng(3)
     still = {**run.samples, "displacement_um": rng.normal(0.0, 0.4, run.n_samples)}
     assert {f.code: f.severity for f in judge_drift(replace(run, samples=still))} == {"drift.still": "info"}
+    many = {f"temperature_{n}_c": still["t_s"] for n in range(48)}
+    assert "drift.many" in {f.code for f in judge_drift(replace(run, samples=still | many)) if f.severity == "error"}
     # Readings that scatter as much as the machine moves are another matter.
     noisy = {**run.samples, "displacement_um": run.samples["displacement_um"] + rng.normal(0.0, 150.0, run.n_samples)}
     assert ("drift.noise", "error") in {(f.code, f.severity) for f in judge_drift(replace(run, samples=noisy))}
