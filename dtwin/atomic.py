@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import os
 import stat
 import tomllib
@@ -16,6 +17,9 @@ import tomli_w
 
 from dtwin.errors import StoreError
 
+_NUMBERS = itertools.count()
+"""Of files that are being written: one may be written twice at once."""
+
 
 @contextlib.contextmanager
 def whole_file(path: Path, what: str) -> Iterator[Path]:
@@ -26,7 +30,7 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     """
     if not path.name:
         raise StoreError(f"{what} has no name to be written under", code="store.write", where=repr(str(path)))
-    partial = path.with_name(f".{path.name}.{os.getpid()}-{get_ident()}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}-{get_ident()}-{next(_NUMBERS)}.partial")
     absent = [folder for folder in path.parents if not folder.exists()]
     try:
         make_folder(path.parent)

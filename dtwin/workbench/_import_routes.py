@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 
 from dtwin.acquire.importing import Looked, look, read_as_it_is, understand, write_folder
@@ -82,7 +83,11 @@ def new_tray(bench: Here) -> dict[str, str]:
 @router.put("/api/trays/{tray}")
 async def receive(request: Request, tray: str, name: str) -> JSONResponse:
     """Take one file into a tray."""
-    size = await bench_of(request).trays.receive(tray, name, request.stream())
+    try:
+        size = await bench_of(request).trays.receive(tray, name, request.stream())
+    except ClientDisconnect:
+        # Nobody hears it.
+        return JSONResponse({"bytes": 0}, 400)
     return JSONResponse({"bytes": size})
 
 

@@ -179,6 +179,13 @@ def test_files_that_come_at_once_are_limited_together(tmp_path: Path, monkeypatc
     assert asyncio.run(trays.receive(tray, "c.csv", parts(40))) == 40
     assert asyncio.run(trays.receive(tray, "c.csv", parts(20, 20))) == 40
 
+    async def twice() -> None:
+        await asyncio.gather(trays.receive(tray, "c.csv", parts(9, 9)), trays.receive(tray, "c.csv", parts(5)))
+
+    # Two files of one name that come at once: one of them, whole.
+    asyncio.run(twice())
+    assert (trays.folder(tray) / "c.csv").stat().st_size in (5, 18)
+
 
 def test_an_upload_that_ends_early_leaves_no_part_of_a_file(tmp_path: Path) -> None:
     trays = uploads.Trays(tmp_path / "trays")
