@@ -46,6 +46,7 @@ from dtwin.kinds.circular._circle_ways import (
     deviates,
     in_motion,
     may_be_gon,
+    require_one_way,
     require_ways,
     stretches,
     way_of,
@@ -160,6 +161,8 @@ def read_circle_runs(
             _require_near(median, float(radius_mm), "the column of radii is of another circle", path)
         curves = [(None, UM_PER_MM * (values[form.radius] - radius_mm))] if form.radius is not None else []
         curves += [(way, values[i]) for i, way in form.ways]
+    if not form.pair and not stated.get("direction") and any(way is None for way, _ in curves):
+        require_one_way(above, path)
     runs: list[Run] = []
     for way, deviation_um in curves:
         good = np.isfinite(angle) & np.isfinite(deviation_um)

@@ -61,8 +61,8 @@ def blocks(
     # A number for each row counts rows.
     of_run = of_run if 2 * len(set(of_run)) < len(of_run) else [""] * len(of_run)
     column = next((i for i, c in enumerate(columns) if DIRECTION.match(bare(c))), None)
-    titles = [way_of_title(row) for row in above]
-    ways: list[Direction | None] = [next((way for way in titles[::-1] if way), None)]
+    told_above = ways_above(above)
+    ways: list[Direction | None] = [told_above.pop() if len(told_above) == 1 else None]
     begins = [0]
     for n, row in enumerate(body):
         told = way_of_title(row) if column is None else way_of(row[column].lower()) if column < len(row) else None
@@ -78,6 +78,24 @@ def blocks(
     ends = [*begins[1:], len(body)]
     rows = np.arange(len(body))
     return [(way, (rows >= a) & (rows < b)) for way, a, b in zip(ways, begins, ends, strict=True)]
+
+
+def ways_above(above: Sequence[Sequence[str]]) -> set[Direction]:
+    """Return the directions that titles above a table name."""
+    return {way for row in above if (way := way_of_title(row)) is not None}
+
+
+def require_one_way(above: Sequence[Sequence[str]], path: Path) -> None:
+    """Refuse titles that name both directions above readings of one: of which they are, nobody knows."""
+    if len(ways_above(above)) > 1:
+        raise InputError(
+            "the titles name both directions, and nothing says of which the readings are",
+            code="circle_table.direction",
+            where=str(path),
+            got="; ".join(" ".join(row).strip() for row in above if way_of_title(row))[:120],
+            allowed="one direction above, or ccw [µm], cw [µm] as heads",
+            hint="--direction CCW or CW",
+        )
 
 
 def require_ways(columns: Sequence[Column], body: Sequence[Sequence[str]], path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular._circle_ways import way_of_title
+from dtwin.kinds.circular._circle_ways import require_one_way, way_of_title, ways_above
 
 _TOLD_ABOVE = (
     (
@@ -51,11 +51,12 @@ def require_as_titled(above: Sequence[Sequence[str]], stated: Mapping[str, Any],
 def told_by_titles(above: Sequence[Sequence[str]], stated: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
     """Return the direction that the titles above a table tell, where none is stated; refuse another condition than the stated one."""
     require_as_titled(above, stated, path)
-    for row in above[::-1]:
-        if way := way_of_title(row):
-            if stated.get("direction", way) != way:
-                raise _titled(" ".join(row), f"direction {stated['direction']}", path)
-            return {"direction": way}
+    ways, told = ways_above(above), stated.get("direction")
+    if told is None:
+        require_one_way(above, path)
+        return {"direction": ways.pop()} if ways else {}
+    if ways and told not in ways:
+        raise _titled("; ".join(" ".join(row) for row in above if way_of_title(row)), f"direction {told}", path)
     return {}
 
 

@@ -343,6 +343,11 @@ def test_a_clock_and_a_title_that_tell_two_ways_are_an_error(tmp_path: Path) -> 
     text = "Direction: CW\n" + table("t [s],angle [deg],deviation [µm]", ANGLE / 10.0, ANGLE, error_um(ANGLE, -1.0))
     (run,) = read(tmp_path / "a.csv", text)
     assert "angle.direction" in [finding.code for finding in judge_run(run)]
+    both = "Run 1: CCW\nRun 2: CW\n" + text.partition("\n")[2]
+    with pytest.raises(InputError, match="both directions"):
+        read(tmp_path / "a.csv", both)
+    (run,) = read(tmp_path / "a.csv", both, direction="CCW")
+    assert run.meta.direction == "CCW"
     shaken = ANGLE + np.where(np.arange(720) % 2, 0.6, -0.6)
     (run,) = read(tmp_path / "b.csv", table("angle [deg],ccw [µm]", shaken, error_um(shaken, 1.0)))
     assert not judge_run(run)
