@@ -183,7 +183,8 @@ class _Worker:
         """Serve until the life line ends. Raises ``_Fault`` when the controller is gone or silent for too long."""
         state = layout.empty_state()
         period_s = 1.0 / self._frequency_hz
-        newest, seen_s = -1.0, time.monotonic()
+        # Before the first package ur_rtde tells a time of 0, and no joints.
+        newest, seen_s = 0.0, time.monotonic()
         next_look_s = seen_s
         while True:
             wait_s = max(next_look_s - time.monotonic(), 0.0)

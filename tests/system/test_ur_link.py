@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from dtwin.errors import EXIT_DEVICE, DeviceError, InputError
 from dtwin.links import state as layout
 from dtwin.links._ur_memory import SharedMemory
 from dtwin.links.ur import UrLink
+from dtwin.links.ur_worker import _Fault, _Worker
 
 pytestmark = pytest.mark.system
 
@@ -195,6 +197,20 @@ def test_a_controller_that_is_too_old_is_told(answers: list[bytes], code: str, s
             UrLink(address, realtime=False)
         server.join()
     assert caught.value.code == code
+
+
+def test_a_controller_that_never_sends_a_state_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ur_rtde tells a time of 0 and no joints then; the driver died of the joints."""
+    ends, awake = os.pipe(), os.eventfd(0)
+    worker = object.__new__(_Worker)
+    nothing = SimpleNamespace(getTimestamp=lambda: 0.0, getTargetQ=list, isConnected=lambda: True)
+    vars(worker).update(_frequency_hz=500.0, _lost_after_s=0.05, _correction_ready=awake, _receive=nothing)
+    with os.fdopen(ends[0]) as life_line:
+        monkeypatch.setattr("sys.stdin", life_line)
+        with pytest.raises(_Fault, match="sent nothing"):
+            worker.run()
+    os.close(ends[1])
+    os.close(awake)
 
 
 @pytest.mark.parametrize("failure", ["drop", "half_frame"])
