@@ -12,6 +12,7 @@ from dtwin.acquire.quality import judge_clock, judge_places
 from dtwin.positioning._spoilt import spoilt_finding
 from dtwin.positioning.cycles import ORDINARY, moving_zero, shifted_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import TARGET_MM, LinearTest, clock_is_assumed, linear_test
+from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.ways import BOTH, LENGTHS, Scale, Ways, ways_of
 from dtwin.schema import Finding, Floats, Run
 from dtwin.units import is_number, shown_number
@@ -143,8 +144,10 @@ def by_axis(runs: Sequence[Run]) -> list[tuple[Ways, list[Run]]]:
 def _across_cycles(test: LinearTest) -> list[Finding]:
     if test.position_mm.size < 2:
         return []
-    moving = moving_zero(test)
-    return [f for f in (spoilt_finding(test), moving.finding if moving else None) if f is not None]
+    reversal = moving_reversal(test)
+    moving = moving_zero(reversal.taken_out(test) if reversal else test)
+    told = (spoilt_finding(test), *(moved.finding if moved else None for moved in (reversal, moving)))
+    return [finding for finding in told if finding is not None]
 
 
 def _clipped(test: LinearTest) -> Finding | None:

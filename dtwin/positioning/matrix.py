@@ -28,7 +28,7 @@ class LinearTest:
     ``forward_um``, ``reverse_um`` (targets, runs): errors.
     ``left_out``: targets that some run missed.
     ``pitch_mm``: travel in one turn of the screw.
-    ``first``: direction that each run began with; empty where the clock is assumed.
+    ``first``: direction that each run began with; empty where the clock is assumed, or there is none.
     ``ways``: directions of both matrices; twice the same of runs that have one only.
     ``repeats``: what the runs are called; empty where they are counted.
     """
@@ -88,7 +88,7 @@ def clock_is_assumed(runs: Sequence[Run]) -> bool:
 
 
 def _first(runs: Sequence[Run]) -> str:
-    if clock_is_assumed(runs):
+    if clock_is_assumed(runs) or any("t_s" not in run.samples for run in runs):
         return ""
     begun = {str(run.samples["direction"][np.argmin(run.samples["t_s"])]) for run in runs if run.samples["t_s"].size}
     return begun.pop() if len(begun) == 1 else ""

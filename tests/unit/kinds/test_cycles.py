@@ -13,6 +13,7 @@ from dtwin.positioning._spoilt import spoilt_readings
 from dtwin.positioning.check import judge_positioning_campaign
 from dtwin.positioning.cycles import _MOST_JUMPS, _jumps, moving_zero, zero_of_each_cycle
 from dtwin.positioning.matrix import LinearTest
+from dtwin.positioning.moving_reversal import moving_reversal
 from dtwin.positioning.position_table import read_position_runs
 from dtwin.positioning.still import still
 from dtwin.schema import Campaign, Finding, Run
@@ -57,6 +58,8 @@ def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str 
     right = sum((None if f is None else f.code) in codes for f in found)
     assert right >= 19
     assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(20))
+    # A zero that moves is no reversal error that does.
+    assert all(moving_reversal(made(zero, seed)) is None for seed in range(20))
 
 
 @pytest.mark.parametrize("um", [0.05, 0.25])
@@ -246,6 +249,32 @@ def test_runs_with_a_clock_keep_what_moves_with_time(tmp_path: Path) -> None:
     assert all(a is b for a, b in zip(still(timed), timed, strict=True))
     quiet = table_of(made(lambda x, c: 0.0 * x * c, 3), tmp_path / "b.csv")
     assert all(a is b for a, b in zip(still(quiet), quiet, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("cycles", "more", "said"),
+    [
+        (3, lambda c: 4.0 * c, "grows from 8 µm in cycle 1 to 16 µm in cycle 3"),
+        (5, lambda c: 6.0 * ((c > 1.0) & (c < 3.0)), "lies between 5.4 and 12 µm"),
+    ],
+    ids=["grows", "comes and goes"],
+)
+def test_a_reversal_error_that_moves_is_told_and_a_twin_sees_its_mean(
+    cycles: int, more: Any, said: str, tmp_path: Path
+) -> None:
+    test = made(lambda x, c: 0.0 * x * c, 2, cycles=cycles)
+    when = np.arange(float(cycles)) + np.array([0.25, 0.75])[:, None]
+    test = replace(
+        test, forward_um=test.forward_um + more(when[0]) / 2.0, reverse_um=test.reverse_um - more(when[1]) / 2.0
+    )
+    runs = table_of(test, tmp_path / "a.csv")
+    (found,) = judge_positioning_campaign(runs)
+    assert found.code == "linear.reversal_moves"
+    assert said in found.message
+    ways = [np.array([r.samples["error_um"][r.samples["direction"] == way] for r in still(runs)]) for way in test.ways]
+    reversal = ways[0] - ways[1][:, ::-1]
+    assert np.ptp(reversal.mean(axis=1)) < 0.6
+    assert np.mean(reversal) == pytest.approx(6.0 + float(np.mean(more(when))), abs=0.3)
 
 
 @pytest.mark.parametrize(
