@@ -27,7 +27,15 @@ _WAVES = frozenset(
 _LEAD, _CURVE = "scale", "pitch_error"
 # What belongs to the instrument, the day, or the stretch of the axis that was measured.
 _OWN = frozenset(
-    ("thermal_drift", "thermal_shift", "warming_growth", "instrument_artefact", "measurement_delay", "worn_screw")
+    (
+        "thermal_drift",
+        "thermal_shift",
+        "warming_growth",
+        "instrument_artefact",
+        "measurement_delay",
+        "slow_take_up",
+        "worn_screw",
+    )
 )
 # The first order of a screw's turn is what a circle shows as a cyclic error.
 _CAUSES = {
