@@ -243,3 +243,24 @@ def test_a_wave_of_a_screw_of_no_stated_pitch_is_found_and_is_no_pitch_error(see
     assert named["periodic_error X"].shape["pitch_mm"] == pytest.approx(12.0, rel=0.01)
     even = diagnose(campaign(wave + play, rng, 0.2, np.linspace(0.0, 500.0, 20)), [], LIBRARY)
     assert "periodic_error X" not in {s.label for group in even.found for s in group}
+
+
+def test_lost_motion_that_is_taken_up_late_is_that_and_the_backlash_has_its_size() -> None:
+    # The overrun is 0.5 mm: the first readings after each reversal are off.
+    way, since = np.array([[1.0], [-1.0]]), np.stack([AT_MM - AT_MM[0], AT_MM[-1] - AT_MM]) + 0.5
+    found = diagnose(campaign(-4.5 * way * (1.0 - 2.0 * np.exp(-since / 8.0)), np.random.default_rng(5)), [], LIBRARY)
+    named = {group[0].label: group[0] for group in found.found}
+    assert set(named) == {"backlash X", "slow_take_up X"}
+    assert named["backlash X"].sizes[0].value == pytest.approx(9.0, abs=0.2)
+    assert named["slow_take_up X"].sizes[0].value == pytest.approx(18.0 * np.exp(-0.5 / 8.0), abs=1.5)
+    assert named["slow_take_up X"].shape["way_mm"] == pytest.approx(8.0, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_usual_lead_is_found_though_some_length_fits_any_few_targets(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0.0, 800.0, 20) + rng.uniform(-12.0, 12.0, 20)
+    wave = 3.0 * np.sin(at / 150.0) + np.cos(2.0 * np.pi * at / 5.0)
+    found = diagnose(campaign(wave, rng, 0.3, at), [], LIBRARY)
+    (named,) = [s for group in found.found for s in group if s.effect == "periodic_error"]
+    assert named.shape["pitch_mm"] == pytest.approx(5.0, rel=0.002)
