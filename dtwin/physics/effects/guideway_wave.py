@@ -43,7 +43,7 @@ EFFECT = Effect(
     separate_by="Circles of another radius, on which a wave keeps its length, or a straightedge along the axis.",
     remedy="Check guideway and its screws, or enter a straightness table.",
     reference="ISO 230-1, straightness error motion",
-    shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM, (20.0, 1000.0), step_on_circles=2), OVER),
+    shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM, (20.0, 400.0), step_on_circles=2), OVER),
     confusables=("guideway_shape", "straightness", "instrument_artefact", "pitch_error"),
     by_radius=True,
     correctable="A compensation value of the control, or an offset of position.",
