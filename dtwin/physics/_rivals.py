@@ -111,6 +111,9 @@ def described(
         group += sets
         two = _two_instead(given, few, candidates, top, rivals, group, level)
         group += two or _beside_a_part(given, candidates, top, group, level)
+        group = tuple(c for c in group if c in sets or _is_possible(given, candidates, c)) or group
+        top, term = group[0], group[0].term
+        absorbed -= {term.label}
         names = {c.term.instance.effect.name for c in group}
         group = group[:1] + tuple(c for c in group[1:] if not names & set(c.term.instance.effect.special_cases))
         gain = left_out_gain(given, candidates.whitened(given, term))
@@ -126,6 +129,18 @@ def described(
         together = frozenset(c.term.label for c in sets)
         out.append(Found(top, group, absorbed, together, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
+
+
+def _is_possible(problem: Problem, candidates: Candidates, candidate: Candidate) -> bool:
+    """Tell whether an effect in place of another would be of a size that machines have.
+
+    At a low feed what hardly accelerates would need a machine softer than any to be an oval of some micrometres.
+    """
+    columns = candidates.whitened(problem, candidate.term)
+    columns = columns - problem.basis @ (problem.basis.T @ columns)
+    sizes = np.linalg.lstsq(columns, problem.residual.ravel(), rcond=1e-8)[0]
+    parameters = candidate.term.instance.effect.parameters
+    return all(abs(size) <= p.largest for size, p in zip(sizes, parameters, strict=True))
 
 
 def level_beside(problem: Problem) -> NoiseLevel:

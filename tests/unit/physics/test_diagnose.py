@@ -25,6 +25,7 @@ from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Direction, Floats, Run
 
 LIBRARY = Library()
+_WAYS: tuple[Direction, ...] = ("CCW", "CW")
 KNOWN = ["scale_mismatch", "squareness"]
 SOUND = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0)
 
@@ -87,13 +88,21 @@ def test_a_bad_run_is_left_out_and_named() -> None:
 
 @pytest.mark.parametrize("spoilt", [2, 5])
 def test_of_two_repeats_the_one_is_left_out_without_which_effects_leave_less(spoilt: int) -> None:
-    ways: tuple[Direction, ...] = ("CCW", "CW")
-    tests = [CircularTest("XY", way, radius, 1000.0, n) for n in (1, 2) for radius in (100.0, 150.0) for way in ways]
+    tests = [CircularTest("XY", way, radius, 1000.0, n) for n in (1, 2) for radius in (100.0, 150.0) for way in _WAYS]
     runs = VirtualMill(SOUND, seed=3).measure(tests)
     samples = dict(runs[spoilt].samples)
     samples["deviation_um"] = samples["deviation_um"] + 12.0 * np.cos(2 * np.radians(samples["angle_deg"]))
     runs[spoilt] = replace(runs[spoilt], samples=samples)
     assert diagnose(observed(runs), [], LIBRARY).outlier_runs == (runs[spoilt].meta.run_id,)
+
+
+@pytest.mark.parametrize(("feed_mm_min", "soft"), [(1000.0, False), (6000.0, True)])
+def test_what_would_need_a_machine_softer_than_any_is_no_alternative(feed_mm_min: float, soft: bool) -> None:
+    tests = [CircularTest("XY", way, 150.0, feed_mm_min, n) for n in (1, 2, 3) for way in _WAYS]
+    found = diagnose(observed(VirtualMill(SOUND, seed=3).measure(tests)), [], LIBRARY).found
+    (group,) = [labels for f in found if "scale_mismatch XY" in (labels := {s.label for s in f})]
+    assert ("inertial_compliance" in group) is soft
+    assert "servo_lag" in group
 
 
 def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
