@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -16,7 +17,7 @@ from dtwin.acquire.xmlsafe import child_text, number_or_none, parse_vendor_xml, 
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.local_time import was_set
-from dtwin.schema import Direction, Floats, Run, RunMeta, standard_plane
+from dtwin.schema import Direction, Finding, Floats, Run, RunMeta, standard_plane
 
 MAX_READINGS = 5_000_000
 _VENDOR_FIGURES = {
@@ -27,6 +28,8 @@ _VENDOR_FIGURES = {
     "AF_CALCULATED_FEEDRATE": ("feed_mm_min", 1.0),
 }
 _HOTTEST = 1000.0
+_OF_MACHINES = re.compile(r"[XYZ]{2}")
+_USUAL_VIEW = "+A+B"
 _WHOLE_DEG = 359.0
 
 
@@ -127,9 +130,8 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         )
     plane_element = bar.find("PLANE")
     own_way: Direction = "CCW" if stated == "CCW" else "CW"
-    plane, direction = standard_plane(
-        plane_element.get("TEST_PLANE", "XY") if plane_element is not None else "XY", own_way
-    )
+    own_plane = plane_element.get("TEST_PLANE", "XY") if plane_element is not None else "XY"
+    plane, direction = standard_plane(own_plane, own_way)
     rate_hz = _number(element, "SAMPLE_RATE", where, low=0.1, high=1e6)
     arc_start_deg = _number(bar, "START_ANGLE", where, low=-3600.0, high=3600.0)
     arc_deg = _number(bar, "END_ANGLE", where, low=-3600.0, high=3600.0) - arc_start_deg
@@ -153,7 +155,20 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         "angle_deg": angle_deg,
         "deviation_um": readings_mm * 1000.0,
     }
-    return Run(meta=meta, samples=samples, window=(start, end), source=str(path))
+    findings = () if plane_element is None else _plane_findings(plane_element, own_plane)
+    return Run(meta=meta, samples=samples, window=(start, end), source=str(path), findings=findings)
+
+
+def _plane_findings(element: Element, plane: str) -> tuple[Finding, ...]:
+    """Return that axes or view of a test are not those of its plane: then angles may be counted the other way."""
+    axes = "".join(child_text(element, tag).strip().upper() for tag in ("A_AXIS_NAME", "B_AXIS_NAME"))
+    view = element.get("VIEW", "").replace(" ", "")
+    other_axes = bool(_OF_MACHINES.fullmatch(axes)) and axes != plane.upper()
+    if not other_axes and view in ("", _USUAL_VIEW):
+        return ()
+    told = f"axes {', '.join(axes)}" if other_axes else f"the view {view[:20]}"
+    said = f"the file states plane {plane} and {told}: angles and directions are taken as seen in plane {plane}; where that is wrong, the run is mirrored"
+    return (Finding("b5r.plane", "warning", said),)
 
 
 def marked_angle_deg(

@@ -67,6 +67,26 @@ def test_a_tolerance_that_is_none_is_left_away(
     assert "tolerances" not in read_b5r(_with_limits(real_recording, tmp_path / "a.b5r", limits)).instrument
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b'VIEW="+A+B"', b'VIEW="-A+B"'),
+        (b'TEST_PLANE="XY"', b'TEST_PLANE="YX"'),
+        (b"<A_AXIS_NAME>X", b"<A_AXIS_NAME>Z"),
+        (b"<A_AXIS_NAME>X", b"<A_AXIS_NAME>U"),
+    ],
+)
+def test_a_plane_that_is_not_that_of_its_axes_is_told(
+    real_recording: Path, tmp_path: Path, old: bytes, new: bytes
+) -> None:
+    assert not read_b5r(real_recording).runs[0].findings
+    path = tmp_path / "a.b5r"
+    path.write_bytes(real_recording.read_bytes().replace(old, new))
+    told = [finding.code for finding in read_b5r(path).runs[0].findings]
+    # Other letters are names that somebody gave.
+    assert told == ([] if new.endswith(b"U") else ["b5r.plane"])
+
+
 def test_angles_follow_the_indices_and_the_direction(real_recording: Path) -> None:
     for run in read_b5r(real_recording).runs:
         assert run.window is not None
