@@ -38,14 +38,14 @@ from dtwin.kinds.rotation._heads import (
     column_of,
     is_dial,
     is_turning,
+    require_whole,
 )
 from dtwin.local_time import was_set
 from dtwin.schema import Finding, Floats
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", *SPREADSHEETS)
 _MOST_BYTES = 256 * 1024**2
-_MOST_TITLES, _MOST_PROBES = 20, 64
-_MOST_ON_ITS_SIDE = 200
+_MOST_TITLES, _MOST_PROBES, _MOST_ON_ITS_SIDE = 20, 64, 200
 _UNIX_S = 1e9
 _MISSING = frozenset(("", "nan", "n/a", "na", "-", "--", "null", "none"))
 
@@ -295,6 +295,7 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             allowed="time, angle or a pulse a turn or speed, and displacements in mm or µm; or speed and run-out",
             hint='other heads: [campaign.instrument.columns] with lines such as "CH3" = "radial_x_um"',
         )
+    require_whole(heads, columns, path)
     without = [heads[n] for n, c in enumerate(columns) if c.role not in ("", PATH) and not c.factor]
     if without:
         raise InputError(
@@ -306,8 +307,7 @@ def _require(columns: Sequence[Column], heads: Sequence[str], path: Path, needed
             hint='the unit behind the name in the head, such as "run-out [µm]"',
         )
     roles = [c.role for c in columns if c.role in (TIME, ANGLE, SPEED)]
-    twice = sorted(role for role in set(roles) if roles.count(role) > 1)
-    if twice:
+    if twice := sorted(role for role in set(roles) if roles.count(role) > 1):
         raise InputError(
             "two columns are the same quantity",
             code="rotation.twice",

@@ -6,8 +6,10 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from dtwin.acquire.foreign_columns import PROBES, in_english
+from dtwin.errors import InputError
 from dtwin.schema import Finding
 from dtwin.units import LENGTHS_MM, TIMES_S, UM_PER_MM, with_shares
 
@@ -84,6 +86,12 @@ _ERROR_MOTION = (
 _RUNOUT = re.compile(
     r"run.?out|\btir\b|rundlauf|planlauf|\bf\.?i\.?m\b|schlag\b|faux.?rond|battement|\bsalto\b|oscillazione|跳动|跳動|振れ"
 )
+_NOT_READ = re.compile(
+    r"toleran[cz]|\blimit|grenz(wert|e)\b|allow|zul[äa]ssig|permi(tted|ssible)|\bsoll|\bnominal|\bspec(ified)?\b|uncertaint|unsicherheit|\bstd|\bsigma\b|standard.?(dev|abw)"
+)
+"""What a head says of run-outs that nobody read."""
+_PART = re.compile(r"±|\+\s*/\s*-|amplitud|\bhal(f|be)|\b(0|zero)\s*-?\s*(to)?\s*-?\s*p(ea)?k\b|\brms\b|effektiv", re.I)
+"""What a head says of a part of a run-out, which is from the lowest to the highest reading."""
 _PROBE = re.compile(
     rf"displ|\bdisp\b|\b({PROBES})|radial|axial|face|gap|taster|weg\b|^d?[xyz]\d?$|cap\d|\bdial\b|indicator|comparateur"
 )
@@ -180,7 +188,7 @@ def column_of(head: str, unit_below: str = "") -> Column:
     name = re.sub(r"[^\w.+-]+", "_", words).strip("_.-+") or "probe"
     scale = _LENGTH_UM.get(told, 0.0)
     if _RUNOUT.search(words) or figure_of(words)[0] != "TIR":
-        return Column(RUNOUT, name, scale, likely=True)
+        return Column("") if _NOT_READ.search(words) else Column(RUNOUT, name, scale, likely=True)
     if _PATH.search(words):
         return Column(PATH)
     if _OTHER.search(f"{words} {told}"):
@@ -193,6 +201,20 @@ def figure_of(name: str) -> tuple[str, str]:
     """Return symbol and name of the figure that a column over speed holds, by its name: of error motion, else run-out."""
     text = name.lower().replace("_", " ")
     return next(((symbol, said) for symbol, said, word in _ERROR_MOTION if word.search(text)), ("TIR", "run-out"))
+
+
+def require_whole(heads: Sequence[str], columns: Sequence[Column], path: Path) -> None:
+    """Refuse run-outs of which the head says that they are a part of it: half of it, as ``± 3 µm``, or its RMS."""
+    part = [h for h, c in zip(heads, columns, strict=True) if c.role == RUNOUT and _PART.search(h.replace("_", " "))]
+    if part:
+        raise InputError(
+            "a column holds a part of a run-out: an amplitude, or an RMS",
+            code="rotation.part",
+            where=str(path),
+            got=", ".join(part)[:120],
+            allowed="the run-out (TIR): from the lowest to the highest reading of a turn",
+            hint="of amplitudes write twice as much under the head run-out [µm]",
+        )
 
 
 def assumed_of(cells: Sequence[str], columns: Mapping[str, Column]) -> tuple[Finding, ...]:
