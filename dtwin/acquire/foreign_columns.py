@@ -69,8 +69,8 @@ _NOT_READ = frozenset(
     )
 )
 """Units of columns that are left out."""
-_TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)")
-"""Of a head such as ``-deviation`` or ``|error|``."""
+_TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)|.*±")
+"""Of a head such as ``-deviation``, ``|error|`` or ``error ±``."""
 _TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
 """Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
 _GRAD = "grad"

@@ -16,6 +16,7 @@ from dtwin.errors import InputError
 from dtwin.physics.linear import linear_figures
 from dtwin.positioning.matrix import other_formulas_um
 from dtwin.positioning.table_heads import (
+    MISSING,
     MOST_TITLES,
     OTHER_TEST,
     OWN_SENSOR,
@@ -31,7 +32,6 @@ from dtwin.positioning.table_heads import (
     told_unit,
     unit_of,
     wide_of,
-    without_remarks,
 )
 from dtwin.positioning.ways import way_of
 from dtwin.schema import Finding, Floats
@@ -52,6 +52,11 @@ _FIGURES = {
 _ROUNDED = 0.005
 DIFFERENCE = re.compile(r"\bdiff", re.I)
 _CYCLES = re.compile(r"cycle|zyklus|\b(run|lauf)\b", re.I)
+_SERIES = re.compile(
+    r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
+    re.I,
+)
+"""Title of a block of a test, one a cycle."""
 
 
 @dataclass(frozen=True)
@@ -341,3 +346,23 @@ def _without_name(head: str, unit: str) -> str:
     """Return the head of a column of readings in the words of a plain table: ``deviation forward 1 [µm]``."""
     number = [word for word in re.findall(r"[^\W_]+", head) if word.isdigit()][-1:]
     return " ".join(["deviation" if is_deviation(head) else "actual", way_of(head) or "", *number, f"[{unit}]"])
+
+
+def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target: int) -> list[Sequence[str]]:
+    """Return the rows of a table without blank ones, heads that are repeated, titles above those, and what is written below the last target."""
+    told = [cell.strip() for cell in heads]
+    filled = [row for row in body if any(cell.strip() for cell in row)]
+    again = [[cell.strip() for cell in row] == told for row in [*filled, ()]]
+    title = [bool(_SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
+    rows = [row for row, head, above in zip(filled, again, title, strict=False) if not head and not above]
+    whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
+    while rows and _is_remark(rows[-1], target, whole):
+        del rows[-1]
+    return rows
+
+
+def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
+    """Return whether a row says something in words and is no target: of ``whole`` cells of a target's row it has few."""
+    at = row[target].strip() if target < len(row) else ""
+    worded = any(cell.strip()[:1].isalpha() and cell.strip().lower() not in MISSING for cell in row)
+    return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))

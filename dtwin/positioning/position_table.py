@@ -9,7 +9,6 @@ Four forms are known by what stands in them:
 * assignments: ``TGT_DATA[1]=15``, ``REF_DATA_FWD[1,1]=15.01``, ``REF_DATA_BWD[1,1]=...``, ``UNIT=mm``.
 
 In a report in Markdown the tables of these forms are read; direction or target may stand in the heading above.
-
 A column is in the unit that its head or a row of units states (mm, um, µm, in; of an axis that turns deg, arcsec, ″). It holds deviations when its head says so
 (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away. Targets and positions without
 a unit are millimetres, or degrees, which is said; deviations must state theirs.
@@ -50,7 +49,13 @@ from dtwin.positioning._refusals import (
     require_unit_of,
     require_unit_of_heads,
 )
-from dtwin.positioning._report_tables import instruments_beside, of_one_instrument, report_tables, stated_figures
+from dtwin.positioning._report_tables import (
+    instruments_beside,
+    of_one_instrument,
+    report_tables,
+    stated_figures,
+    without_remarks,
+)
 from dtwin.positioning.assignments import Reading, assigned_readings, assigned_unit, is_assigned, number_of, wrong_form
 from dtwin.positioning.matrix import names_sense, no_direction, ways_in_order
 from dtwin.positioning.position_runs import PositionTable, runs_of, said_of
@@ -75,7 +80,6 @@ from dtwin.positioning.table_heads import (
     rows_of_axis,
     told_unit,
     wide_of,
-    without_remarks,
 )
 from dtwin.positioning.ways import LENGTHS, Scale, way_of
 from dtwin.schema import Campaign, Finding, Floats, Run
@@ -222,9 +226,7 @@ def _as_they_are(readings: Sequence[Reading], scale: Scale) -> list[Reading]:
         off = _within_turn(told_um - sign * target_um, scale)[alike]
         if off.size and size > 0.0 and float(np.ptp(off)) < LITTLE * size:
             within[alike], positions[alike] = off, sign > 0.0
-    return [
-        (*reading[:3], float(um), bool(told)) for reading, um, told in zip(readings, within, positions, strict=True)
-    ]
+    return [(*r[:3], float(um), bool(told)) for r, um, told in zip(readings, within, positions, strict=True)]
 
 
 def _within_turn(off: Floats, scale: Scale) -> Floats:

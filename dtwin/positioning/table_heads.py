@@ -60,9 +60,18 @@ _INDEX = re.compile(
 )
 _COUNTED = re.compile(r"(target|point|punkt|pos\w*|soll\w*|ziel\w*)[ ._]+i", re.I)
 """Head of a column of targets, or, where another one holds them, of their numbers."""
-_DEVIATION = re.compile(r"dev|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
+_DEVIATION = re.compile(r"dev(?!ic)|err|abw|fehler|[eé]cart|scost|desv|偏差|误差|誤差", re.I)
 _CORRECTION = re.compile(r"(correction|compensation|korrektur|kompensation)\b", re.I)
-OTHER_TEST = re.compile(r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular", re.I)
+_NOT_READ = re.compile(
+    r"toleran[cz]|\blimit|grenz(e|wert)|allow|zul[äa]ssig|permi(tted|ssible)|uncertaint|unsicherheit|±|following|schlepp|\bcode\b|standard.?(dev|abw)",
+    re.I,
+)
+"""What a head says of errors that are no readings of the axis' place."""
+_BARE = re.compile(r"(positioning |position |positions)?(error|deviation|dev\.?|abweichung|fehler)", re.I)
+OTHER_TEST = re.compile(
+    r"straightness|geradheit|flatness|ebenheit|squareness|rechtwinkl|angular|\bE([XYZ])(?!\1)[XYZ]\b|\bE[ABC][XYZ]\b",
+    re.I,
+)
 """Title of another test that is made along an axis."""
 OWN_SENSOR = re.compile(r"resolver|encoder|open ?loop|motor|stepper|counter|dreh(geber|impuls)", re.I)
 """What reads for the control itself."""
@@ -71,11 +80,6 @@ SURELY_READ = re.compile(rf"^(actual|measured?|measurement|reading|ist|mess|(act
 CYCLE = re.compile(r"^(cycle|run|repeat|test( ?(no\.?|nr\.?|number|#))?$|zyklus|lauf|nr)", re.I)
 _RUN = re.compile(r"r\d+(?!\w)", re.I)
 _NUMBER = re.compile(r"\d+")
-_SERIES = re.compile(
-    r"\W*(messreihe|serie|série|series|run|cycle|zyklus|lauf|test|messung|measurement|essai|prova|prueba)\W*(n[or]\W*)?\d+\W*",
-    re.I,
-)
-"""Title of a block of a test, one a cycle."""
 _WAY = re.compile(r"^(direction|dir|(anfahr)?richtung|approach)", re.I)
 
 _SIGN_INSIDE = re.compile(r"(?<=[^\W\d_])\s*([+\-\u2212↑↓])(?=[\s\d]|[^\W_])")
@@ -101,7 +105,7 @@ def wide_of(heads: Sequence[str]) -> Wide | None:
     ways = _ways_of(names)
     told = [(i, ways[i], re.search(r"(\d+)", name)) for i, name in enumerate(names) if i not in targets[:1]]
     cycle = next((i for i, name in enumerate(names) if CYCLE.match(name) and way_of(name) is None), None)
-    cells = [(i, way, number) for i, way, number in told if way and not SUMS_UP.search(names[i])]
+    cells = [(i, way, number) for i, way, number in told if way and _is_read(names[i])]
     numbered = [(i, way, int(number[1])) for i, way, number in cells if number]
     # Positions and their deviations may stand beside each other.
     deviations = [cell for cell in numbered if is_deviation(names[cell[0]])]
@@ -232,26 +236,6 @@ def other_targets(heads: Sequence[str], target: int) -> list[int]:
     return [i for i in sure if not is_deviation(heads[i]) and unit_of(heads[i]) == unit_of(heads[target])]
 
 
-def without_remarks(heads: Sequence[str], body: Sequence[Sequence[str]], target: int) -> list[Sequence[str]]:
-    """Return the rows of a table without blank ones, heads that are repeated, titles above those, and what is written below the last target."""
-    told = [cell.strip() for cell in heads]
-    filled = [row for row in body if any(cell.strip() for cell in row)]
-    again = [[cell.strip() for cell in row] == told for row in [*filled, ()]]
-    title = [bool(_SERIES.fullmatch("".join(row))) and below for row, below in zip(filled, again[1:], strict=True)]
-    rows = [row for row, head, above in zip(filled, again, title, strict=False) if not head and not above]
-    whole = sum(bool(cell.strip()) for cell in rows[0]) if rows else 0
-    while rows and _is_remark(rows[-1], target, whole):
-        del rows[-1]
-    return rows
-
-
-def _is_remark(row: Sequence[str], target: int, whole: int) -> bool:
-    """Return whether a row says something in words and is no target: of ``whole`` cells of a target's row it has few."""
-    at = row[target].strip() if target < len(row) else ""
-    worded = any(cell.strip()[:1].isalpha() and cell.strip().lower() not in MISSING for cell in row)
-    return at[:1].isalpha() or (worded and (not at or 2 * sum(bool(cell.strip()) for cell in row) < whole))
-
-
 @dataclass(frozen=True)
 class Long:
     """Columns of a table with one reading a row; without ``cycle`` they are counted, without ``way`` their order tells it."""
@@ -273,7 +257,9 @@ def long_of(heads: Sequence[str]) -> Long | None:
         return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
 
     way, cycle = first(_WAY), first(CYCLE)
-    deviation = first(_DEVIATION, way, cycle)
+    deviations = [i for i, name in enumerate(names) if i not in (way, cycle) and is_deviation(name) and _is_read(name)]
+    bare = [i for i in deviations if _BARE.fullmatch(IN_BRACKETS.sub("", names[i]).strip())]
+    deviation = next(iter([*bare, *deviations]), None)
     value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
     indices = [i for i, name in enumerate(names) if is_index(name)]
     target = next((i for i in _targets(names) if i not in (way, cycle, value)), None)
@@ -307,7 +293,7 @@ def _without_direction(names: Sequence[str]) -> tuple[list[int], list[int]]:
         for i in there
         if i not in targets
         and (SURELY_READ.match(told[i]) or is_deviation(told[i]) or CYCLE.match(told[i]) or _RUN.match(told[i]))
-        and not SUMS_UP.search(told[i])
+        and _is_read(told[i])
         and not (CYCLE.match(told[i]) and not told_unit(told[i], ""))
     ]
     return targets, read
@@ -348,6 +334,12 @@ def deviation_of(head: str, factor: float, value: float, target: float, scale: S
     """Return the deviation, and whether the column holds positions; ``factor``: how many of the unit of targets its own is."""
     by_position = not is_deviation(head) and factor >= _OF_POSITIONS
     return (value - target if by_position else value) * scale.per, by_position
+
+
+def _is_read(head: str) -> bool:
+    """Return whether a column may hold readings: neither what sums them up, nor limits, uncertainties or what a control follows by."""
+    words = head.replace("_", " ")
+    return not SUMS_UP.search(words) and not _NOT_READ.search(words)
 
 
 def is_deviation(head: str) -> bool:

@@ -1365,6 +1365,25 @@ def test_deviations_have_the_sign_and_unit_of_positions_beside_them(
     assert "linear.equal_cycles" in {f["code"] for f in found}
 
 
+@pytest.mark.parametrize(
+    "other", ["Error limit [µm]", "Std dev [µm]", "Following error [µm]", "Error code", "Device", "Previous error [µm]"]
+)
+def test_what_only_sounds_like_an_error_is_not_read_in_its_place(tmp_path: Path, other: str) -> None:
+    rows = [f"{t};{way};7;{t / 100 + 3 * (way == '-')}" for _ in range(2) for way in "+-" for t in (0, 100, 200)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"target [mm];direction;{other};Error [µm]", *rows]), encoding="utf-8")
+    assert read_position_table(path).reverse_um[:, 0].tolist() == [3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize("word", ["limit", "tolerance", "following error", "±"])
+def test_limits_and_what_a_control_follows_by_are_no_readings(tmp_path: Path, word: str) -> None:
+    heads = ";".join(f"forward {n} {word} [µm];reverse {n} {word} [µm]" for n in (1, 2))
+    path = tmp_path / "a.csv"
+    path.write_text(f"target [mm];{heads}\n0;1;2;3;4\n9;1;2;3;4\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no kind of test"):
+        understand(path, Home(tmp_path / "home"), {"axis": "X"}, {})
+
+
 def test_one_column_of_deviations_among_those_of_positions_is_read_as_such(tmp_path: Path) -> None:
     heads = ";".join(f"fwd {n} [{'in' if n == 2 else 'µm'}];rev {n} [mm]" for n in (1, 2, 3))
     rows = [f"{t};1;{1e-3};{1 / 25400:.9f};{1e-3};1;{1e-3}" for t in (0, 100, 200)]
