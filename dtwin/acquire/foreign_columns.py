@@ -69,7 +69,7 @@ _NOT_READ = frozenset(
     )
 )
 """Units of columns that are left out."""
-_TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)|.*±")
+TURNED = re.compile(r"\s*([-\u2212\u2013]\s*[^\W\d]|\|)|.*±")
 """Of a head such as ``-deviation``, ``|error|`` or ``error ±``."""
 _TIME_ALONE = ("seconds", "minutes", "hours", "days", "sekunden", "minuten", "stunden", "tage")
 """Heads that are nothing but a unit of time; of one minute it may be that of the hour."""
@@ -333,7 +333,7 @@ def _column(head: str, unit_below: str, answer: str | None) -> Column:
         return _scaled(head, unit, answer, here or wanted, wanted, factor)
     if not here:
         return Column(head, unit, "", why_not=f"its unit {unit} is not known" if unit else "no unit is told")
-    if _TURNED.match(base):
+    if TURNED.match(base):
         return Column(head, unit, "", why_not="its sign is turned round, or lost")
     for pattern, stem, wanted in _HEADS:
         # T in °C is a temperature.

@@ -24,6 +24,7 @@ import numpy as np
 
 from dtwin.acquire.foreign_columns import (
     DEVIATION,
+    TURNED,
     Column,
     below_heads,
     columns_of,
@@ -239,7 +240,8 @@ def _require_one_meaning(columns: Sequence[Column], path: Path) -> None:
     for column in columns:
         name = bare(column)
         no_length = column.unit and not column.name.endswith(("_um", "_mm"))
-        if way_of(name) and (no_length or _BESIDE.search(name)):
+        turned = TURNED.match(column.head) and way_of(name.strip("-\u2212\u2013|± "))
+        if turned or (way_of(name) and (no_length or _BESIDE.search(name))):
             raise _wrong(
                 "a column names a direction and is no deviation", path, column.head, "deviations: ccw [µm], cw [µm]"
             )

@@ -49,9 +49,11 @@ _TRAVEL_UM = 10_000.0
 _SPEED, _DRIFT_S = re.compile(r"speed|\brpm\b|drehzahl", re.I), 0.5
 _OF_OTHERS = re.compile(r"(angle|position|error|speed(?!_rpm)|joint|direction|cmd|act)\w*_", re.I)
 _NO_PROBE = re.compile(
-    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur)",
+    r"target|nominal|soll|toler|limit|radius|diamet|durchm|run_?out|rundlauf|rough|rauh|rau_|stroke|length|wear"
+    r"|uncertaint|unsicherheit|set_?point|predict|simulat|(?<![a-z])std|standard_dev|(?<!with_)(?<!without_)(?<!mit_)(?<!ohne_)(?:correction|korrektur|compensation|kompensation)",
     re.I,
 )
+_NO_SENSOR = re.compile(r"set_?point|soll|limit|grenz|alarm|uncertaint|unsicherheit", re.I)
 _STEPS = "displacement_step"
 _SAMPLE = "sample_1"
 _STAMPED = "t_stamp"
@@ -270,7 +272,7 @@ def _named(
         # A name that the campaign gives does not say another unit of temperature than the head does.
         if column.zero or name == column.name:
             factor, zero = column.factor, column.zero
-        if name.endswith("_c") and not _TEMPERATURE.fullmatch(name):
+        if name.endswith("_c") and not _TEMPERATURE.fullmatch(name) and not _NO_SENSOR.search(name):
             name = f"temperature_{name}"
         elif of_stamps(name):
             name = _STAMPED

@@ -279,6 +279,8 @@ def test_a_plane_that_is_told_from_its_other_axis_turns_the_angle(tmp_path: Path
         "angle [deg],ccw radius [mm],cw radius [mm],t [s]",
         "angle [deg],ccw [µm],cw [µm],ccw spindle [°C]",
         "angle [deg],ccw [µm],cw [µm],cw angle [deg]",
+        "angle [deg],-ccw [µm],cw [µm],t [s]",
+        "angle [deg],|ccw| [µm],cw [µm],t [s]",
         "angle [deg],ccw [µm],angle [deg],cw [µm]",
         "angle [deg],radius [mm],time [s],actual radius [mm]",
     ],

@@ -477,8 +477,13 @@ def test_a_zero_of_a_probe_that_read_nothing_is_left_out(tmp_path: Path) -> None
     run = read(path)
     assert (run.n_samples, run.samples["displacement_um"][0]) == (58, 0.0)
     assert "drift.dropout" in {finding.code for finding in run.findings}
-    path.write_text("\n".join(["time [min],Z correction [µm],T [°C]", *rows]), encoding="utf-8")
-    assert not is_drift_log(path)
+    for other in ("correction", "compensation", "predicted", "uncertainty", "setpoint", "std"):
+        path.write_text("\n".join([f"time [min],Z {other} [µm],T [°C]", *rows]), encoding="utf-8")
+        assert not is_drift_log(path), other
+    path.write_text(
+        "\n".join(["time [min],Z [µm],frame [°C],frame setpoint [°C]", *(f"{r},20" for r in rows)]), "utf-8"
+    )
+    assert {n for n in read(path).samples if n.startswith("temperature")} == {"temperature_frame_c"}
 
 
 def test_a_target_beside_a_displacement_is_none(tmp_path: Path) -> None:
