@@ -283,7 +283,7 @@ def hose(visits: Visits, rng: np.random.Generator) -> Fault:
     way_mm = rng.uniform(40.0, 120.0)
     um: Floats = -visits.side * rng.uniform(3.0, 6.0) * (1.0 - 2.0 * np.exp(-visits.since_mm / way_mm))
     um -= rng.uniform(2.0, 5.0) * np.exp(-(1.0 - visits.share) / 0.08)
-    return Fault("hose", um, consequences=frozenset(["backlash"]))
+    return Fault("hose", um, consequences=frozenset(["backlash", "slow_take_up"]))
 
 
 ORDINARY: tuple[Mechanism, ...] = (

@@ -65,11 +65,14 @@ def moving_reversal(test: LinearTest) -> _MovingReversal | None:
 def _turned(reversal: Floats, first: str) -> Floats | None:
     """Return by what the reversal error of each cycle, where it turns round, is off from their mean, shape (cycles,).
 
-    ``reversal`` (targets, cycles). None where it is off by no more than chance, or than is ordinary.
+    ``reversal`` (targets, cycles). None where it is off by no more than chance, or than is ordinary, or too many readings are spoilt.
     """
     cycles = reversal.shape[1]
     off = reversal - np.nanmean(reversal, axis=1, keepdims=True)
-    means = np.stack([np.nanmean(part, axis=0) for part in np.array_split(off, _STRETCHES)])
+    parts = np.array_split(off, _STRETCHES)
+    if any(np.isnan(part).all(axis=0).any() for part in parts):
+        return None
+    means = np.stack([np.nanmean(part, axis=0) for part in parts])
     # A zero that moves between both readings of a target shows in proportion to the time between them.
     apart = (np.arange(_STRETCHES) + 0.5) / _STRETCHES
     apart = apart if first == "reverse" else 1.0 - apart

@@ -254,13 +254,3 @@ def test_lost_motion_that_is_taken_up_late_is_that_and_the_backlash_has_its_size
     assert named["backlash X"].sizes[0].value == pytest.approx(9.0, abs=0.2)
     assert named["slow_take_up X"].sizes[0].value == pytest.approx(18.0 * np.exp(-0.5 / 8.0), abs=1.5)
     assert named["slow_take_up X"].shape["way_mm"] == pytest.approx(8.0, rel=0.2)
-
-
-@pytest.mark.parametrize("seed", [0, 5])
-def test_a_usual_lead_is_found_though_some_length_fits_any_few_targets(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    at = np.linspace(0.0, 800.0, 20) + rng.uniform(-12.0, 12.0, 20)
-    wave = 3.0 * np.sin(at / 150.0) + np.cos(2.0 * np.pi * at / 5.0)
-    found = diagnose(campaign(wave, rng, 0.3, at), [], LIBRARY)
-    (named,) = [s for group in found.found for s in group if s.effect == "periodic_error"]
-    assert named.shape["pitch_mm"] == pytest.approx(5.0, rel=0.002)
