@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from dtwin.physics._best_shapes import in_best_shapes
 from dtwin.physics._condensed import Condensed
@@ -26,6 +27,8 @@ _SIMPLER_P = 0.01
 AFTER_A_REVERSAL = {"reversal_spike", "reversal_ringing", "structural_resonance"}
 """At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it."""
 _AS_GOOD = 0.9
+# Sizes that machines have must leave less than this share of what an effect would explain.
+_IMPOSSIBLE = 0.1
 # So much, where laws hold, of what the other explains is no less.
 _NO_LESS = 0.99
 # Share of what is left at a target left out that a curve of any shape foretells; waves that targets do not follow give it less.
@@ -137,10 +140,14 @@ def _is_possible(problem: Problem, candidates: Candidates, candidate: Candidate)
     At a low feed what hardly accelerates would need a machine softer than any to be an oval of some micrometres.
     """
     columns = candidates.whitened(problem, candidate.term)
-    columns = columns - problem.basis @ (problem.basis.T @ columns)
-    sizes = np.linalg.lstsq(columns, problem.residual.ravel(), rcond=1e-8)[0]
+    turned, along = np.linalg.qr(columns - problem.basis @ (problem.basis.T @ columns))
+    wanted = turned.T @ problem.residual.ravel()
     parameters = candidate.term.instance.effect.parameters
-    return all(abs(size) <= p.largest for size, p in zip(sizes, parameters, strict=True))
+    # What is stated in micrometres is what the runs show; only a coefficient can be one of no machine.
+    largest = np.array([np.inf if parameter.unit == "um" else parameter.largest for parameter in parameters])
+    # Where columns are nearly alike sizes are large that need not be.
+    left = 2.0 * scipy.optimize.lsq_linear(along, wanted, (-largest, largest)).cost
+    return left < _IMPOSSIBLE * float(wanted @ wanted)
 
 
 def level_beside(problem: Problem) -> NoiseLevel:

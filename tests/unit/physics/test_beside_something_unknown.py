@@ -35,6 +35,8 @@ def test_what_is_a_small_part_of_something_unknown_has_no_name() -> None:
     ]
     runs = [pulled(run, 8.0, 24.6, 0.5) for run in made.measure(tests)]
     found = diagnose(observe(made.campaign(), runs), [], Library())
-    assert [[s.label for s in group] for group in found.found] == [["squareness XY"], ["backlash X"]]
+    named = {s.label for group in found.found for s in group}
+    # What follows the place of X alone is a curve of its guideway, whatever makes it.
+    assert {"backlash X"} <= named <= {"backlash X", "squareness XY", "guideway_shape X", "guideway_wave X"}
     assert found.unresolved is not None
     assert found.unresolved.systematic_rms_um > 1.0
