@@ -300,12 +300,22 @@ def guideway(state: State, axis: str, over_mm: float, *profiles_um: Callable[[Fl
     if not moves(state, axis):
         return np.zeros((state.n, 2 * len(profiles_um)))
     made = [profile(state.position_mm[axis]) for profile in profiles_um]
-    for power in (1, 2) if over_mm else ():
-        plain = np.polynomial.Legendre.basis(power)
+    for power, plain in ((1, _line), (2, _bow)) if over_mm else ():
         parts = plain(_NODES) * _WEIGHTS * (power + 0.5)
         taken = plain(state.position_mm[axis] / over_mm)
-        made = [m - (parts @ profile(over_mm * _NODES)) * taken for m, profile in zip(made, profiles_um, strict=True)]
+        made = [
+            m - float(parts @ profile(over_mm * _NODES)) * taken for m, profile in zip(made, profiles_um, strict=True)
+        ]
     return aside(state, axis, *made)
+
+
+def _line(along: Floats) -> Floats:
+    return along
+
+
+def _bow(along: Floats) -> Floats:
+    """Return the second Legendre polynomial: a bow without a mean."""
+    return 1.5 * along**2 - 0.5
 
 
 def taken_up(state: State, axis: str, standstill_um: float) -> Floats:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from dtwin.physics.effect import OVER, SECOND_AXIS, Effect, Law, Parameter, Shape, guideway
 from dtwin.physics.state import State
 from dtwin.schema import Floats
@@ -18,7 +16,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 
 def _power(x_mm: Floats, order: int) -> Floats:
-    return np.asarray((x_mm / 100.0) ** order)
+    return (x_mm / 100.0) ** order
 
 
 EFFECT = Effect(

@@ -11,6 +11,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import OUTPUT, twin_bundle, wrong_way
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters, NoiseParameters
+from dtwin.physics._reference_lines import over
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.fit import Estimate
 from dtwin.physics.library import Library, campaign_instances
@@ -88,7 +89,7 @@ def test_every_effect_of_the_library_is_frozen_as_it_is(obs: Observations, monke
     angle = np.linspace(0.013, 6.27, 23)
     done, refused = set(), {}
     for instance in of_library(obs):
-        twin = twin_with(instance, obs)
+        twin = twin_with(instance, obs, instance.effect.start_shape | over(instance.effect, [obs]))
         try:
             bundle = twin_bundle(twin, obs).bundle
         except InputError as error:
@@ -126,6 +127,8 @@ def test_every_effect_of_the_library_is_frozen_as_it_is(obs: Observations, monke
         "backlash",
         "cyclic_error",
         "straightness",
+        "guideway_shape",
+        "guideway_wave",
         "servo_lag",
         "thermal_growth",
         "angular_error",
