@@ -76,10 +76,10 @@ def odd_of_two(problem: Problem, tried: Sequence[Instance], again: Callable[[Obs
     spreads = np.array([[part[rows].var(axis=0, ddof=1).sum() for part in parts] for rows in repeated])
     second, largest = np.sort(spreads, axis=0)[-2:]
     # A centre that is each run's own does not differ.
-    second = np.maximum(second, np.median(second))
-    for band in np.argsort(-largest / second):
+    beyond = largest - _PAIR_RATIO * np.maximum(second, np.median(second))
+    for band in np.argsort(-beyond):
         rows = repeated[int(np.argmax(spreads[:, band]))]
-        if largest[band] > _PAIR_RATIO * second[band] and len(rows) == 2:
+        if beyond[band] > 0.0 and len(rows) == 2:
             left = {}
             for row in rows.tolist():
                 rest = again(obs.without([row]))
