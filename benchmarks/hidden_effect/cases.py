@@ -119,7 +119,8 @@ def _second_case(row: Row, number: int, rng: np.random.Generator) -> Case:
         machine = fault.change(machine, sizes[-1])
     campaign, runs = bench.measured(machine, row.noise_um, rng)
     causes = tuple(Cause(fault.label, 1.0) for fault in hidden)
-    return Case(row, number, runs, campaign, (), causes, tuple(sizes))
+    also = tuple(name for fault in hidden for name in fault.also)
+    return Case(row, number, runs, campaign, (), causes, tuple(sizes), also=also)
 
 
 def _sized_base(names: Sequence[str], rng: np.random.Generator) -> list[Sized]:

@@ -39,7 +39,11 @@ def lateral_play_taper(axis: str, rng: np.random.Generator) -> Fault:
 
 def straightness(axis: str, rng: np.random.Generator) -> Fault:
     bent, cubic = _alone("straightness", axis, bow=1.0), rng.uniform(-0.05, 0.05)
-    return replace(bent, change=lambda m, size: bent.change(m, size).with_axis(axis, bow_cubic=cubic))
+
+    def change(machine: Machine, size: float) -> Machine:
+        return bent.change(machine, size).with_axis(axis, bow_cubic=cubic)
+
+    return replace(bent, change=change, also=(f"guideway_shape {axis}",))
 
 
 def scale_mismatch(axis: str, rng: np.random.Generator) -> Fault:

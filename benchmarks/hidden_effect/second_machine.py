@@ -84,12 +84,16 @@ class Machine:
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong, by the name that is right, with its size in µm (or ms) still open."""
+    """One thing that is wrong, by the name that is right, with its size in µm (or ms) still open.
+
+    ``also`` are names of a part of it that is too small to be asked for.
+    """
 
     label: str
     change: Callable[[Machine, float], Machine]
     signed: bool = True
     start: float = 1.0
+    also: tuple[str, ...] = ()
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

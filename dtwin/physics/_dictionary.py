@@ -166,6 +166,14 @@ class Dictionary:
         root = self._root_of(index)
         return float(((root.T @ self._right[index]) ** 2).sum())
 
+    def coefficients(self, chosen: Sequence[Entry], entry: Entry) -> tuple[Floats, Floats]:
+        """Return the factors of the columns of one effect of a set, and what each alone explains beside the rest, each of shape (columns,)."""
+        index = _indices(chosen)
+        root = self._root_of(index)
+        at = np.isin(index, np.arange(entry.columns.start, entry.columns.stop))
+        values = (root @ (root.T @ self._right[index]))[at]
+        return values, values**2 / (root[at] ** 2).sum(axis=1)
+
     def gains(self, chosen: Sequence[Entry]) -> Floats:
         """Return what each entry would explain beside a set, shape (entries,)."""
         index = _indices(chosen)

@@ -126,6 +126,7 @@ class Hunt:
         self._noise = level * float(problem.obs.mask.sum())
         self._most = _CARRIED * problem.obs.n_bins if problem.obs.there_and_back else np.inf
         self._prices: list[float] = []
+        self._barred: set[str] = set()
 
     def left(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set leaves."""
@@ -133,7 +134,7 @@ class Hunt:
 
     def run(self, chosen: list[Entry]) -> list[Entry]:
         """Return the best set that is reached from one."""
-        best, least = chosen, np.inf
+        start, best, least = chosen, chosen, np.inf
         for _ in range(_PASSES):
             chosen = self._improved(self._grown(chosen))
             chosen = self._improved(self._refined(chosen))
@@ -145,7 +146,24 @@ class Hunt:
             if cost >= least - self._per_effect:
                 break
             best, least = chosen, cost
-        return self._without_bends(best)
+        best = self.without_bends(best)
+        if impossible := [entry for entry in best if self._is_negative(entry, best)]:
+            self._barred |= {entry.label for entry in impossible}
+            starts = [[entry for entry in one if entry.label not in self._barred] for one in (start, best)]
+            other = min((self.run(one) for one in starts), key=self._cost)
+            # On one circle a bend is the oval of many effects, and an oval that is missed may cost more than a name.
+            missed = self._on_one_circle and self.left(other) > (1.0 + _CLEARLY) * self.left(best)
+            return best if missed else other
+        return best
+
+    def _is_negative(self, entry: Entry, chosen: Sequence[Entry]) -> bool:
+        """Tell whether a set needs a number below zero that cannot be there, as a compliance."""
+        parameters = entry.term.instance.effect.parameters
+        if len(parameters) != entry.width:
+            return False
+        values, own = self.dictionary.coefficients(chosen, entry)
+        positive = np.array([parameter.positive for parameter in parameters])
+        return bool((positive & (values < 0.0) & (own > self._per_effect)).any())
 
     def _price(self, entry: Entry) -> float:
         chosen_from = _NAMELESS if entry.term.instance.effect.source == LEARNED else 1.0
@@ -163,7 +181,7 @@ class Hunt:
         self._prices += [self._price(entry) for entry in entries[len(self._prices) :]]
         gains = self.dictionary.gains(chosen)
         worth = gains - np.array(self._prices)
-        worth[self.dictionary.numbers_of({entry.label for entry in chosen})] = -np.inf
+        worth[self.dictionary.numbers_of({entry.label for entry in chosen} | self._barred)] = -np.inf
         worth[self._too_many(chosen)] = -np.inf
         if np.isfinite(fewer):
             worth[[entry.free >= fewer for entry in entries]] = -np.inf
@@ -277,7 +295,8 @@ class Hunt:
             explained = self.left(rest) - self.left(chosen)
             for name in alike:
                 gains = self.dictionary.gains(rest)
-                numbers = [n for n in self.dictionary.numbers_of([f"{name} {axis}"]) if gains[n] > _NEAR * explained]
+                labels = {f"{name} {axis}"} - self._barred
+                numbers = [n for n in self.dictionary.numbers_of(labels) if gains[n] > _NEAR * explained]
                 start = self.dictionary.entries[max(numbers, key=gains.__getitem__)] if numbers else None
                 if start is not None and start.term.shape:
                     beside = self.dictionary.campaign.given(entry.term for entry in rest)
@@ -312,25 +331,25 @@ class Hunt:
         """
         if not self._on_one_circle:
             for whole in chosen:
-                label = _part_of(whole)
+                label = _part_of(whole.term)
                 for rings in (entry for entry in chosen if entry.label == label):
                     one = self._instead(chosen, whole, replace(whole.term, shape=rings.term.shape))
                     if one is not chosen:
                         return one
         return chosen
 
-    def _without_bends(self, chosen: list[Entry]) -> list[Entry]:
+    def without_bends(self, chosen: list[Entry]) -> list[Entry]:
         """Return the set with what only rings in place of each mode whose bend explains next to nothing."""
         if not self._on_one_circle:
             for whole in chosen:
                 for instance in self.dictionary.candidates.instances:
-                    if instance.label == _part_of(whole):
+                    if instance.label == _part_of(whole.term):
                         chosen = self._instead(chosen, whole, Term(instance, whole.term.shape))
         return chosen
 
     def _instead(self, chosen: list[Entry], whole: Entry, term: Term) -> list[Entry]:
         """Return the set with a term in place of a mode and of what rings beside it, or the set itself if that leaves clearly more."""
-        rest = [entry for entry in chosen if entry.label not in (whole.label, _part_of(whole))]
+        rest = [entry for entry in chosen if entry.label not in (whole.label, _part_of(whole.term))]
         beside = self.dictionary.campaign.given(entry.term for entry in rest)
         one = [*rest, *self.dictionary.add(refined(beside, [term], self._per_number, bounded=True))]
         left = self.left(chosen)
@@ -348,9 +367,20 @@ class Hunt:
         return [new.get(entry.label, entry) for entry in chosen]
 
 
-def _part_of(entry: Entry) -> str:
+def without_bends(terms: list[Term], problem: Problem, candidates: Candidates) -> list[Term]:
+    """Return effects with what only rings in place of each mode whose bend explains next to nothing beside the others."""
+    labels = {term.label for term in terms}
+    rings = {_part_of(term) for term in terms if term.instance.effect.at_one_speed}
+    if not rings:
+        return terms
+    few = candidates.only([i for i in candidates.instances if i.label in labels | rings])
+    hunt = Hunt(problem, Dictionary(problem, few))
+    return [entry.term for entry in hunt.without_bends(hunt.dictionary.add(terms))]
+
+
+def _part_of(term: Term) -> str:
     """Return the label of what an effect is at one speed, or else of nothing."""
-    return f"{entry.term.instance.effect.at_one_speed} {entry.term.instance.axis}"
+    return f"{term.instance.effect.at_one_speed} {term.instance.axis}"
 
 
 def _alike(entry: Entry) -> set[str]:

@@ -114,7 +114,8 @@ def described(
         group += sets
         two = _two_instead(given, few, candidates, top, rivals, group, level)
         group += two or _beside_a_part(given, candidates, top, group, level)
-        group = tuple(c for c in group if c in sets or _is_possible(given, candidates, c)) or group
+        beside_top = candidates.given(given, [term])
+        group = tuple(c for c in group if c in sets or _is_possible(given, candidates, c, beside_top)) or group
         top, term = group[0], group[0].term
         absorbed -= {term.label}
         names = {c.term.instance.effect.name for c in group}
@@ -134,19 +135,22 @@ def described(
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
 
-def _is_possible(problem: Problem, candidates: Candidates, candidate: Candidate) -> bool:
+def _is_possible(problem: Problem, candidates: Candidates, candidate: Candidate, beside_top: Problem) -> bool:
     """Tell whether an effect in place of another would be of a size that machines have.
 
-    At a low feed what hardly accelerates would need a machine softer than any to be an oval of some micrometres.
+    At a low feed what hardly accelerates would need a machine softer than any to be an oval of some micrometres. And of
+    which sign: unless it cannot be seen beside the other, where it may be as well and take a part of that away.
     """
     columns = candidates.whitened(problem, candidate.term)
     turned, along = np.linalg.qr(columns - problem.basis @ (problem.basis.T @ columns))
     wanted = turned.T @ problem.residual.ravel()
     parameters = candidate.term.instance.effect.parameters
     # What is stated in micrometres is what the runs show; only a coefficient can be one of no machine.
-    largest = np.array([np.inf if parameter.unit == "um" else parameter.largest for parameter in parameters])
+    signed = candidates.visible(beside_top, candidate.term).shape[1] > 0
+    largest = np.array([np.inf if p.unit == "um" else p.largest for p in parameters])
+    least = np.where([p.positive and signed for p in parameters], 0.0, -largest)
     # Where columns are nearly alike sizes are large that need not be.
-    left = 2.0 * scipy.optimize.lsq_linear(along, wanted, (-largest, largest)).cost
+    left = 2.0 * scipy.optimize.lsq_linear(along, wanted, (least, largest)).cost
     return left < _IMPOSSIBLE * float(wanted @ wanted)
 
 

@@ -33,12 +33,14 @@ class Parameter:
         name, unit: What it is, and its unit; the regressor is in um per this unit.
         typical: Size on an ordinary machine, for planning.
         once: The parameter that stood for this one too in versions that were stored before there were two.
+        positive: Whether nature lets it have one sign only, as a compliance has.
     """
 
     name: str
     unit: str
     typical: float
     once: str = ""
+    positive: bool = False
 
     @property
     def largest(self) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.physics._best_shapes import in_best_shape, in_best_shapes
 from dtwin.physics._dictionary import Dictionary
-from dtwin.physics._hunt import Best, best_set
+from dtwin.physics._hunt import Best, best_set, without_bends
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics._rivals import Found, described, level_beside, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
@@ -117,6 +117,7 @@ def search(
         terms, stand_ins = material(best.terms, known, library, problem, exact=best.exact)
         if obs is not problem.obs and problem.noise is not None:
             told = beside(weighted_like(obs, known, problem.noise))
+        terms = without_bends(terms, told, library)
         terms, untold = _told(terms or ([top.term] if top else []), told, library, first)
         told, problem, plain = (candidates.given(each, untold) for each in (told, problem, plain))
         if not terms and top is not None:

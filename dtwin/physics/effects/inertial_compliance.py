@@ -22,9 +22,9 @@ EFFECT = Effect(
     title="Inertial compliance",
     group="dynamics",
     parameters=(
-        Parameter("compliance_x", "um/(m/s2)", 5.0),
-        Parameter("compliance_y", "um/(m/s2)", 5.0),
-        Parameter("compliance_z", "um/(m/s2)", 5.0),
+        Parameter("compliance_x", "um/(m/s2)", 5.0, positive=True),
+        Parameter("compliance_y", "um/(m/s2)", 5.0, positive=True),
+        Parameter("compliance_z", "um/(m/s2)", 5.0, positive=True),
     ),
     regressors=_columns,
     law=Law(2.0, -1.0, "even"),

@@ -25,7 +25,7 @@ EFFECT = Effect(
     title="Structural resonance",
     group="dynamics",
     parameters=(
-        Parameter("compliance", "um/(m/s2)", 5.0),
+        Parameter("compliance", "um/(m/s2)", 5.0, positive=True),
         Parameter("cosine_at_100_mm_s", "um", 2.0),
         Parameter("sine_at_100_mm_s", "um", 2.0),
     ),

@@ -106,6 +106,19 @@ def test_what_would_need_a_machine_softer_than_any_is_no_alternative(feed_mm_min
     assert "servo_lag" in group
 
 
+@pytest.mark.parametrize(("axis", "other"), ["XY", "YX"])
+def test_the_axis_that_gives_way_is_told_by_the_way_the_oval_lies(axis: str, other: str) -> None:
+    conditions = ((50.0, 1000.0), (100.0, 2500.0), (150.0, 5000.0))
+    tests = [
+        CircularTest("XY", way, radius, feed, n) for radius, feed in conditions for n in (1, 2, 3) for way in _WAYS
+    ]
+    mill = VirtualMill(SOUND.with_axis(axis, mode_hz=14.0, mode_damping=0.05, mode_share=2.0), seed=3)
+    found = diagnose(observed(mill.measure(tests)), [], LIBRARY).found
+    (group,) = [labels for f in found if f"structural_resonance {axis}" in (labels := {s.label for s in f})]
+    assert {"inertial_compliance", "servo_lag"} <= group
+    assert all(f"structural_resonance {other}" not in [s.label for s in f] for f in found)
+
+
 def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
     rng = np.random.default_rng(5)
     pressure = rng.normal(6.0, 1.0, 36)
