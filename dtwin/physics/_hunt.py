@@ -147,14 +147,20 @@ class Hunt:
                 break
             best, least = chosen, cost
         best = self.without_bends(best)
-        if impossible := [entry for entry in best if self._is_negative(entry, best)]:
-            self._barred |= {entry.label for entry in impossible}
-            starts = [[entry for entry in one if entry.label not in self._barred] for one in (start, best)]
-            other = min((self.run(one) for one in starts), key=self._cost)
-            # On one circle a bend is the oval of many effects, and an oval that is missed may cost more than a name.
-            missed = self._on_one_circle and self.left(other) > (1.0 + _CLEARLY) * self.left(best)
-            return best if missed else other
+        if impossible := {entry.label for entry in best if self._is_negative(entry, best)}:
+            return self._without(impossible, start, best)
         return best
+
+    def _without(self, labels: set[str], start: Sequence[Entry], best: list[Entry]) -> list[Entry]:
+        """Return the best set without some effects, reached from the best with them, or from the start where that leaves clearly more."""
+        self._barred |= labels
+        most = (1.0 + _CLEARLY) * self.left(best)
+        other = self.run([entry for entry in best if entry.label not in self._barred])
+        if self.left(other) > most:
+            again = self.run([entry for entry in start if entry.label not in self._barred])
+            other = min(other, again, key=self._cost)
+        # On one circle a bend is the oval of many effects, and an oval that is missed may cost more than a name.
+        return best if self._on_one_circle and self.left(other) > most else other
 
     def _is_negative(self, entry: Entry, chosen: Sequence[Entry]) -> bool:
         """Tell whether a set needs a number below zero that cannot be there, as a compliance."""
