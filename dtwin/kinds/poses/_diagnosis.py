@@ -177,12 +177,17 @@ def diagnose(grams: Grams, terms: Sequence[Term], rows: NDArray[np.int64] | None
 
 
 def selected(grams: Grams) -> tuple[Term, ...]:
-    """Return all terms that a diagnosis after the other would add, less those that are idle at the end."""
+    """Return the terms of a twin that is discovered from nothing: see ``PoseTwins.discover``."""
     chosen: list[Term] = []
-    while found := _group(grams, chosen, _candidates(grams, chosen)):
-        chosen += found[0].terms
-    idle = _idle_terms(grams, chosen)
-    return tuple(term for term in chosen if term not in idle)
+    seen = [frozenset(chosen)]
+    while True:
+        while found := _group(grams, chosen, _candidates(grams, chosen)):
+            chosen += found[0].terms
+        idle = _idle_terms(grams, chosen)
+        chosen = [term for term in chosen if term not in idle]
+        if not idle or frozenset(chosen) in seen:
+            return tuple(chosen)
+        seen.append(frozenset(chosen))
 
 
 def nested_mean_mm(grams: Grams, folds: int = 4) -> float:

@@ -138,28 +138,34 @@ class PoseTwins(TermTwins[Term, Loaded, PoseTwin, PoseDiagnosis]):
         return PoseComparison(twin, loaded, applied(loaded.grams, told), _as_fitted(twin, told, same))
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
-        """Diagnose and add until no effect pays; what pays nothing beside the others at the end is taken out again.
+        """Diagnose and add until no effect pays; then what pays nothing beside the others is taken out, and so on.
 
-        Groups are those of what is in the twin at the end.
+        It ends with a set of effects from which nothing is taken, or that was there before. Groups are those of what is in
+        the twin at the end.
         """
         twin = self.newest(name)
         loaded = self.loaded(twin.campaign)
         made: list[PoseTwin] = []
         groups: list[tuple[str, ...]] = []
+        seen = {frozenset(twin.terms)}
         said = self._diagnosed(twin, loaded)
-        while said.additions and len(made) < _MOST_RUNGS:
-            new = terms_of(said.additions[:1], _joints(loaded))
-            twin = self._store(name, loaded, (*twin.terms, *new), f"add {said.additions[0]}", twin.version)
+        while len(made) < _MOST_RUNGS:
+            if said.additions:
+                terms = [*twin.terms, *terms_of(said.additions[:1], _joints(loaded))]
+                action = f"add {said.additions[0]}"
+                groups.append(said.additions)
+            else:
+                terms = [term for term in twin.terms if term not in said.idle]
+                if not made or frozenset(terms) in seen:
+                    break
+                gone = ", ".join(term.label for term in said.idle)
+                pays = "it pays" if len(said.idle) == 1 else "they pay"
+                action = f"remove {gone}: {pays} nothing beside the others"
+                groups = [still for group in groups if (still := _without(group, said.idle))]
+            twin = self._store(name, loaded, terms, action, twin.version)
             made.append(twin)
-            groups.append(said.additions)
+            seen.add(frozenset(terms))
             said = self._diagnosed(twin, loaded)
-        if made and said.idle:
-            kept = [term for term in twin.terms if term not in said.idle]
-            groups = [still for group in groups if (still := _without(group, said.idle))]
-            gone = ", ".join(term.label for term in said.idle)
-            action = f"remove {gone}: they pay nothing beside the others"
-            made.append(self._store(name, loaded, kept, action, twin.version))
-            said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 
     def readings(self, loaded: Loaded) -> int:

@@ -180,6 +180,17 @@ def test_all_that_is_missing_is_chosen_from_nothing_and_the_choice_is_judged_wit
     assert _idle_terms(grams, [*chosen, Term("joint_reversal", 5)]) == [Term("joint_reversal", 5)]
 
 
+def test_what_is_missing_once_idle_effects_are_out_is_chosen_too() -> None:
+    joints, rng = _joints(60, 6), np.random.default_rng(106)
+    actual = joints + [0.0, 0.0, 4.7e-4, 6.8e-4, 0.0, 0.0]
+    actual[:, 2] += 2e-4 * np.sin(joints[:, 2] + 1.0)
+    measured = _measured(actual, 1.0) + rng.normal(0.0, 0.03, (len(joints), 3))
+    grams = Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+    chosen = selected(grams)
+    assert {"joint_zero@J3", "gravity_sag@J2", "joint_cyclic_1@J3"} <= {term.label for term in chosen}
+    assert not diagnose(grams, chosen).group
+
+
 @pytest.mark.parametrize("poses", [24, 60, 120])
 def test_few_poses_tell_a_zero_ten_times_their_noise_and_no_joint_besides(poses: int) -> None:
     for seed in range(3):
