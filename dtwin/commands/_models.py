@@ -241,14 +241,16 @@ def rollback(
 @app.command()
 def report(
     source: Annotated[Path, typer.Argument(help="A .b5r file.")],
-    out: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write: .html, or .pdf where a browser is installed.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write one self-contained HTML page about a recording."""
-    from dtwin.atomic import write_text
     from dtwin.report.campaign import recording_section, sheet_section
     from dtwin.report.checking import check_source
     from dtwin.report.html import page
+    from dtwin.report.pdf import write_document
 
     if source.suffix.lower() != ".b5r":
         raise InputError(
@@ -262,7 +264,7 @@ def report(
     sections = [sheet_section(result["sheet"]), recording_section(source, result)]
     target = out or home().reports / f"{source.stem}.html"
     content = page(source.name, f"machine {result['machine']}", sections)
-    write_text(target, content, "the report")
+    write_document(target, content, "the report")
     emit({"report": str(target)}, lambda: str(target), as_json=as_json)
 
 

@@ -16,7 +16,10 @@ from dtwin.errors import printable
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 """Option of every command that has figures to tell."""
-Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
+Report = Annotated[
+    Path | None,
+    typer.Option("--html", help="Write a report, one offline page; a name that ends in .pdf is printed by a browser."),
+]
 
 
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:

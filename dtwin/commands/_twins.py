@@ -301,6 +301,7 @@ def show_twin(
     name: Name,
     version: Annotated[int | None, typer.Option(help="The newest one without.")] = None,
     html: Report = None,
+    language: Annotated[str, typer.Option(help="Of the report: en or de.")] = "en",
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
@@ -314,7 +315,11 @@ def show_twin(
     twins = twins_named(name, effects_path)
     twin = twins.newest(name, version)
     if html is not None:
-        write_report(html, home(), twins, library_with(effects_path), twin)
+        write_report(html, home(), twins, library_with(effects_path), twin, language)
+    elif language != "en":
+        raise InputError(
+            "in that language there is only the report", code="document.language", got=language, hint="--html FILE"
+        )
     mended = interventions(twins, name)
     lines = [
         f"{m['effect']} was mended ({m['what'] or 'not said how'}), {m['after_campaign']}: "
@@ -370,7 +375,7 @@ def twins_named(name: str, paths: list[Path] | None) -> AnyTwins:
 
 
 def _write_page(path: Path, name: str, sections: list[Any]) -> None:
-    from dtwin.atomic import write_text
     from dtwin.report.html import page
+    from dtwin.report.pdf import write_document
 
-    write_text(path, page(f"Twin {name}", "dtwin", sections), "the report")
+    write_document(path, page(f"Twin {name}", "dtwin", sections), "the report")

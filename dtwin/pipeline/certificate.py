@@ -8,13 +8,13 @@ from typing import Any
 
 from dtwin import __version__
 from dtwin.config import Home
-from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record
 from dtwin.pipeline.kept import grouped_findings, sheet_of_campaign, stamp_of, variation_of
-from dtwin.report.certificate import LANGUAGES, certificate_page
+from dtwin.report.certificate import certificate_page
+from dtwin.report.language import Language
 from dtwin.report.sheet import notes_beside
 from dtwin.report.uncertainty import Variation
 from dtwin.schema import of_one_way
@@ -28,10 +28,7 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
 
     Raises ``InputError`` when there is no such campaign, it has no sheet, or the language is not known.
     """
-    if language not in LANGUAGES:
-        raise InputError(
-            "no such language", code="certificate.language", got=language[:20], allowed=", ".join(LANGUAGES)
-        )
+    Language(language)
     lake = Lake(home.lake)
     mine = lake.runs(campaign, left_out=True)
     known = campaign_of(mine) if mine else lake.campaign(campaign)

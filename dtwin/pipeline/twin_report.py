@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.documents import read_document
 from dtwin.errors import InputError
@@ -20,6 +19,8 @@ from dtwin.pipeline.kept import sheet_of_campaign, stamp_of, variation_of
 from dtwin.report.campaign import sheet_section
 from dtwin.report.faults import faults, found_faults
 from dtwin.report.html import Section, Table, page
+from dtwin.report.language import Language
+from dtwin.report.pdf import write_document
 from dtwin.report.text import VERDICTS
 from dtwin.report.twin_of_kind import report_of, with_nan
 from dtwin.twins.of_kind import AnyTwin, AnyTwins
@@ -33,6 +34,7 @@ def twin_report(
     twin: AnyTwin,
     comparison: Any,
     compared: Mapping[str, Any],
+    language: str = "en",
 ) -> str:
     """Return the whole story of a twin as one page that needs nothing else.
 
@@ -50,10 +52,12 @@ def twin_report(
         report.history_section(shelf.history(twin.name)),
     ]
     about = f"version {twin.version} of campaign {twin.campaign}, made by dtwin"
-    return page(f"Machine {twin.machine}: twin {twin.name}", about, sections)
+    return page(f"Machine {twin.machine}: twin {twin.name}", about, sections, Language(language, twin.campaigns))
 
 
-def write_report(path: Path, home: Home, shelf: AnyTwins, library: Mapping[str, Effect], twin: AnyTwin) -> None:
+def write_report(
+    path: Path, home: Home, shelf: AnyTwins, library: Mapping[str, Effect], twin: AnyTwin, language: str = "en"
+) -> None:
     """Diagnose the newest version of a twin, compare it, and write its report.
 
     Raises ``InputError`` for an older version.
@@ -71,7 +75,9 @@ def write_report(path: Path, home: Home, shelf: AnyTwins, library: Mapping[str, 
     # It is kept beside the version, where the report finds it.
     shelf.diagnose(twin.name)
     comparison = shelf.compare(twin.name)
-    write_text(path, twin_report(home, shelf, library, twin, comparison, comparison.as_dict()), "the report")
+    write_document(
+        path, twin_report(home, shelf, library, twin, comparison, comparison.as_dict(), language), "the report"
+    )
 
 
 def _head(

@@ -2,91 +2,19 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from importlib.resources import files
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
 from jinja2 import Environment
 
-from dtwin.report.html import drawing, figure_html
+from dtwin.report.html import drawing, figure_html, told_figure
+from dtwin.report.language import Language
 from dtwin.report.sheet import headline_budget, number_of, overview
 from dtwin.units import shown_unit
 
-_CATALOGUE = tomllib.loads(files("dtwin.report").joinpath("german.toml").read_text("utf-8"))
-_GERMAN: Mapping[str, str] = _CATALOGUE["phrases"]
-"""Words and phrases."""
-_CLAUSES: Mapping[str, str] = _CATALOGUE["clauses"]
-"""Clauses of findings and notes."""
-_WORDS: Mapping[str, str] = _CATALOGUE["words"]
-_PIECES = [(clause.split("{}"), german) for clause, german in _CLAUSES.items()]
-# A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
-_LONGEST, _MOST_SPACES = 1500, 2
-_WORD = re.compile("[A-Za-z]{3}")
-
-
-def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
-    """Return a finding or note in German; None when a clause of it is not known. ``tell``: writes names and numbers."""
-
-    # Names of files and machines stand in a finding: each part is looked at once, however they are written.
-    @cache
-    def clause(part: str) -> str | None:
-        for pieces, german in _PIECES:
-            if (between := _between(pieces, part)) is not None:
-                words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
-                if None not in words:
-                    return german.format(*words)
-        named, colon, rest = part.partition(": ")
-        said = clause(rest) if colon and _are_names(named) else None
-        return None if said is None else f"{tell(named)}: {said}"
-
-    if len(text) > _LONGEST:
-        return None
-    parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))
-    told = [clause(part) if n % 2 == 0 else part for n, part in enumerate(parts)]
-    return None if None in told else "".join(map(str, told)) + "." * text.endswith(".")
-
-
-def _worded(text: str) -> str | None:
-    words = [_WORDS.get(word) for word in re.split("(?<!,) or ", text)]
-    return None if None in words else " oder ".join(map(str, words))
-
-
-def _between(pieces: Sequence[str], text: str) -> list[str] | None:
-    """Return what stands between the pieces of a clause, each piece at its first place; None for another text."""
-    first, *middle = pieces
-    if not middle:
-        return [] if text == first else None
-    *middle, last = middle
-    at, end, found = len(first), len(text) - len(last), []
-    if at > end or not text.startswith(first) or not text.endswith(last):
-        return None
-    for piece in middle:
-        after = text.find(piece, at, end)
-        if after < 0:
-            return None
-        found.append(text[at:after])
-        at = after + len(piece)
-    return [*found, text[at:end]]
-
-
-def _name(text: str, tell: Callable[[object], str]) -> str | None:
-    return tell(text) if _are_names(text) or not _WORD.search(text) else None
-
-
-def _are_names(text: str) -> bool:
-    return all(name.count(" ") <= _MOST_SPACES for name in text.split(", "))
-
-
 _FIGURE_PX, _BESIDE_PX = 360, 280
 """So that a picture and its table fit below the head of the first page; and beside each other."""
-_DECIMAL_POINT = {"de": ","}
-LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": _GERMAN}
-"""Words and phrases of a certificate by language; what is not there is English."""
-_SENTENCES = {"de": _german_of}
 _PAGE = """<!doctype html>
 <html lang="{{ language }}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy"
@@ -147,22 +75,8 @@ def certificate_page(
     ``earlier``: ``campaign`` and ``sheet`` of the test before.
     ``language``: one of ``LANGUAGES``.
     """
-    words = LANGUAGES[language]
-    # What people named stays as they named it.
-    phrases = {**words, **{name: name for part in sheet["parts"] for name in part["runs"]}}
-    longest_first = "|".join(map(re.escape, sorted(phrases, key=len, reverse=True)))
-    point = _DECIMAL_POINT.get(language, ".")
-    phrase = re.compile(rf"(?<![\w-])(?:{longest_first})(?![\w-])|(?<=\d)\.(?=\d)") if words else None
-
-    def tell(text: object) -> str:
-        """Translate the phrases that are known in a longer text, and write its numbers as the language does."""
-        return str(text) if phrase is None else phrase.sub(lambda found: phrases.get(found[0], point), str(text))
-
-    def spoken(text: str) -> tuple[str, str]:
-        """Return a sentence, and the language that it is in."""
-        said = _SENTENCES[language](text, tell) if language in _SENTENCES else None
-        return (text, "en") if said is None else (said, language)
-
+    words = Language(language, (name for part in sheet["parts"] for name in part["runs"]))
+    say, tell, spoken = words.say, words.tell, words.spoken
     findings_told = [(severity, *spoken(text)) for severity, text in findings]
     notes = [spoken(note) for note in sheet["notes"]]
     old = {} if earlier is None else _values(earlier["sheet"])
@@ -174,7 +88,7 @@ def certificate_page(
             # Parts of the same runs, as the speeds of a table, have one picture.
             "figure": ""
             if before is not None and before["runs"] == part["runs"]
-            else figure_html(_told(figure, tell, _BESIDE_PX if beside else _FIGURE_PX, point)),
+            else figure_html(_told(figure, words, _BESIDE_PX if beside else _FIGURE_PX)),
             "rows": [_row(part, c, old) for c in part["characteristics"]],
         }
         for before, part, figure in zip([None, *sheet["parts"]], sheet["parts"], figures, strict=False)
@@ -183,7 +97,7 @@ def certificate_page(
         Environment(autoescape=True)
         .from_string(_PAGE)
         .render(
-            say=lambda word: words.get(word, word),
+            say=say,
             tell=tell,
             overview=overview(sheet),
             unit=shown_unit(sheet["unit"]),
@@ -204,26 +118,18 @@ def certificate_page(
     )
 
 
-def _told(figure: go.Figure, tell: Callable[[object], str], height_px: int, point: str) -> go.Figure:
-    """Return a picture of that height, with its title, axes and names translated, and that decimal point."""
-    title, small = tell(figure.layout.title.text or ""), {}
-    if height_px < _FIGURE_PX:
-        title = title.replace(", ", ",<br>")
-        polar = {"radialaxis_tickfont_size": 7, "angularaxis_tickfont_size": 9}
-        legend = {"font_size": 9, "y": -0.2}
-        small = {
-            "title_font_size": 10,
-            "legend": legend,
-            "margin": {"t": 60, "b": 40, "l": 30, "r": 30},
-            "polar": polar,
-        }
-    told = go.Figure(figure).update_layout(
-        height=height_px, title_text=title, separators=",." if point == "," else ".,", **small
+def _told(figure: go.Figure, words: Language, height_px: int) -> go.Figure:
+    """Return a picture of that height in a language."""
+    told = told_figure(figure, words.tell, words.point).update_layout(height=height_px)
+    if height_px >= _FIGURE_PX:
+        return told
+    return told.update_layout(
+        title_text=told.layout.title.text.replace(", ", ",<br>"),
+        title_font_size=10,
+        legend={"font_size": 9, "y": -0.2},
+        margin={"t": 60, "b": 40, "l": 30, "r": 30},
+        polar={"radialaxis_tickfont_size": 7, "angularaxis_tickfont_size": 9},
     )
-    told.for_each_trace(lambda trace: trace.update(name=tell(trace.name or "")))
-    for axes in (told.for_each_xaxis, told.for_each_yaxis):
-        axes(lambda axis: axis.update(title_text=tell(axis.title.text or "")))
-    return told
 
 
 HEAD = (

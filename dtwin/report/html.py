@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -13,6 +13,8 @@ import plotly.graph_objects as go
 import plotly.io as pio
 from jinja2 import Environment
 from plotly.offline import get_plotlyjs
+
+from dtwin.report.language import Language
 
 # Plotly's own button would upload the chart to its cloud.
 _CONFIG = {
@@ -22,7 +24,7 @@ _CONFIG = {
     "plotlyServerURL": "",
 }
 _PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
+<html lang="{{ words.code }}"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy"
  content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:">
@@ -37,17 +39,22 @@ pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; ma
 .note { color: #555; } .error { color: #a30000; } .warning { color: #8a5a00; }
 .pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1rem; }
 @media (max-width: 960px) { .pair { grid-template-columns: minmax(0, 1fr); } }
-@media print { .pair { display: block; } h2 { break-before: auto; } }
+button { font: inherit; padding: 8px 14px; }
+@page { size: A4; margin: 14mm; }
+@media print { button { display: none; } body { padding: 0; max-width: none; font-size: 12px; } .pair { display: block; } .pair > div { zoom: .85; } section > div > div { break-inside: avoid; } .slider-container { display: none; }
+ table { display: table; font-size: 9px; } th, td { white-space: normal; padding: 2px 3px; } tr { break-inside: avoid; } h2 { break-after: avoid; } pre { max-height: none; white-space: pre-wrap; font-size: 8px; } }
 </style></head><body>
+<button type="button" onclick="window.print()">{{ words.say("Print, or save as PDF") }}</button>
 <h1>{{ title }}</h1><p class="note">{{ subtitle }}</p>
 {% for section in sections %}<section><h2>{{ section.title }}</h2>
-{% for text in section.paragraphs %}<p>{{ text }}</p>{% endfor %}
-{% for kind, text in section.findings %}<p class="{{ kind }}"><strong>{{ kind }}</strong>: {{ text }}</p>{% endfor %}
-{% for table in section.tables %}<table><thead><tr>{% for cell in table.head %}<th scope="col">{{ cell }}</th>{% endfor %}</tr></thead>
-<tbody>{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endfor %}
+{% for text, spoken in section.paragraphs %}<p lang="{{ spoken }}">{{ text }}</p>{% endfor %}
+{% for kind, (text, spoken) in section.findings %}<p class="{{ kind }}"><strong>{{ words.say(kind ~ ":") }}</strong> <span lang="{{ spoken }}">{{ text }}</span></p>{% endfor %}
+{% for table in section.tables %}<table><thead><tr>{% for cell in table.head %}<th scope="col">{{ words.cell(cell) }}</th>{% endfor %}</tr></thead>
+<tbody>{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ words.cell(cell|string) }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endfor %}
 {% if section.figures %}<div{% if section.figures|length > 1 %} class="pair"{% endif %}>{% for figure in section.figures %}<div>{{ figure|safe }}</div>{% endfor %}</div>{% endif %}
-{% for text in section.code %}<pre>{{ text }}</pre>{% endfor %}
+{% for text in section.code %}<pre lang="en">{{ text }}</pre>{% endfor %}
 </section>{% endfor %}
+{% if english %}<p class="note">{{ words.say("Notes are in English.") }}</p>{% endif %}
 {{ drawing|safe }}</body></html>
 """
 _DRAWING = """<script type="application/gzip" id="drawing">%s</script><script>
@@ -87,21 +94,56 @@ class Section:
     code: Sequence[str] = field(default_factory=tuple)
 
 
-def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
-    """Return one HTML page that holds everything it shows; text is escaped: names from files cannot become markup."""
+def page(title: str, subtitle: str, sections: Sequence[Section], words: Language | None = None) -> str:
+    """Return one HTML page that holds everything it shows; text is escaped: names from files cannot become markup.
+
+    ``words``: the language, English without; what its catalogue does not know, and ``code``, stay English.
+    """
+    words = words or Language()
+
+    def spoken(section: Section) -> set[str]:
+        return {words.read(text)[1] for text in (*section.paragraphs, *(said for _, said in section.findings))}
+
     rendered = [
         {
-            "title": s.title,
-            "paragraphs": s.paragraphs,
-            "findings": s.findings,
+            "title": words.cell(s.title),
+            "paragraphs": [words.read(text) for text in s.paragraphs],
+            "findings": [(severity, words.read(text)) for severity, text in s.findings],
             "tables": s.tables,
-            "figures": [figure_html(figure) for figure in s.figures],
+            "figures": [figure_html(told_figure(figure, words.drawn, words.point)) for figure in s.figures],
             "code": s.code,
         }
         for s in sections
     ]
-    template = Environment(autoescape=True).from_string(_PAGE)
-    return template.render(title=title, subtitle=subtitle, sections=rendered, drawing=drawing())
+    return (
+        Environment(autoescape=True)
+        .from_string(_PAGE)
+        .render(
+            title=words.cell(title),
+            subtitle=words.cell(subtitle),
+            sections=rendered,
+            words=words,
+            english=words.code != "en" and any(s.code or "en" in spoken(s) for s in sections),
+            drawing=drawing(),
+        )
+    )
+
+
+def told_figure(figure: go.Figure, tell: Callable[[str], str], point: str = ".") -> go.Figure:
+    """Return a figure whose title, axes, names and notes are translated by ``tell``, and with that decimal point."""
+    told = go.Figure(figure).update_layout(separators=",." if point == "," else ".,")
+    told.update_layout(title_text=tell(told.layout.title.text or ""))
+    told.for_each_trace(lambda trace: trace.update(name=trace.name and tell(trace.name)))
+    told.for_each_annotation(lambda note: note.update(text=tell(note.text or "")))
+    for axes in (told.for_each_xaxis, told.for_each_yaxis):
+        axes(lambda axis: axis.update(title_text=tell(axis.title.text or "")))
+    for slider in told.layout.sliders:
+        slider.currentvalue.prefix = tell(slider.currentvalue.prefix or "")
+    for bars in told.select_traces({"type": "bar"}):
+        across = "y" if bars.orientation == "h" else "x"
+        bars[across] = [tell(name) if isinstance(name, str) else name for name in bars[across]]
+        bars.text = [tell(one) for one in bars.text or ()] or None
+    return told
 
 
 def figure_html(figure: go.Figure) -> str:

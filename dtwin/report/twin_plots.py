@@ -252,13 +252,14 @@ def ranked_figure(diagnosis: Mapping[str, Any], library: Mapping[str, Effect] | 
             x=floor,
             line={"color": COLOURS["floor"], "dash": "dash"},
             annotation_text="noise floor",
-            annotation_position="bottom right",
-            annotation_bgcolor=BEHIND_TEXT,
+            annotation_position="top left",
         )
     figure.update_layout(
         title="Predicted error after adding each (blue: reported)",
         xaxis_title="RMS, µm",
         height=max(320, 170 + 30 * len(rows)),
+        # The names of the lines stand above the bars.
+        yaxis_range=[-0.6, len(rows) + 0.2],
     )
     return styled(figure)
 

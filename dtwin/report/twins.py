@@ -82,7 +82,7 @@ def parameter_table(twin: Twin, *, in_words: bool = True) -> Table:
         rows += [
             (
                 f"{titles.get(term.instance.effect.name, term.instance.effect.name)} {term.instance.axis}".strip(),
-                shape.name.removesuffix(f"_{shape.unit}").replace("_", " "),
+                shape.name.removesuffix(f"_{shape.unit.lower().replace('/', '_')}").replace("_", " "),
                 f"{'about ' * shape.refined}{number(term.shape[shape.name], 2)}",
                 shown_unit(shape.unit),
             )

@@ -18,10 +18,11 @@ from dtwin.lake.rows import campaign_of
 from dtwin.pipeline.catalogue import overview
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.kept import findings_of, grouped_findings
+from dtwin.report.pdf import pdf_of
 from dtwin.report.sheet import budget_rows, notes_beside
 from dtwin.schema import fresh_name
 from dtwin.workbench._bench import Bench, Here, possible_effects
-from dtwin.workbench._pages import begun, drawn, rendered
+from dtwin.workbench._pages import begun, download, drawn, rendered
 from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
@@ -128,13 +129,15 @@ def sheet_figure(bench: Here, name: str, part: int) -> Response:
     return drawn(kind.sheet_figure(runs))
 
 
-@router.get("/campaigns/{name}/certificate.html")
-def certificate_file(bench: Here, name: str, language: str = "en") -> Response:
-    """Return the certificate of a campaign, to print or to sign.
+@router.get("/campaigns/{name}/certificate.{ending}")
+def certificate_file(bench: Here, name: str, ending: Literal["html", "pdf"], language: str = "en") -> Response:
+    """Return the certificate of a campaign, to sign: as a page, or printed.
 
     Its scripts stand in the page, which is shut off from the workbench: another origin, and no requests.
     """
     made = certificate(bench.home, name, language)
+    if ending == "pdf":
+        return download(pdf_of(made), f"{name}.pdf", "application/pdf")
     return HTMLResponse(made, headers={"Content-Security-Policy": _SHUT_OFF})
 
 

@@ -18,6 +18,7 @@ from dtwin.errors import DtwinError, GateRefusal
 from dtwin.kinds.registry import unit_of_limit
 from dtwin.local_time import local_time
 from dtwin.report.faults import grouped, title_of
+from dtwin.report.pdf import browser
 from dtwin.report.text import VERDICTS, micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
@@ -66,7 +67,7 @@ _ENVIRONMENT.filters |= {
     "grouped": grouped,
     "titled": title_of,
 }
-_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS, "zone": zone}
+_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": VERDICTS, "zone": zone, "browser": browser}
 
 
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
@@ -19,6 +19,7 @@ from dtwin.physics.twin import Twin
 from dtwin.pipeline.twin_report import twin_report
 from dtwin.report.encoder_split import encoder_section, tells
 from dtwin.report.faults import faults, found_faults, not_told, title_of
+from dtwin.report.pdf import pdf_of
 from dtwin.report.several import contradiction_lines
 from dtwin.report.twin_of_kind import report_of, with_nan
 from dtwin.report.twin_plots import (
@@ -154,8 +155,8 @@ def versions_page(
     )
 
 
-@router.get("/twins/{name}/report.html")
-def report(bench: Here, name: str) -> Response:
+@router.get("/twins/{name}/report.{ending}")
+def report(bench: Here, name: str, ending: Literal["html", "pdf"], language: str = "en") -> Response:
     """Return the whole story as one file that needs nothing else."""
     twin = bench.twins_with(name).newest(name)
     if not isinstance(twin, Twin):
@@ -165,8 +166,9 @@ def report(bench: Here, name: str) -> Response:
             bench.twins.compare(name) if isinstance(twin, SeveralTwin) else reading.view(bench, name).comparison
         )
         compared = comparison.as_dict()
-    made = twin_report(bench.home, bench.twins_with(name), bench.library, twin, comparison, compared)
-    return download(made, f"{twin.machine}-{name}-v{twin.version}.html", "text/html")
+    made = twin_report(bench.home, bench.twins_with(name), bench.library, twin, comparison, compared, language)
+    file = f"{twin.machine}-{name}-v{twin.version}.{ending}"
+    return download(made, file, "text/html") if ending == "html" else download(pdf_of(made), file, "application/pdf")
 
 
 @router.get("/twins/{name}/next-experiment.toml")

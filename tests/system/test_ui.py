@@ -523,6 +523,16 @@ def test_the_report_is_one_file_that_needs_nothing_else(browser: Browser, bench:
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
     expect(opened.locator(".modebar-btn").first).to_be_attached()
     expect(opened.locator(SHARES)).to_have_count(0)
+    # The German one by a button; what the printer says against it is told on the page.
+    opened.goto(f"{bench.base}/twins/mill")
+    head = {"content-type": "application/pdf", "content-disposition": 'attachment; filename="m.pdf"'}
+    opened.route("**/report.pdf?language=de", lambda route: route.fulfill(body="%PDF-", headers=head))
+    opened.route("**/report.pdf", lambda route: route.fulfill(status=400, body="<pre>no printer</pre>"))
+    with opened.expect_download() as download:
+        opened.get_by_role("link", name="Bericht (PDF)").click()
+    assert download.value.suggested_filename == "m.pdf"
+    opened.get_by_role("link", name="Report (PDF)").click()
+    expect(opened.locator("#work-error")).to_have_text("no printer")
     opened.close()
 
 

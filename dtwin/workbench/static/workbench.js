@@ -242,6 +242,22 @@ async function start(title, begin) {
   }
 }
 
+// A file that takes a moment: what is wrong with it is said on the page, not saved as the file.
+async function fetched(link) {
+  opened(`Write ${link.textContent}`);
+  byId("work-note").hidden = true;
+  try {
+    const answer = await fetch(link.href, { credentials: "same-origin" });
+    if (!answer.ok) throw new Error((new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("pre") || {}).textContent || `the server answered ${answer.status}`);
+    const name = /filename="(.*)"/.exec(answer.headers.get("content-disposition"))[1];
+    const file = Object.assign(document.createElement("a"), { href: URL.createObjectURL(await answer.blob()), download: name });
+    file.click();
+    byId("work").close();
+  } catch (error) {
+    failed(error.message);
+  }
+}
+
 function contentOf(form) {
   const content = {};
   for (const field of all("[name]", form)) {
@@ -620,6 +636,7 @@ async function fillMachines() {
 document.addEventListener("DOMContentLoaded", async () => {
   watchForms();
   watchNames();
+  all("a[data-pdf]").forEach((link) => link.addEventListener("click", (event) => { event.preventDefault(); fetched(link); }));
   watchDrop();
   watchJobs();
   watchLive();

@@ -13,20 +13,29 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from conftest import require_program
+from fastapi.testclient import TestClient
 from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
 
 import dtwin
 from dtwin.acquire.ingest import ingest
 from dtwin.cli import app
-from dtwin.commands import _certificate as certificate_command
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
+from dtwin.physics import localise
+from dtwin.physics.library import Library
 from dtwin.pipeline.certificate import certificate, facts_of
-from dtwin.report.certificate import _CLAUSES, _german_of, certificate_page
+from dtwin.report.certificate import certificate_page
+from dtwin.report.language import _CLAUSES, _TITLES, Language, _german_of
+from dtwin.report.pdf import pdf_of
+from dtwin.report.twin_plots import residual_map
 from dtwin.schema import Run, RunMeta
+from dtwin.workbench import _pages
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench.server import application
 
 BASIS = "6.5 µm within 1 h, drift test night; what goes beyond the repeatability"
 
@@ -160,6 +169,22 @@ def test_findings_are_german_as_a_whole_or_not_at_all() -> None:
     assert told("measure 20 or more; something that nobody translated") is None
 
 
+def test_every_effect_has_german_words() -> None:
+    words = Language("de")
+    for effect in Library([]).values():
+        fault = f"Missing: {effect.title}, XY: 3.1 ± 0.2 µm/m. {effect.looks_like} {effect.remedy}"
+        said, language = words.spoken(fault)
+        assert (language, said[:9]) == ("de", "Es fehlt:"), fault
+        assert "3,1 ± 0,2 µm/m" in said
+        for size in (*effect.parameters, *effect.shapes):
+            assert size.name.removesuffix(f"_{size.unit.lower().replace('/', '_')}").replace("_", " ") in _TITLES
+    assert words.cell("Backlash X") == "Umkehrspiel X"
+    # What somebody named so is no size.
+    assert words.spoken("twin scale version 1 against campaign lead (2 runs)")[0] == (
+        "Zwilling scale Version 1 gegen lead (2 Läufe)"
+    )
+
+
 def test_every_translated_clause_is_said_somewhere() -> None:
     """A clause that was worded anew would be English again."""
     said = ""
@@ -170,6 +195,9 @@ def test_every_translated_clause_is_said_somewhere() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str)
         )
     said = re.sub(r"\{\w+\}", "\n", said)
+    # What is put together of words.
+    said += "".join(f"{localise._trend(slope)} with {over}\n" for slope in (-1, 0, 1) for over in ("feed", "radius"))
+    said += residual_map(np.ones((1, 360)), ["c"], floor_um=0.5, title="Mean residual").layout.title.text
     pieces = {piece.strip(" ,:;") for clause in _CLAUSES for piece in clause.split("{}")}
     assert [piece for piece in sorted(pieces) if piece not in said] == []
 
@@ -216,6 +244,25 @@ def test_what_cannot_be_written_is_refused(home: Home, monkeypatch: pytest.Monke
     monkeypatch.setenv("PATH", str(tmp_path))
     lacking = CliRunner().invoke(app, ["certificate", "t01", "--out", str(tmp_path / "x.pdf")])
     assert "needs a browser" in str(lacking.exception)
+    # The workbench says so before anybody presses a button, and offers the page.
+    page = _workbench(home).get("/campaigns/t01").text
+    assert "/certificate.html?language=de" in page
+    assert "certificate.pdf" not in page
+    assert "Save as PDF" in page
+
+
+def test_the_workbench_gives_the_pdf(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(_pages._ENVIRONMENT.globals, "browser", lambda: "chromium")
+    monkeypatch.setattr("dtwin.workbench._campaign_routes.pdf_of", lambda page: page.encode())
+    asked = _workbench(home)
+    assert "/campaigns/t01/certificate.pdf?language=de" in asked.get("/campaigns/t01").text
+    printed = asked.get("/campaigns/t01/certificate.pdf?language=de")
+    assert printed.headers["content-disposition"] == 'attachment; filename="t01.pdf"'
+    assert "Prüfprotokoll: mill-7" in printed.text
+
+
+def _workbench(home: Home) -> TestClient:
+    return TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
 
 
 def test_a_browser_prints_it(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -226,12 +273,12 @@ def test_a_browser_prints_it(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF-")
 
 
-def test_the_browser_that_prints_asks_nobody(tmp_path: Path) -> None:
+def test_the_browser_that_prints_asks_nobody() -> None:
     """Its maker's servers are not there in a test; one of ours stands for them."""
-    browser = require_program("chromium", "chromium")
+    require_program("chromium", "chromium")
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"http://127.0.0.1:{server.getsockname()[1]}/"
-        certificate_command._print(browser, f'<img src="{address}">', tmp_path / "x.pdf")
+        assert pdf_of(f'<img src="{address}">').startswith(b"%PDF-")
         server.settimeout(0.2)
         with pytest.raises(TimeoutError):
             server.accept()

@@ -1,0 +1,180 @@
+"""Languages of documents: phrases, findings and sentences by the catalogue; what is not there stays English."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, cached_property
+from importlib.resources import files
+
+from dtwin.errors import InputError
+
+_CERTIFICATE, _TWINS = (
+    tomllib.loads(files("dtwin.report").joinpath(name).read_text("utf-8"))
+    for name in ("german.toml", "german_twins.toml")
+)
+_GERMAN: Mapping[str, str] = _CERTIFICATE["phrases"]
+"""Words and phrases."""
+_CLAUSES: Mapping[str, str] = _CERTIFICATE["clauses"] | _TWINS["clauses"]
+"""Clauses of findings and notes."""
+_WORDS: Mapping[str, str] = _CERTIFICATE["words"] | _TWINS["words"]
+_TITLES: Mapping[str, str] = _TWINS["titles"]
+"""What stands alone."""
+_EXACT = {clause: german for clause, german in _CLAUSES.items() if "{}" not in clause}
+_PIECES = [(clause.split("{}"), german) for clause, german in _CLAUSES.items() if "{}" in clause]
+# A longer text is no finding of dtwin's. Names that stand for ``{}`` have no more blanks than these.
+_LONGEST, _MOST_SPACES = 1500, 2
+_WORD = re.compile("[A-Za-z]{3}")
+_AXIS = re.compile(r"[A-Z0-9]{1,4}|axis_\d")
+_NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
+_SIZE = re.compile(
+    rf"(?:(?P<name>[A-Za-z][\w ]*?) )?(?P<size>(?:about )?{_NUMBER}(?: ± {_NUMBER})?(?: [^\s;,]+(?: [mh]\)\S*)?)?)"
+)
+
+
+def _german_of(text: str, tell: Callable[[object], str]) -> str | None:
+    """Return a finding or note in German; None when a clause of it is not known. ``tell``: writes names and numbers."""
+
+    # Names of files and machines stand in a finding: each part is looked at once, however they are written.
+    @cache
+    def clause(part: str) -> str | None:
+        if part in _EXACT:
+            return _EXACT[part]
+        for pieces, german in _PIECES:
+            if (between := _between(pieces, part)) is not None:
+                words = [_worded(word) or clause(word) or _name(word, tell) for word in between]
+                if None not in words:
+                    return german.format(*words)
+        named, colon, rest = part.partition(": ")
+        if colon and (said := clause(rest)) is not None:
+            # A number is the size of what is known by name.
+            who = _titled(named) or clause(named) or (None if _SIZE.fullmatch(rest) else _name(named, tell))
+            return None if who is None else f"{who}: {said}"
+        every = [clause(one) for one in part.split(", ")] if ", " in part else [None]
+        return _sized(part, tell) if None in every else ", ".join(map(str, every))
+
+    if len(text) > _LONGEST:
+        return None
+    parts = re.split(r"(; |\. (?=[A-Z]))", text.removesuffix("."))
+    told = [clause(part) if n % 2 == 0 else part for n, part in enumerate(parts)]
+    return None if None in told else "".join(map(str, told)) + "." * text.endswith(".")
+
+
+def _worded(text: str) -> str | None:
+    words = [_WORDS.get(word) for word in re.split("(?<!,) or ", text)]
+    return None if None in words else " oder ".join(map(str, words))
+
+
+def _titled(text: str) -> str | None:
+    """Return names of effects, each with its axis or without; None where one is not known."""
+    if text in _TITLES:
+        return _TITLES[text]
+    told: list[str] = []
+    for part in text.split(", "):
+        title, _, axis = part.rpartition(" ")
+        if part in _TITLES:
+            told.append(_TITLES[part])
+        elif title in _TITLES and _AXIS.fullmatch(axis):
+            told.append(f"{_TITLES[title]} {axis}")
+        elif told and _AXIS.fullmatch(part):
+            told.append(part)
+        else:
+            return None
+    return ", ".join(told)
+
+
+def _sized(text: str, tell: Callable[[object], str]) -> str | None:
+    """Return a number with its uncertainty and unit, with its name or without."""
+    found = _SIZE.fullmatch(text)
+    if found is None or (found["name"] or "scale") not in _TITLES:
+        return None
+    size = tell(found["size"]).replace("about ", "etwa ")
+    return f"{_TITLES[found['name']]} {size}" if found["name"] else size
+
+
+def _between(pieces: Sequence[str], text: str) -> list[str] | None:
+    """Return what stands between the pieces of a clause, each piece at its first place; None for another text."""
+    first, *middle = pieces
+    if not middle:
+        return [] if text == first else None
+    *middle, last = middle
+    at, end, found = len(first), len(text) - len(last), []
+    if at > end or not text.startswith(first) or not text.endswith(last):
+        return None
+    for piece in middle:
+        after = text.find(piece, at, end)
+        if after < 0:
+            return None
+        found.append(text[at:after])
+        at = after + len(piece)
+    return [*found, text[at:end]]
+
+
+def _name(text: str, tell: Callable[[object], str]) -> str | None:
+    if text[:1].isupper() and (title := _titled(text)):
+        return title
+    return tell(text) if _are_names(text) or not _WORD.search(text) else None
+
+
+def _are_names(text: str) -> bool:
+    return all(name.count(" ") <= _MOST_SPACES for name in text.split(", "))
+
+
+_DECIMAL_POINT = {"de": ","}
+LANGUAGES: Mapping[str, Mapping[str, str]] = {"en": {}, "de": _GERMAN}
+"""Words and phrases of a document by language; what is not there is English."""
+
+
+class Language:
+    """A language of documents.
+
+    ``code``: one of ``LANGUAGES``.
+    ``names``: what people named, which stays as they named it.
+    Raises ``InputError`` for another code.
+    """
+
+    def __init__(self, code: str = "en", names: Iterable[str] = ()) -> None:
+        if code not in LANGUAGES:
+            raise InputError("no such language", code="document.language", got=code[:20], allowed=", ".join(LANGUAGES))
+        self.code = code
+        self.point = _DECIMAL_POINT.get(code, ".")
+        self._words = LANGUAGES[code]
+        self._phrases = {**self._words, **{name: name for name in names}}
+
+    @cached_property
+    def _phrase(self) -> re.Pattern[str]:
+        longest_first = "|".join(map(re.escape, sorted(self._phrases, key=len, reverse=True)))
+        return re.compile(rf"(?<![\w-])(?:{longest_first})(?![\w-])|(?<=\d)\.(?=\d)")
+
+    def say(self, word: str) -> str:
+        """Return a word or phrase that stands alone."""
+        return self._words.get(word, word)
+
+    def tell(self, text: object) -> str:
+        """Translate the phrases that are known in a longer text, and write its numbers as the language does."""
+        if not self._words:
+            return str(text)
+        return self._phrase.sub(lambda found: self._phrases.get(found[0], self.point), str(text))
+
+    def spoken(self, text: str) -> tuple[str, str]:
+        """Return a sentence, and the language that it is in."""
+        said = _german_of(text, self.tell) if self._words else None
+        return (text, "en") if said is None else (said, self.code)
+
+    def read(self, text: str) -> tuple[str, str]:
+        """Return a sentence or a text of phrases alone, as a sheet says what it rests on, and the language that it is in."""
+        said, code = self.spoken(text)
+        if code != self.code and not _WORD.search(self._phrase.sub("", text).replace("ISO", "")):
+            return self.tell(text), self.code
+        return said, code
+
+    def cell(self, text: str) -> str:
+        """Return what stands in a table: a phrase, a name of an effect, a size or a sentence; else as it is."""
+        if not self._words:
+            return text
+        return self._words.get(text) or _titled(text) or self.read(text)[0]
+
+    def drawn(self, text: str) -> str:
+        """Return what stands in a picture about a twin."""
+        return (_titled(text) or self.spoken(text)[0]) if self._words else text
